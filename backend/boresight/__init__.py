@@ -1,0 +1,77 @@
+"""Boresight: recalibrating star trackers on orbit, from downlinked star centroids.
+
+THE NOTATION. After this page any file can be read.
+
+Frames
+------
+=====  =====================================================================================================
+ICRS   inertial; catalogue directions. Apparent directions (aberrated) are given in ICRS axes.
+D      detector: x along increasing rows (m), y along increasing columns (n), z out along the boresight.
+S      sensor: the chassis; C_SD turns a D vector into an S vector. Arclengths cannot see a bulk rotation.
+=====  =====================================================================================================
+
+A vector in frame A is `s_a` and a matrix from B to A is `C_ab`, so `s_d = C_di @ s_i` and `C_si = C_sd @ C_di`.
+
+Parity
+------
++1: the axes (rows, columns, boresight) are a right-handed triad. -1: they are left-handed, as in an upright image.
+Arclengths and singular values do not see parity; attitude does. With parity -1 the detector vector
+(x, y, z) stands for the right-handed vector (x, -y, z).
+
+Pixels
+------
+The centre of the top-left pixel is (0, 0); an integer is a pixel centre. `row_px` = m, `col_px` = n.
+Not chosen: 1-based (FITS, MATLAB), corner-based (half a pixel off).
+
+Quaternions
+-----------
+Stored (x, y, z, w), scalar last, Hamilton, turning ICRS vectors into D vectors: `s_d = C(q) @ s_i`.
+Not chosen: scalar first; the inverse sense.
+
+Units
+-----
+SI, radians and pixels inside. Where a number crosses a border (file, database, REST, page) its name ends with its unit:
+`_m _px _rad _deg _s _km_s _per_m2 _per_m4 _c`. Times are UTC.
+
+Symbols
+-------
+Enright, Jovanovic, Vaz 2018 ("E"), and the array names that carry them:
+
+=============  ================  =============================================================================
+f              `f_m`             focal length, metres
+m_0, n_0       `m0_px n0_px`     principal point: row, column
+b_4, b_2       `b4_per_m4 ...`   radial coefficients of rho in metres, applied from detector to ray
+a_1, a_2       `a1_rad a2_rad`   decentring: linearised tilts of the detector
+g_y            `g_y`             aspect: scale of columns over rows (the text calls it skew)
+x              `x`               state, the parameters in the order f m0 n0 b4 b2 a1 a2 g_y
+x'             `z`               scaled state, (x - x_ref) / sigma_p with the typical sigmas of E Table II
+Delta          `pitch`           pixel pitch, metres
+u v U V        `u v U V`         detector displacements before and after decentring, metres
+rho, B         `rho2 B`          radius squared, radial factor
+r, s           `r s`             ray and its unit vector
+phi, dphi      `phi e`           arclength; measured minus catalogue
+psi            `psi`             dihedral angle between two arcs at their common star
+R              `R`               covariance of the arcs of one exposure, half-bandwidth 4
+Xi             `L`               its lower Cholesky factor: R = L L^T
+H, H'          `H`               Jacobian of dphi, and the same whitened and scaled
+P, S           `P S`             state covariance, its upper triangular factor: P = S S^T
+Q, M           `Q`               process noise
+K, alpha       `K alpha`         gain, innovation variance
+=============  ================  =============================================================================
+
+Wu et al. 2019 ("W"): `s f u0 v0 k1 k2`, u = column, v = row.
+
+Arrays are structures of arrays, float64, and their docstrings name each dimension: `(n_stars,)`, `(n_arcs, 8)`.
+An *exposure* is one image; a *frame* is one telemetry reading (two exposures on the ST-16); a *set* is a series of frames.
+
+References
+----------
+.. [E] J. Enright, I. Jovanovic, B. Vaz, "Autonomous Recalibration of Star Trackers", IEEE Sensors Journal, 2018,
+   doi:10.1109/JSEN.2018.2857621.
+.. [W] L. Wu, Q. Xu, J. Heikkilä, Z. Zhao, L. Liu, Y. Niu, "A Star Sensor On-Orbit Calibration Method Based on
+   Singular Value Decomposition", Sensors 19, 2019.
+
+Where a printed equation is wrong, the docstring that implements it says what is right and why; "erratum" marks the place.
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,77 @@
+"""What can go wrong, by kind. Every error is one clear sentence that says what to do.
+
+Nothing here knows HTTP or exit codes: the API maps kinds to status codes and the command line to exit codes,
+each in one table at its own door.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One place in an input where something is wrong.
+
+    Parameters
+    ----------
+    row
+        Line in the file, counted as an editor does (the header is line 1); None when the fault is of the whole file.
+    column
+        The column's name; None when the fault is of the whole row.
+    detail
+        What is wrong and what to do, one sentence.
+    """
+
+    row: int | None
+    column: str | None
+    detail: str
+
+    def __str__(self) -> str:
+        """Join place and detail as `row 12, column row_px: ...`."""
+        place = [f"row {self.row}"] * (self.row is not None) + [f"column {self.column}"] * (self.column is not None)
+        return f"{', '.join(place)}: {self.detail}" if place else self.detail
+
+
+class BoresightError(Exception):
+    """Any refusal of this package."""
+
+
+class RefusedInputError(BoresightError, ValueError):
+    """The input cannot be used; the faults say where and what to do."""
+
+    def __init__(self, sentence: str, faults: tuple[Fault, ...] = ()) -> None:
+        super().__init__(sentence)
+        self.faults = faults
+
+
+class NotFoundError(BoresightError, LookupError):
+    """No such thing is stored."""
+
+
+class ConflictError(BoresightError):
+    """The thing is not in a state that allows this; says what state it is in and who changed it."""
+
+
+class StaleError(BoresightError):
+    """The caller saw an older version than the one stored."""
+
+
+class PreconditionRequiredError(BoresightError):
+    """A transition was asked without saying which version was seen."""
+
+
+class ForbiddenError(BoresightError):
+    """This person or key may not do this; says who may."""
+
+
+class UnauthenticatedError(BoresightError):
+    """Nobody is logged in, or the log-in has expired."""
+
+
+class TooLargeError(BoresightError):
+    """The upload is over the size limit."""
+
+
+class CancelledError(BoresightError):
+    """The computation was asked to stop and did."""

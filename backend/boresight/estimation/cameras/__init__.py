@@ -1,0 +1,16 @@
+"""Camera models: one a file, one line in the registry below.
+
+A model answers with star directions in D for detector positions (`directions`), with their derivatives
+(`directions_and_jacobian`) and with the detector position of a direction (`project`).
+"""
+
+from __future__ import annotations
+
+from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation.cameras.model import CameraModel
+
+CAMERA_MODELS: dict[str, CameraModel] = {
+    INVERTED_WANG.name: INVERTED_WANG,
+}
+
+__all__ = ["CAMERA_MODELS", "CameraModel"]

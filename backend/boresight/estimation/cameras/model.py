@@ -1,0 +1,47 @@
+"""What every camera model offers, and nothing more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera model as data: names, units and three functions.
+
+    Parameters
+    ----------
+    name
+        As in the sensor file.
+    parameter_names, symbols, units
+        (n_parameters,) in state order; symbols are the paper's letters for pages, units for tables.
+    directions
+        `(x, row_px, col_px, pitch) -> s_d (n, 3)`, unit vectors in D.
+    directions_and_jacobian
+        `(x, row_px, col_px, pitch) -> (s_d (n, 3), ds_dx (n, 3, n_parameters))`.
+    project
+        `(x, s_d (n, 3), pitch) -> (row_px, col_px)`, NaN where the direction meets no detector point.
+    principal_point
+        `(x) -> (row_px, col_px)`.
+    default_typical_sigma
+        (n_parameters,) the paper's unit-to-unit spread, SI.
+    plausible
+        (n_parameters, 2) lowest and highest value that is not absurd, SI.
+    """
+
+    name: str
+    parameter_names: tuple[str, ...]
+    symbols: tuple[str, ...]
+    units: tuple[str, ...]
+    directions: Callable[..., FloatArray]
+    directions_and_jacobian: Callable[..., tuple[FloatArray, FloatArray]]
+    project: Callable[..., tuple[FloatArray, FloatArray]]
+    principal_point: Callable[..., tuple[float, float]]
+    default_typical_sigma: tuple[float, ...]
+    plausible: tuple[tuple[float, float], ...]

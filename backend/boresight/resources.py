@@ -1,0 +1,21 @@
+"""Where the files that are not Python are found: in the wheel beside the package, in a checkout at its top."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def folder(name: str) -> Path:
+    """Return the folder `frontend` or `migrations`, from the installed wheel or from the checkout.
+
+    Raises
+    ------
+    FileNotFoundError
+        When neither place has it: the installation is broken.
+    """
+    for candidate in (_PACKAGE / name, _PACKAGE.parents[1] / name):
+        if candidate.is_dir():
+            return candidate
+    raise FileNotFoundError(f"Expected the folder {name!r} inside the package or at the top of the checkout")

@@ -1,0 +1,118 @@
+"""Every setting in one table: name, default, unit, sentence. Read once at a door and passed down as a value.
+
+A setting `lease_s` is given by the environment variable `BORESIGHT_LEASE_S`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from boresight.errors import RefusedInputError
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One row of the table; `read` turns the environment's text into the value."""
+
+    name: str
+    default: str
+    unit: str
+    sentence: str
+    read: Callable[[str], object]
+
+    @property
+    def variable(self) -> str:
+        """Name of the environment variable."""
+        return f"BORESIGHT_{self.name.upper()}"
+
+
+SETTINGS = (
+    Setting("data_folder", "", "path", "Database, blobs, catalogue cache, compiled kernels; empty = your data folder.", str),
+    Setting("database_url", "", "URL", "SQLAlchemy address of the store; empty = SQLite in the data folder.", str),
+    Setting("host", "127.0.0.1", "address", "Address the server listens on.", str),
+    Setting("port", "8000", "", "Port the server listens on.", int),
+    Setting("mode", "OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.", str),
+    Setting("scheduler", "", "address", "External Dask scheduler, tcp://host:port; empty = worker processes of our own.", str),
+    Setting("workers", "2", "processes", "Worker processes started when no scheduler is given; 0 = none here.", int),
+    Setting("lease_s", "10", "s", "How long a run belongs to the server that claimed it without a renewal.", float),
+    Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
+    Setting("upload_limit_mb", "512", "MB", "Largest telemetry file that is accepted.", float),
+    Setting("session_hours", "12", "h", "A log-in ends after so long.", float),
+    Setting("login_attempts", "5", "per minute", "Failed log-ins a person may make before waiting.", int),
+    Setting("secure_cookies", "0", "0 or 1", "1 = the session cookie is sent over HTTPS only.", int),
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The settings as values; field names are those of the table."""
+
+    data_folder: Path
+    database_url: str
+    host: str
+    port: int
+    mode: str
+    scheduler: str
+    workers: int
+    lease_s: float
+    max_attempts: int
+    upload_limit_mb: float
+    session_hours: float
+    login_attempts: int
+    secure_cookies: int
+
+    @property
+    def catalogue_folder(self) -> Path:
+        """Where the trimmed star catalogue is cached."""
+        return self.data_folder / "catalogue"
+
+    @property
+    def blob_folder(self) -> Path:
+        """Where content-addressed files are kept."""
+        return self.data_folder / "blobs"
+
+    @property
+    def kernel_folder(self) -> Path:
+        """Where Numba keeps compiled kernels."""
+        return self.data_folder / "kernels"
+
+
+def default_data_folder(environment: Mapping[str, str]) -> Path:
+    """Return the user's data folder for Boresight, as the XDG rules give it."""
+    share = environment.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
+    return Path(share) / "boresight"
+
+
+def read_settings(environment: Mapping[str, str] | None = None) -> Settings:
+    """Read every setting of the table from the environment.
+
+    Raises
+    ------
+    RefusedInputError
+        When a value cannot be read; names the variable.
+    """
+    environment = os.environ if environment is None else environment
+    values: dict[str, object] = {}
+    for setting in SETTINGS:
+        text = environment.get(setting.variable, setting.default)
+        try:
+            values[setting.name] = setting.read(text)
+        except ValueError as error:
+            raise RefusedInputError(f"{setting.variable}={text!r} cannot be read: {setting.sentence}") from error
+    folder = Path(str(values["data_folder"])) if values["data_folder"] else default_data_folder(environment)
+    values["data_folder"] = folder.expanduser().resolve()
+    values["database_url"] = values["database_url"] or f"sqlite:///{values['data_folder']}/boresight.sqlite3"
+    return Settings(**{field.name: values[field.name] for field in fields(Settings)})  # type: ignore[arg-type]
+
+
+def use_kernel_folder(settings: Settings) -> None:
+    """Point Numba's cache into the data folder; call before `boresight.kernels` is first imported."""
+    if "NUMBA_CACHE_DIR" not in os.environ:
+        try:
+            settings.kernel_folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return  # a read-only home: Numba falls back to its own cache folder
+        os.environ["NUMBA_CACHE_DIR"] = str(settings.kernel_folder)

@@ -1,0 +1,1 @@
+"""What comes down from the spacecraft and what describes its sensors: schemas, readers, quality."""

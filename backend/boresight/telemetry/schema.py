@@ -1,0 +1,91 @@
+"""The telemetry table: one entry a detected star, as a structure of arrays in file order.
+
+The contract's columns and their meaning::
+
+    frame       integer, ascending          exposure    integer within the frame
+    row_px      centroid, (0, 0) = centre of the top-left pixel          col_px
+    time_utc    ISO 8601                    magnitude   sigma_px
+    star_id     HIP; empty, 0 or -1 = unmatched
+    ra_deg dec_deg            apparent direction, replaces the catalogue's
+    q_x q_y q_z q_w           ICRS to detector, scalar last
+    vx_km_s vy_km_s vz_km_s   satellite velocity, GCRS
+    temperature_c
+
+Absent columns are None; an absent cell in a present float column is NaN, in `star_id` it is 0 and in `time_utc` NaT.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+REQUIRED_COLUMNS = ("frame", "exposure", "row_px", "col_px")
+OPTIONAL_COLUMNS = (
+    "time_utc",
+    "magnitude",
+    "sigma_px",
+    "star_id",
+    "ra_deg",
+    "dec_deg",
+    "q_x",
+    "q_y",
+    "q_z",
+    "q_w",
+    "vx_km_s",
+    "vy_km_s",
+    "vz_km_s",
+    "temperature_c",
+)
+
+UNMATCHED = 0
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """A telemetry set in memory; every array has the leading dimension n_rows.
+
+    Parameters
+    ----------
+    frame, exposure
+        (n_rows,) integers; rows of one exposure are contiguous and frames ascend.
+    row_px, col_px
+        (n_rows,) centroid in pixels.
+    time_utc
+        (n_rows,) datetime64[us], or None.
+    magnitude, sigma_px, temperature_c
+        (n_rows,) or None.
+    star_id
+        (n_rows,) HIP number, 0 = unmatched, or None when the file names no stars.
+    ra_rad, dec_rad
+        (n_rows,) apparent direction in ICRS axes, or None.
+    quaternion
+        (n_rows, 4) x, y, z, w, ICRS to detector, or None.
+    velocity_m_s
+        (n_rows, 3) satellite velocity, GCRS, or None.
+    unknown
+        Columns the contract does not name, kept as they came.
+    """
+
+    frame: IntArray
+    exposure: IntArray
+    row_px: FloatArray
+    col_px: FloatArray
+    time_utc: NDArray[np.datetime64] | None = None
+    magnitude: FloatArray | None = None
+    sigma_px: FloatArray | None = None
+    star_id: IntArray | None = None
+    ra_rad: FloatArray | None = None
+    dec_rad: FloatArray | None = None
+    quaternion: FloatArray | None = None
+    velocity_m_s: FloatArray | None = None
+    temperature_c: FloatArray | None = None
+    unknown: dict[str, list[str]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Count the rows."""
+        return len(self.frame)
