@@ -126,7 +126,7 @@ class Blob(Base):
     __tablename__ = "blobs"
     __table_args__ = (STRICT,)
     sha256: Mapped[str] = mapped_column(sa.Text, primary_key=True)
-    size_bytes: Mapped[int] = mapped_column(sa.BigInteger)
+    size_bytes: Mapped[int] = mapped_column(sa.BigInteger().with_variant(sa.Integer, "sqlite"))
     media_type: Mapped[str] = mapped_column(sa.Text)
     created_utc: Mapped[str] = mapped_column(sa.Text)
 
