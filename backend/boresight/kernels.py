@@ -1,0 +1,573 @@
+"""The hot loops, compiled by Numba: arrays in, arrays out; each has one documented caller.
+
+The layout is a structure of arrays. The stars of all exposures stand one exposure after another in the order that
+`estimation.arcs` chose; exposure `k` owns the stars `star_start[k]:star_start[k + 1]`, n of them, and their 2n - 3 arcs
+begin at arc `2 star_start[k] - 3 k`. Arcs are interleaved: number 2i joins stars i and i+1, number 2i + 1 joins i and i+2, so
+the covariance R of an exposure (E Eqs 16-18) has half-bandwidth 4 and its lower factor is kept as five numbers an arc,
+`band[a, 4 - d] = L[a, a - d]`.
+
+The derivative of an arc is taken backwards. With c = s_i.s_j and g = (s_j - c s_i) / (|r_i| sin phi),
+
+    d phi / d x = -(g_i . dr_i/dx) - (g_j . dr_j/dx)        (E Eq 38 with both errata)
+
+and g.dr/dx collapses to a few products, because r = (B U, B V, f) depends on the pixel through (U, V) alone:
+dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what E Eq 43 means, without its 0/0 on the principal point.
+`tests/test_kernels.py` holds every loop against plain NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+N_PARAMETERS = 8
+HALF_BANDWIDTH = 4
+_BAND = HALF_BANDWIDTH + 1
+_STAR = 20  # numbers kept a star: s(3), 1/|r|, M(3), U_u U_v V_u V_v, U_f V_f, u v, f/D^2, rho2, U V, column offset
+
+# Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
+_FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
+_jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+
+
+@_jit
+def _star(x, pitch, row_px, col_px, w):
+    """Fill `w` (20,) with one star's ray and what its derivatives need (E Eqs 1-7, 44-77)."""
+    f, m0, n0, b4, b2, a1, a2, g_y = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
+    dn = pitch * (col_px - n0)
+    u = pitch * (row_px - m0)
+    v = g_y * dn
+    tilt = a1 * v + a2 * u
+    inverse = 1.0 / (tilt + f)
+    U = u * f * inverse
+    V = v * f * inverse
+    rho2 = U * U + V * V
+    B = 1.0 + rho2 * (b2 + rho2 * b4)
+    slope = 2.0 * b2 + 4.0 * b4 * rho2
+    rx, ry = B * U, B * V
+    norm = 1.0 / math.sqrt(rx * rx + ry * ry + f * f)
+    fd2 = f * inverse * inverse
+    w[0], w[1], w[2], w[3] = rx * norm, ry * norm, f * norm, norm
+    w[4], w[5], w[6] = B + slope * U * U, slope * U * V, B + slope * V * V
+    w[7], w[8] = fd2 * (a1 * v + f), -fd2 * a1 * u
+    w[9], w[10] = -fd2 * a2 * v, fd2 * (a2 * u + f)
+    w[11], w[12] = u * tilt * inverse * inverse, v * tilt * inverse * inverse
+    w[13], w[14], w[15], w[16], w[17], w[18], w[19] = u, v, fd2, rho2, U, V, dn
+
+
+@_jit
+def _subtract_end(w, gx, gy, gz, pitch, g_y, h):
+    """Subtract g . dr/dx of one end of an arc from its row `h` (8,)."""
+    radial = gx * w[17] + gy * w[18]
+    h1 = gx * w[4] + gy * w[5]
+    h2 = gx * w[5] + gy * w[6]
+    ku = h1 * w[7] + h2 * w[9]
+    kv = h1 * w[8] + h2 * w[10]
+    tilt = w[15] * (h1 * w[13] + h2 * w[14])
+    h[0] -= h1 * w[11] + h2 * w[12] + gz
+    h[1] += pitch * ku
+    h[2] += g_y * pitch * kv
+    h[3] -= w[16] * w[16] * radial
+    h[4] -= w[16] * radial
+    h[5] += w[14] * tilt
+    h[6] += w[13] * tilt
+    h[7] -= w[19] * kv
+
+
+@_jit
+def _arclength(w, i, j):
+    """Return (phi, cos phi, sin phi) between stars i and j by atan2, exact at every separation."""
+    cx = w[i, 1] * w[j, 2] - w[i, 2] * w[j, 1]
+    cy = w[i, 2] * w[j, 0] - w[i, 0] * w[j, 2]
+    cz = w[i, 0] * w[j, 1] - w[i, 1] * w[j, 0]
+    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
+    cosine = w[i, 0] * w[j, 0] + w[i, 1] * w[j, 1] + w[i, 2] * w[j, 2]
+    return math.atan2(sine, cosine), cosine, sine
+
+
+@_jit
+def _arc(w, i, j, pitch, g_y, h):
+    """Return the measured arc between stars i and j and fill its derivative row `h` (8,)."""
+    phi, c, s = _arclength(w, i, j)
+    ki, kj = w[i, 3] / s, w[j, 3] / s
+    h[:] = 0.0
+    _subtract_end(
+        w[i], ki * (w[j, 0] - c * w[i, 0]), ki * (w[j, 1] - c * w[i, 1]), ki * (w[j, 2] - c * w[i, 2]), pitch, g_y, h
+    )
+    _subtract_end(
+        w[j], kj * (w[i, 0] - c * w[j, 0]), kj * (w[i, 1] - c * w[j, 1]), kj * (w[i, 2] - c * w[j, 2]), pitch, g_y, h
+    )
+    return phi
+
+
+@_jit
+def _exposure_rows(x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H):
+    """Whitened residuals `e` and scaled Jacobian `H` of one exposure; returns its unweighted sum of squares.
+
+    The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82).
+    """
+    n = row_px.shape[0]
+    n_free = free.shape[0]
+    for i in range(n):
+        _star(x, pitch, row_px[i], col_px[i], w[i])
+    total = 0.0
+    for a in range(2 * n - 3):
+        i = a // 2
+        residual = _arc(w, i, i + 1 + a % 2, pitch, x[7], h) - phi[a]
+        total += residual * residual
+        inverse = 1.0 / band[a, 4]
+        first = max(0, a - HALF_BANDWIDTH)
+        for b in range(first, a):
+            residual -= band[a, 4 - a + b] * e[b]
+        e[a] = residual * inverse
+        for p in range(n_free):
+            value = h[free[p]] * scale[p]
+            for b in range(first, a):
+                value -= band[a, 4 - a + b] * H[b, p]
+            H[a, p] = value * inverse
+    return total
+
+
+@_jit
+def _exposure_residuals(x, pitch, row_px, col_px, phi, band, w, e):
+    """Whitened residuals `e` of one exposure without derivatives; returns its unweighted sum of squares."""
+    n = row_px.shape[0]
+    for i in range(n):
+        _star(x, pitch, row_px[i], col_px[i], w[i])
+    total = 0.0
+    for a in range(2 * n - 3):
+        i = a // 2
+        residual = _arclength(w, i, i + 1 + a % 2)[0] - phi[a]
+        total += residual * residual
+        for b in range(max(0, a - HALF_BANDWIDTH), a):
+            residual -= band[a, 4 - a + b] * e[b]
+        e[a] = residual / band[a, 4]
+    return total
+
+
+@_jit
+def _largest_exposure(star_start):
+    """Return the number of stars in the fullest exposure, for scratch space."""
+    most = 0
+    for k in range(star_start.shape[0] - 1):
+        most = max(most, star_start[k + 1] - star_start[k])
+    return most
+
+
+@_jit
+def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scale, A, b):
+    """Accumulate A = H'^T H' (n_free, n_free) and b = H'^T e' (n_free,); return (chi-square, unweighted sum of squares).
+
+    Called by `estimation.batch`. H' is whitened and in units of `scale` (the typical sigmas of the free parameters).
+    """
+    most = _largest_exposure(star_start)
+    n_free = free.shape[0]
+    w, h = np.empty((most, _STAR)), np.empty(N_PARAMETERS)
+    e, H = np.empty(2 * most), np.empty((2 * most, n_free))
+    A[:] = 0.0
+    b[:] = 0.0
+    chi2 = 0.0
+    total = 0.0
+    for k in range(star_start.shape[0] - 1):
+        s0, s1 = star_start[k], star_start[k + 1]
+        a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
+        total += _exposure_rows(
+            x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e, H
+        )
+        for a in range(a1 - a0):
+            chi2 += e[a] * e[a]
+            for p in range(n_free):
+                b[p] += H[a, p] * e[a]
+                for q in range(p + 1):
+                    A[p, q] += H[a, p] * H[a, q]
+    for p in range(n_free):
+        for q in range(p):
+            A[q, p] = A[p, q]
+    return chi2, total
+
+
+@_jit
+def residuals(x, pitch, star_start, row_px, col_px, phi, e):
+    """Fill `e` (n_arcs,) with measured minus catalogue arclength, radians. Called by `estimation.metrics`."""
+    w = np.empty((_largest_exposure(star_start), _STAR))
+    for k in range(star_start.shape[0] - 1):
+        s0, s1 = star_start[k], star_start[k + 1]
+        a0 = 2 * s0 - 3 * k
+        for i in range(s1 - s0):
+            _star(x, pitch, row_px[s0 + i], col_px[s0 + i], w[i])
+        for a in range(2 * (s1 - s0) - 3):
+            e[a0 + a] = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
+
+
+@_jit
+def sums_of_squares(states, pitch, star_start, row_px, col_px, phi, totals):
+    """Fill `totals` (n_states,) with the unweighted sum of squares of the whole set at each state (n_states, 8).
+
+    Called by `estimation.metrics.tail_rms` (E Eq 32).
+    """
+    w = np.empty((_largest_exposure(star_start), _STAR))
+    for m in range(states.shape[0]):
+        total = 0.0
+        for k in range(star_start.shape[0] - 1):
+            s0, s1 = star_start[k], star_start[k + 1]
+            a0 = 2 * s0 - 3 * k
+            for i in range(s1 - s0):
+                _star(states[m], pitch, row_px[s0 + i], col_px[s0 + i], w[i])
+            for a in range(2 * (s1 - s0) - 3):
+                residual = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
+                total += residual * residual
+        totals[m] = total
+
+
+@_jit
+def whitened_rows(x, pitch, star_start, row_px, col_px, phi, band, free, scale, e, H):
+    """Fill whitened `e` (n_arcs,) and `H` (n_arcs, n_free) of several exposures. Called by `estimation.filters.extended`."""
+    w, h = np.empty((_largest_exposure(star_start), _STAR)), np.empty(N_PARAMETERS)
+    total = 0.0
+    for k in range(star_start.shape[0] - 1):
+        s0, s1 = star_start[k], star_start[k + 1]
+        a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
+        total += _exposure_rows(
+            x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e[a0:a1], H[a0:a1]
+        )
+    return total
+
+
+@_jit
+def carlson_update(z, S, h, innovation, f, gain):
+    """Take in one whitened scalar measurement; z (n,) and upper triangular S (n, n) change in place.
+
+    f = S^T h (erratum to E Eq 87), alpha = 1 + f.f, and column by column S becomes S (I - f f^T / alpha)^(1/2)
+    (erratum to E Eq 84) in Carlson's form, which stays triangular. Returns the normalised innovation squared.
+    """
+    n = z.shape[0]
+    for j in range(n):
+        value = 0.0
+        for i in range(j + 1):
+            value += S[i, j] * h[i]
+        f[j] = value
+        gain[j] = 0.0
+    alpha = 1.0
+    for j in range(n):
+        before = alpha
+        alpha += f[j] * f[j]
+        keep = math.sqrt(before / alpha)
+        move = f[j] / math.sqrt(before * alpha)
+        for i in range(j + 1):
+            old = S[i, j]
+            S[i, j] = keep * old - move * gain[i]
+            gain[i] += old * f[j]
+    for i in range(n):
+        z[i] -= gain[i] / alpha * innovation
+    return innovation * innovation / alpha
+
+
+@_jit
+def inflate(S, q, M):
+    """Replace S by the upper triangular factor of S S^T + diag(q^2), by Givens rotations of [S M] (erratum to E Eq 88)."""
+    n = S.shape[0]
+    M[:] = 0.0
+    for j in range(n):
+        M[j, j] = q[j]
+    for k in range(n - 1, -1, -1):
+        for j in range(n):
+            if M[k, j] == 0.0:
+                continue
+            r = math.hypot(S[k, k], M[k, j])
+            c, s = S[k, k] / r, M[k, j] / r
+            for i in range(k + 1):
+                a, b = S[i, k], M[i, j]
+                S[i, k] = c * a + s * b
+                M[i, j] = c * b - s * a
+
+
+@_jit
+def square_root_filter(
+    x, z, S, q, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    states, sigmas, nis, dof, squares, passes,
+):  # fmt: skip
+    """Run the Carlson filter over frames; x (8,), z (n_free,) and S (n_free, n_free) change in place.
+
+    Called by `estimation.filters.square_root`, which derives it. z is the step of the free parameters from their start in
+    typical sigmas. Frame k owns exposures `frame_start[k]:frame_start[k + 1]`. A frame is linearised again at its own posterior
+    until the whitened residual there differs from its linear prediction by less than `rest`, at most `linearisations` times.
+    Fills per frame: states (n_frames, 8), sigmas (n_frames, n_free) in typical sigmas, nis, dof, squares (post-update sum of
+    squares, E Eq 33) and passes. Returns the number of frames done; fewer than asked when the state stopped being finite.
+    """
+    n_free = free.shape[0]
+    n_frames = frame_start.shape[0] - 1
+    most_stars = _largest_exposure(star_start)
+    most_arcs = 0
+    for k in range(n_frames):
+        k0, k1 = frame_start[k], frame_start[k + 1]
+        most_arcs = max(most_arcs, 2 * (star_start[k1] - star_start[k0]) - 3 * (k1 - k0))
+    w, h = np.empty((most_stars, _STAR)), np.empty(N_PARAMETERS)
+    e, H, post = np.empty(most_arcs), np.empty((most_arcs, n_free)), np.empty(most_arcs)
+    z_prior, z_at, S_prior = np.empty(n_free), np.empty(n_free), np.empty((n_free, n_free))
+    f, gain, M, x0 = np.empty(n_free), np.empty(n_free), np.empty((n_free, n_free)), np.empty(n_free)
+    for p in range(n_free):
+        x0[p] = x[free[p]] - scale[p] * z[p]
+    noisy = False
+    for p in range(n_free):
+        noisy = noisy or q[p] > 0.0
+    for k in range(n_frames):
+        if noisy:
+            inflate(S, q, M)
+        z_prior[:] = z
+        S_prior[:] = S
+        n_arcs = 0
+        total = 0.0
+        frame_nis = 0.0
+        done = 0
+        for turn in range(linearisations):
+            z_at[:] = z
+            n_arcs = 0
+            for m in range(frame_start[k], frame_start[k + 1]):
+                s0, s1 = star_start[m], star_start[m + 1]
+                a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
+                _exposure_rows(
+                    x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h,
+                    e[n_arcs:], H[n_arcs:],
+                )  # fmt: skip
+                n_arcs += a1 - a0
+            z[:] = z_prior
+            S[:] = S_prior
+            frame_nis = 0.0
+            for a in range(n_arcs):
+                innovation = e[a]
+                for p in range(n_free):
+                    innovation += H[a, p] * (z[p] - z_at[p])  # the innovation moves inside the frame (erratum to E Eq 83)
+                frame_nis += carlson_update(z, S, H[a], innovation, f, gain)
+            for p in range(n_free):
+                x[free[p]] = x0[p] + scale[p] * z[p]
+            n_post = 0
+            total = 0.0
+            for m in range(frame_start[k], frame_start[k + 1]):
+                s0, s1 = star_start[m], star_start[m + 1]
+                a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
+                total += _exposure_residuals(
+                    x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, post[n_post:]
+                )
+                n_post += a1 - a0
+            done = turn + 1
+            worst = 0.0
+            for a in range(n_arcs):
+                predicted = e[a]
+                for p in range(n_free):
+                    predicted += H[a, p] * (z[p] - z_at[p])
+                worst = max(worst, abs(post[a] - predicted))
+            if worst < rest:
+                break
+        states[k] = x
+        for p in range(n_free):
+            variance = 0.0
+            for j in range(p, n_free):
+                variance += S[p, j] * S[p, j]
+            sigmas[k, p] = math.sqrt(variance)
+        nis[k], dof[k], squares[k], passes[k] = frame_nis, n_arcs, total, done
+        if not math.isfinite(total):
+            return k
+    return n_frames
+
+
+@_jit
+def arcs_and_factors(star_start, s, sigma, phi, band, bad):
+    """Catalogue arcs `phi` (n_arcs,) and the banded factors of R (n_arcs, 5) for directions `s` (n_stars, 3), `sigma` rad.
+
+    Called by `estimation.arcs`, which derives R. `bad` (n_exposures,) is set where R is not positive definite.
+    """
+    for k in range(star_start.shape[0] - 1):
+        s0, s1 = star_start[k], star_start[k + 1]
+        a0 = 2 * s0 - 3 * k
+        n = s1 - s0
+        for a in range(2 * n - 3):
+            i = s0 + a // 2
+            phi[a0 + a] = _separation(s, i, i + 1 + a % 2)
+        bad[k] = _factor(n, s[s0:s1], sigma[s0:s1], phi[a0 : a0 + 2 * n - 3], band[a0 : a0 + 2 * n - 3])
+
+
+@_jit
+def _separation(s, i, j):
+    """Arclength between catalogue directions i and j."""
+    cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
+    cy = s[i, 2] * s[j, 0] - s[i, 0] * s[j, 2]
+    cz = s[i, 0] * s[j, 1] - s[i, 1] * s[j, 0]
+    return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2])
+
+
+@_jit
+def _factor(n, s, sigma, phi, band):
+    """Banded Cholesky factor of one exposure's R; returns True when a pivot is not positive."""
+    n_arcs = 2 * n - 3
+    for a in range(n_arcs):
+        ai, aj = a // 2, a // 2 + 1 + a % 2
+        for d in range(min(a, HALF_BANDWIDTH), -1, -1):
+            b = a - d
+            value = _covariance(s, sigma, phi, ai, aj, b // 2, b // 2 + 1 + b % 2, a, b)
+            for m in range(max(0, a - HALF_BANDWIDTH), b):
+                value -= band[a, 4 - a + m] * band[b, 4 - b + m]
+            if d > 0:
+                band[a, 4 - d] = value / band[b, 4]
+            elif value > 0.0:
+                band[a, 4] = math.sqrt(value)
+            else:
+                return True
+        for d in range(a + 1, _BAND):
+            band[a, 4 - d] = 0.0
+    return False
+
+
+@_jit
+def _covariance(s, sigma, phi, ai, aj, bi, bj, a, b):
+    """Covariance of arc a = (ai, aj) with arc b = (bi, bj): E Eq 16 on the diagonal, Eqs 17 (erratum) and 18 off it."""
+    if a == b:
+        return sigma[ai] * sigma[ai] + sigma[aj] * sigma[aj]
+    if ai == bi:
+        j, i, k = ai, aj, bj
+    elif ai == bj:
+        j, i, k = ai, aj, bi
+    elif aj == bi:
+        j, i, k = aj, ai, bj
+    elif aj == bj:
+        j, i, k = aj, ai, bi
+    else:
+        return 0.0
+    far = s[i, 0] * s[k, 0] + s[i, 1] * s[k, 1] + s[i, 2] * s[k, 2]
+    cosine = (far - math.cos(phi[a]) * math.cos(phi[b])) / (math.sin(phi[a]) * math.sin(phi[b]))
+    return sigma[j] * sigma[j] * cosine
+
+
+@_jit
+def _fatness(x, y, a, b, c):
+    """Sine of the smallest angle of the triangle a b c: 0 for collinear or coincident stars, 0.87 at best."""
+    ab2 = (x[a] - x[b]) ** 2 + (y[a] - y[b]) ** 2
+    bc2 = (x[b] - x[c]) ** 2 + (y[b] - y[c]) ** 2
+    ca2 = (x[c] - x[a]) ** 2 + (y[c] - y[a]) ** 2
+    area2 = abs((x[b] - x[a]) * (y[c] - y[a]) - (x[c] - x[a]) * (y[b] - y[a]))
+    longest = max(ab2, bc2, ca2)
+    if area2 == 0.0:
+        return 0.0
+    # the smallest angle lies between the two longest sides: sin = 2 area / (product of those sides)
+    middle = ab2 + bc2 + ca2 - longest - min(ab2, bc2, ca2)
+    return area2 / math.sqrt(longest * middle)
+
+
+@_jit
+def _greedy(x, y, pool, window, order):
+    """Order the stars of `pool` so that each new triangle is fat, looking `window` candidates ahead; return the thinnest."""
+    n = pool.shape[0]
+    order[0], order[1] = pool[0], pool[1]
+    left = n - 2
+    pool[:left] = pool[2:]
+    thinnest = 1.0
+    for place in range(2, n):
+        best, best_fatness = 0, -1.0
+        for c in range(min(window, left)):
+            fat = _fatness(x, y, order[place - 2], order[place - 1], pool[c])
+            if fat > best_fatness:
+                best, best_fatness = c, fat
+            if fat > 0.5:  # 30 degrees is fat enough: leave the rest for later triangles
+                break
+        order[place] = pool[best]
+        for c in range(best, 0, -1):
+            pool[c] = pool[c - 1]
+        left -= 1
+        pool[:left] = pool[1 : left + 1]
+        thinnest = min(thinnest, best_fatness)
+    return thinnest
+
+
+@_jit
+def _exhaustive(x, y, n, order):
+    """Try every order of at most six stars, cutting branches that are already worse; return the best thinnest triangle."""
+    trial = np.zeros(n, np.int64)
+    choice = np.full(n, -1, np.int64)
+    used = np.zeros(n, np.bool_)
+    limit = np.ones(n + 1)
+    best = -1.0
+    depth = 0
+    while depth >= 0:
+        if choice[depth] >= 0:
+            used[choice[depth]] = False
+        choice[depth] += 1
+        while choice[depth] < n and used[choice[depth]]:
+            choice[depth] += 1
+        if choice[depth] == n:
+            choice[depth] = -1
+            depth -= 1
+            continue
+        used[choice[depth]] = True
+        trial[depth] = choice[depth]
+        limit[depth + 1] = limit[depth]
+        if depth >= 2:
+            limit[depth + 1] = min(limit[depth], _fatness(x, y, trial[depth - 2], trial[depth - 1], trial[depth]))
+        if limit[depth + 1] <= best:
+            continue
+        if depth == n - 1:
+            best = limit[n]
+            order[:] = trial
+            continue
+        depth += 1
+    return best
+
+
+@_jit
+def order_stars(star_start, s, order, fatness):
+    """Order the stars of each exposure so that no three in a row are near collinear. Called by `estimation.arcs`.
+
+    Fills `order` (n_stars,) with the place of each star in the input and `fatness` (n_exposures,) with the sine of the
+    smallest angle among the triangles of consecutive stars.
+    """
+    most = _largest_exposure(star_start)
+    x, y, azimuth = np.empty(most), np.empty(most), np.empty(most)
+    pool, trial = np.empty(most, np.int64), np.empty(most, np.int64)
+    for k in range(star_start.shape[0] - 1):
+        s0, n = star_start[k], star_start[k + 1] - star_start[k]
+        _flatten(s[s0 : s0 + n], x, y, azimuth)
+        if n <= 6:
+            fatness[k] = _exhaustive(x, y, n, trial[:n])
+            order[s0 : s0 + n] = s0 + trial[:n]
+            continue
+        ranked = np.argsort(azimuth[:n])
+        fatness[k] = -1.0
+        for attempt in range(6):
+            _interleave(ranked, attempt * n // 18, pool[:n])
+            thinnest = _greedy(x, y, pool[:n], 12, trial[:n])
+            if thinnest > fatness[k]:
+                fatness[k] = thinnest
+                order[s0 : s0 + n] = s0 + trial[:n]
+            if thinnest > 0.25:
+                break
+
+
+@_jit
+def _flatten(s, x, y, azimuth):
+    """Project directions onto the tangent plane of their mean; azimuth is about that mean."""
+    n = s.shape[0]
+    cx, cy, cz = s[:, 0].sum(), s[:, 1].sum(), s[:, 2].sum()
+    norm = math.sqrt(cx * cx + cy * cy + cz * cz)
+    cx, cy, cz = cx / norm, cy / norm, cz / norm
+    ax, ay, az = (0.0, -cz, cy) if abs(cx) < 0.7 else (cz, 0.0, -cx)
+    norm = math.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax / norm, ay / norm, az / norm
+    bx, by, bz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+    for i in range(n):
+        x[i] = s[i, 0] * ax + s[i, 1] * ay + s[i, 2] * az
+        y[i] = s[i, 0] * bx + s[i, 1] * by + s[i, 2] * bz
+        azimuth[i] = math.atan2(y[i], x[i])
+
+
+@_jit
+def _interleave(ranked, turn, pool):
+    """Take stars in turn from three sectors of azimuth, so that neighbours in `pool` lie about 120 degrees apart."""
+    n = ranked.shape[0]
+    third = (n + 2) // 3
+    place = 0
+    for i in range(third):
+        for sector in range(3):
+            rank = sector * third + i
+            if rank < n and place < n:
+                pool[place] = ranked[(rank + turn) % n]
+                place += 1
