@@ -6,31 +6,12 @@ Documents are `JsonText`. Large things (telemetry, results, histories) are blobs
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.dialects.postgresql import JSONB
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-
-class JsonText(sa.types.TypeDecorator[Any]):
-    """JSON as TEXT on SQLite, where a STRICT table refuses the JSON type, and as JSONB on PostgreSQL."""
-
-    impl = sa.Text
-    cache_ok = True
-
-    def load_dialect_impl(self, dialect: sa.Dialect) -> sa.types.TypeEngine[Any]:
-        """Choose the column type of the engine."""
-        return dialect.type_descriptor(JSONB() if dialect.name == "postgresql" else sa.Text())
-
-    def process_bind_param(self, value: Any, dialect: sa.Dialect) -> Any:
-        """Encode on the way in."""
-        return value if value is None or dialect.name == "postgresql" else json.dumps(value, sort_keys=True)
-
-    def process_result_value(self, value: Any, dialect: sa.Dialect) -> Any:
-        """Decode on the way out."""
-        return value if value is None or dialect.name == "postgresql" else json.loads(value)
+from boresight.store.documents import JsonText
 
 
 class Base(DeclarativeBase):
@@ -53,6 +34,11 @@ STRICT = {"sqlite_strict": True}
 def _one_of(column: str, values: tuple[str, ...]) -> sa.CheckConstraint:
     """Allow only these words in a column."""
     return sa.CheckConstraint(f"{column} IN ({', '.join(repr(value) for value in values)})", name=column)
+
+
+def _only_one(name: str, column: str, where: str) -> sa.Index:
+    """Allow one row for each value of a column among the rows that meet a condition."""
+    return sa.Index(name, column, unique=True, sqlite_where=sa.text(where), postgresql_where=sa.text(where))
 
 
 ROLES = ("viewer", "analyst", "operator", "approver", "administrator")
@@ -99,9 +85,9 @@ class LoginFailure(Base):
     """A failed log-in, kept for throttling."""
 
     __tablename__ = "login_failures"
-    __table_args__ = (STRICT,)
+    __table_args__ = (sa.Index("ix_login_failures_name_at_utc", "name", "at_utc"), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
-    name: Mapped[str] = mapped_column(sa.Text, index=True)
+    name: Mapped[str] = mapped_column(sa.Text)
     at_utc: Mapped[str] = mapped_column(sa.Text)
 
 
@@ -132,7 +118,7 @@ class Blob(Base):
 
 
 class TelemetrySet(Base):
-    """An uploaded telemetry file of one sensor: the original bytes, the Parquet form that is worked on, the quality report."""
+    """An uploaded file of one sensor: the original bytes, the Parquet form that is worked on, the quality report."""
 
     __tablename__ = "telemetry_sets"
     __table_args__ = (sa.UniqueConstraint("sensor_id", "original_sha256"), STRICT)
@@ -199,13 +185,8 @@ class ParameterSet(Base):
         _one_of("ground_state", GROUND_STATES),
         _one_of("onboard_state", ONBOARD_STATES),
         sa.UniqueConstraint("sensor_id", "number"),
-        sa.Index(
-            "uq_parameter_sets_one_baseline",
-            "sensor_id",
-            unique=True,
-            sqlite_where=sa.text("ground_state = 'BASELINE'"),
-            postgresql_where=sa.text("ground_state = 'BASELINE'"),
-        ),
+        _only_one("uq_parameter_sets_one_baseline", "sensor_id", "ground_state = 'BASELINE'"),
+        _only_one("uq_parameter_sets_one_active", "sensor_id", "onboard_state = 'ACTIVE'"),
         STRICT,
     )
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -220,15 +201,32 @@ class ParameterSet(Base):
     version: Mapped[int] = mapped_column(default=1)  # counts transitions; the ETag
     created_utc: Mapped[str] = mapped_column(sa.Text)
     created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
-    baseline_from_utc: Mapped[str | None] = mapped_column(sa.Text)
+    baseline_from_utc: Mapped[str | None] = mapped_column(sa.Text)  # the latest period; all of them are in promotions
     baseline_to_utc: Mapped[str | None] = mapped_column(sa.Text)
+
+
+class Promotion(Base):
+    """A set became its sensor's baseline; never edited, so that what was baseline at a time is one query."""
+
+    __tablename__ = "promotions"
+    __table_args__ = (sa.Index("ix_promotions_sensor_id_at_utc", "sensor_id", "at_utc"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
+    parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"))
+    approval_id: Mapped[int | None] = mapped_column(sa.ForeignKey("approvals.id"))  # None: the ground calibration
+    at_utc: Mapped[str] = mapped_column(sa.Text)
+    promoted_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
 
 
 class Approval(Base):
     """A request that a parameter set become baseline; binds the hashes of what was shown."""
 
     __tablename__ = "approvals"
-    __table_args__ = (_one_of("state", APPROVAL_STATES), STRICT)
+    __table_args__ = (
+        _one_of("state", APPROVAL_STATES),
+        _only_one("uq_approvals_one_open", "parameter_set_id", "state = 'OPEN'"),
+        STRICT,
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
     parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
     state: Mapped[str] = mapped_column(sa.Text)
@@ -244,9 +242,9 @@ class Signature(Base):
     """A person's GO or NO-GO on a request, with what it means and the hash of what was shown."""
 
     __tablename__ = "signatures"
-    __table_args__ = (_one_of("decision", ("APPROVE", "REFUSE")), STRICT)
+    __table_args__ = (_one_of("decision", ("APPROVE", "REFUSE")), sa.UniqueConstraint("approval_id", "user_id"), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
-    approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"), index=True)
+    approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"))
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     printed_name: Mapped[str] = mapped_column(sa.Text)
     decision: Mapped[str] = mapped_column(sa.Text)
@@ -273,7 +271,7 @@ class AuditRecord(Base):
     """The append-only, hash-chained log; triggers refuse UPDATE and DELETE."""
 
     __tablename__ = "audit"
-    __table_args__ = (STRICT,)
+    __table_args__ = (sa.Index("ix_audit_object_id", "object", "id"), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     at_utc: Mapped[str] = mapped_column(sa.Text)
     actor_id: Mapped[int | None] = mapped_column(sa.Integer)

@@ -1,0 +1,92 @@
+"""Who acts, with which credential, and what they may do.
+
+Roles say what a person may do; a key acts as its owner, but only within its scopes: a scope is the noun that the key
+may write, as the REST address spells it. Reading needs no more than being known. Nothing here trusts a page: every
+transition asks again, inside its transaction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from boresight.errors import ForbiddenError
+
+SCOPES = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks", "users", "api-keys")
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A person, a key of a person, or Boresight itself.
+
+    Parameters
+    ----------
+    user_id
+        Row of the person, None for the command line and the system.
+    name, printed_name
+        Log-in name, and the name as signatures and the audit log show it.
+    roles
+        Of `boresight.store.tables.ROLES`.
+    credential
+        `session`, `key:<prefix>`, `command line` or `system`.
+    scopes
+        What a key may write; None when not limited to scopes.
+    request_id
+        Of the HTTP request or job, for the audit log.
+    """
+
+    user_id: int | None
+    name: str
+    printed_name: str
+    roles: frozenset[str]
+    credential: str
+    scopes: frozenset[str] | None = None
+    request_id: str | None = None
+
+    @property
+    def is_key(self) -> bool:
+        """Whether an API key acts."""
+        return self.credential.startswith("key:")
+
+
+SYSTEM = Actor(None, "system", "Boresight", frozenset({"analyst", "operator", "administrator"}), "system")
+COMMAND_LINE = Actor(
+    None, "command line", "Command line", frozenset({"analyst", "operator", "administrator"}), "command line"
+)
+
+
+def require_role(actor: Actor, *roles: str) -> None:
+    """Refuse whoever has none of these roles.
+
+    Raises
+    ------
+    ForbiddenError
+        Says which role is needed and which the actor has.
+    """
+    if not actor.roles.intersection(roles):
+        held = ", ".join(sorted(actor.roles)) or "no role"
+        raise ForbiddenError(f"This needs the role {' or '.join(roles)}; {actor.printed_name} has {held}.")
+
+
+def require_scope(actor: Actor, scope: str) -> None:
+    """Refuse a key that was not made for this noun.
+
+    Raises
+    ------
+    ForbiddenError
+        Says which scope is missing.
+    """
+    if actor.scopes is not None and scope not in actor.scopes:
+        raise ForbiddenError(f"This API key lacks the scope {scope}; make a key that has it.")
+
+
+def require_person(actor: Actor, what: str) -> int:
+    """Return the person's row; refuse keys, the command line and the system.
+
+    Raises
+    ------
+    ForbiddenError
+        When nobody in person is acting.
+    """
+    if actor.user_id is None or actor.credential != "session":
+        raise ForbiddenError(f"Only a person who is logged in may {what}, not {actor.credential}.")
+    return actor.user_id

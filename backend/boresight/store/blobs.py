@@ -1,0 +1,121 @@
+"""A folder of files that are named by the SHA-256 of their bytes: `ab/cd/abcd...`.
+
+The name says what must be inside, so putting the same bytes twice is one file, a reader can check what it reads, and
+nothing is ever overwritten. A file appears under its name complete or not at all: written beside, synced, renamed.
+Bytes that no row refers to are harmless, so bytes are put before the row that names them is committed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import sqlalchemy as sa
+
+from boresight.errors import ConflictError, NotFoundError
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import Blob
+
+CHUNK_BYTES = 1 << 20
+
+
+class BlobStore:
+    """The folder of blobs; many threads and processes may use it at once."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def put(self, content: bytes | Path) -> str:
+        """Store bytes, or a copy of a file, and return their address.
+
+        Returns
+        -------
+        str
+            The SHA-256 in hexadecimal.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        digest = hashlib.sha256()
+        handle, name = tempfile.mkstemp(prefix=".put-", dir=self.folder)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                for chunk in _chunks(content):
+                    digest.update(chunk)
+                    file.write(chunk)
+                file.flush()
+                os.fsync(file.fileno())
+            self._name(Path(name), digest.hexdigest())
+        finally:
+            Path(name).unlink(missing_ok=True)
+        return digest.hexdigest()
+
+    def _name(self, written: Path, sha256: str) -> None:
+        """Give a complete file its address, and make the name itself survive a power cut."""
+        place = self._place(sha256)
+        if place.exists():
+            return
+        place.parent.mkdir(parents=True, exist_ok=True)
+        written.chmod(0o644)
+        written.replace(place)
+        folder = os.open(place.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _place(self, sha256: str) -> Path:
+        """Where the bytes of an address belong."""
+        return self.folder / sha256[:2] / sha256[2:4] / sha256
+
+    def path(self, sha256: str) -> Path:
+        """Return the file of an address, to be read only.
+
+        Raises
+        ------
+        NotFoundError
+            When the bytes are not in the folder.
+        """
+        place = self._place(sha256)
+        if not place.is_file():
+            raise NotFoundError(
+                f"The stored file {sha256[:12]} is missing from {self.folder}; restore it from a backup."
+            )
+        return place
+
+    def read(self, sha256: str, *, verify: bool = False) -> bytes:
+        """Return the bytes of an address.
+
+        Raises
+        ------
+        NotFoundError
+            When the bytes are not in the folder.
+        ConflictError
+            When `verify` is asked and the bytes are not those of the address.
+        """
+        content = self.path(sha256).read_bytes()
+        if verify and hashlib.sha256(content).hexdigest() != sha256:
+            raise ConflictError(f"The stored file {sha256[:12]} was altered on the disk; restore it from a backup.")
+        return content
+
+
+def _chunks(content: bytes | Path) -> Iterator[bytes]:
+    """Yield bytes, or a file's bytes, piece by piece."""
+    if isinstance(content, bytes):
+        yield content
+        return
+    with content.open("rb") as file:
+        while chunk := file.read(CHUNK_BYTES):
+            yield chunk
+
+
+def register_blob(session: Session, blobs: BlobStore, sha256: str, media_type: str) -> Blob:
+    """Return the row of stored bytes, made now when there is none; rows that refer to the bytes need it."""
+    row = session.scalar(sa.select(Blob).where(Blob.sha256 == sha256))
+    if row is None:
+        size = blobs.path(sha256).stat().st_size
+        row = Blob(sha256=sha256, size_bytes=size, media_type=media_type, created_utc=utc_now())
+        session.add(row)
+        session.flush()
+    return row

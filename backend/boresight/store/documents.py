@@ -1,0 +1,45 @@
+"""JSON documents with one spelling, so that a hash of the text is a hash of the meaning.
+
+Canonical means: keys sorted, no spaces, UTF-8 as it is, floats by Python's `repr` (the shortest text that reads back as
+the same number), no NaN and no infinity (JSON has neither; an absent number is null). A document that is read back and
+written again gives the same bytes; that is why the column is TEXT in both engines: JSONB turns `1e+22` to an integer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+import sqlalchemy as sa
+
+
+def canonical(document: Any) -> str:
+    """Return the one spelling of a JSON document.
+
+    Raises
+    ------
+    ValueError
+        When a number is NaN or infinite.
+    """
+    return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def sha256_of(document: Any) -> str:
+    """Return the SHA-256, in hexadecimal, of the canonical spelling."""
+    return hashlib.sha256(canonical(document).encode()).hexdigest()
+
+
+class JsonText(sa.types.TypeDecorator[Any]):
+    """A JSON document in a TEXT column, in its canonical spelling; None is NULL."""
+
+    impl = sa.Text
+    cache_ok = True
+
+    def process_bind_param(self, value: Any, dialect: sa.Dialect) -> Any:  # noqa: ARG002 - SQLAlchemy gives both
+        """Encode on the way in."""
+        return None if value is None else canonical(value)
+
+    def process_result_value(self, value: Any, dialect: sa.Dialect) -> Any:  # noqa: ARG002 - SQLAlchemy gives both
+        """Decode on the way out."""
+        return None if value is None else json.loads(value)
