@@ -1,0 +1,1 @@
+"""Telemetry with known truth: the ST-16 sensors, their orbits and motions, and what their detectors would report."""
