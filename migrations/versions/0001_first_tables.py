@@ -104,7 +104,6 @@ def _people() -> None:
         _text("scopes"),
         _text("created_utc"),
         _text("expires_utc", nullable=True),
-        _text("last_used_utc", nullable=True),
         _text("revoked_utc", nullable=True),
     )
     _table("login_failures", _key(), _text("name"), _text("at_utc"))

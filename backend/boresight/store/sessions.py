@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ __all__ = [
     "migrate",
     "open_engine",
     "reading",
+    "utc_after",
     "utc_now",
     "writing",
 ]
@@ -52,7 +53,12 @@ KEPT = "kept despite refusal"
 
 def utc_now() -> str:
     """Return the time as the store writes it, `2026-11-21T03:04:05.123456Z`; sorts as time."""
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    return utc_after(0.0)
+
+
+def utc_after(seconds: float) -> str:
+    """Return the time so many seconds from now, in the same form; negative seconds are in the past."""
+    return (datetime.now(UTC) + timedelta(seconds=seconds)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 def open_engine(url: str) -> Engine:

@@ -77,7 +77,6 @@ class ApiKey(Base):
     scopes: Mapped[list[str]] = mapped_column(JsonText)
     created_utc: Mapped[str] = mapped_column(sa.Text)
     expires_utc: Mapped[str | None] = mapped_column(sa.Text)
-    last_used_utc: Mapped[str | None] = mapped_column(sa.Text)
     revoked_utc: Mapped[str | None] = mapped_column(sa.Text)
 
 
