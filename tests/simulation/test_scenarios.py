@@ -1,0 +1,113 @@
+"""A scenario file says what is simulated; a wrong one is refused by the name of its key."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from boresight.errors import RefusedInputError
+from boresight.simulation import scenarios
+from boresight.simulation.scenarios import (
+    calibration_scenario,
+    parse_scenario,
+    scenario_document,
+    validation_scenario,
+)
+from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
+from boresight.telemetry.sensors import sensor_document
+
+made = st.builds(
+    lambda make, number, frames, rate, seed: replace(make(number, frames), false_stars=rate, seed=seed),
+    st.sampled_from([calibration_scenario, validation_scenario]),
+    st.sampled_from(SENSOR_NUMBERS),
+    st.integers(1, 1000),
+    st.floats(0.0, 10.0),
+    st.integers(0, 2**63 - 1),
+)
+
+
+def assert_same(first, second):
+    for field in fields(first):
+        ours, theirs = getattr(first, field.name), getattr(second, field.name)
+        if field.name == "sensor":
+            assert sensor_document(ours) == sensor_document(theirs)
+        elif field.name == "orbit":
+            assert ours.start_utc == theirs.start_utc
+            np.testing.assert_allclose(
+                [ours.altitude_m, ours.inclination_rad, ours.node_hour],
+                [theirs.altitude_m, theirs.inclination_rad, theirs.node_hour],
+            )
+        elif isinstance(ours, str):
+            assert ours == theirs
+        else:
+            np.testing.assert_allclose(ours, theirs)
+
+
+@given(made)
+def test_a_document_reads_back_as_the_scenario_it_was_written_from(scenario):
+    document = json.loads(json.dumps(scenario_document(scenario)))
+    assert_same(parse_scenario(document), scenario)
+
+
+def test_the_example_on_the_modules_page_is_the_first_calibration_set():
+    page = scenarios.__doc__
+    example = parse_scenario(json.loads(page[page.index("{") : page.rindex("}") + 1]))
+    assert_same(replace(example, truth=st16_truth(1), seed=100), calibration_scenario(1))
+    np.testing.assert_allclose(example.truth[:2], st16_truth(1)[:2])
+
+
+@pytest.mark.parametrize("number", SENSOR_NUMBERS)
+def test_a_number_alone_is_that_sensors_calibration_set(number):
+    assert_same(parse_scenario({"sensor": number}), calibration_scenario(number))
+
+
+def test_a_sensor_document_is_its_own_truth_unless_one_is_given():
+    document = sensor_document(st16_sensor(2)) | {"name": "mine", "centroid_sigma_px": 0.2}
+    scenario = parse_scenario({"sensor": document})
+    np.testing.assert_array_equal(scenario.truth, scenario.sensor.initial)
+    assert scenario.centroid_sigma_px == 0.2
+    changed = parse_scenario({"sensor": document, "truth": {"g_y": 1.001}})
+    assert changed.truth[7] == 1.001
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"sensor": 7}, "sensor"),
+        ({"sensor": True}, "sensor"),
+        ({"sensor": "ST16-1"}, "sensor"),
+        ({"colour": 1}, "colour"),
+        ({"truth": {"k1": 0.1}}, "truth"),
+        ({"truth": {"f_m": "long"}}, "f_m"),
+        ({"truth": {"f_m": float("nan")}}, "f_m"),
+        ({"orbit": {"altitude_km": 100}}, "altitude_km"),
+        ({"orbit": {"period_s": 100}}, "orbit"),
+        ({"motion": "tumbling"}, "motion"),
+        ({"motion": ["nadir"]}, "motion"),
+        ({"pointing_deg": 1e4}, "pointing_deg"),
+        ({"start_utc": "tomorrow"}, "start_utc"),
+        ({"start_utc": "NaT"}, "start_utc"),
+        ({"start_utc": "1850-01-01T00:00:00Z"}, "start_utc"),
+        ({"frames": 0}, "frames"),
+        ({"frames": 2.5}, "frames"),
+        ({"frames": True}, "frames"),
+        ({"exposures": 11}, "exposures"),
+        ({"magnitude_limit": float("inf")}, "magnitude_limit"),
+        ({"centroid_sigma_px": 0}, "centroid_sigma_px"),
+        ({"blanked_share": 1.5}, "blanked_share"),
+        ({"false_stars": -1}, "false_stars"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_the_name_of_its_key(change, named):
+    with pytest.raises(RefusedInputError, match=named):
+        parse_scenario({"sensor": 1} | change)
+
+
+@pytest.mark.parametrize("document", [[], "nadir", None, {}])
+def test_a_document_without_a_sensor_is_refused(document):
+    with pytest.raises(RefusedInputError, match="sensor"):
+        parse_scenario(document)

@@ -1,0 +1,248 @@
+"""Simulated telemetry is the catalogue seen through the true camera, plus exactly the noise that was asked for."""
+
+import time
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from boresight.errors import RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
+from boresight.simulation.sensors import SENSOR_NUMBERS
+from boresight.sky.apparent import apparent_directions
+
+numbers = st.sampled_from(SENSOR_NUMBERS)
+with_catalogue = settings(max_examples=15, deadline=None)
+
+ONE_IN_A_MILLION = 1e-6
+
+
+def quiet(scenario, **changes):
+    """Leave out noise, false stars and missing identifications."""
+    return replace(scenario, centroid_sigma_px=0.0, false_stars=0.0, blanked_share=0.0, **changes)
+
+
+def simulated(scenario, catalogue):
+    return simulate(scenario, np.random.default_rng(scenario.seed), catalogue)
+
+
+def with_parity(scenario, parity):
+    return replace(scenario, sensor=replace(scenario.sensor, parity=parity))
+
+
+def expected_directions(telemetry, scenario, catalogue, rows):
+    """Return s_i and s_d as the file's own columns give them."""
+    s_i = apparent_directions(
+        catalogue, catalogue.index_of(telemetry.star_id[rows]), telemetry.time_utc[rows], telemetry.velocity_m_s[rows]
+    )
+    s_d = Rotation.from_quat(telemetry.quaternion[rows]).apply(s_i) * [1.0, scenario.sensor.parity, 1.0]
+    return s_i, s_d
+
+
+def columns_of(telemetry):
+    """Return the arrays of a table by name."""
+    columns = {field.name: getattr(telemetry, field.name) for field in fields(telemetry)}
+    return {name: column for name, column in columns.items() if isinstance(column, np.ndarray)}
+
+
+def noise_px(telemetry, scenario, catalogue):
+    """Return centroid minus noise-free position (n, 2) of the identified stars, and their rows."""
+    rows = np.flatnonzero(telemetry.star_id > 0)
+    model, pitch = CAMERA_MODELS[scenario.sensor.camera_model], scenario.sensor.pixel_pitch_m
+    _, s_d = expected_directions(telemetry, scenario, catalogue, rows)
+    row_px, col_px = model.project(scenario.truth, s_d, pitch)
+    return np.stack([telemetry.row_px[rows] - row_px, telemetry.col_px[rows] - col_px], axis=1), rows
+
+
+@with_catalogue
+@given(number=numbers, parity=st.sampled_from([-1, 1]), seed=st.integers(0, 2**32))
+def test_without_noise_the_catalogue_projected_under_the_truth_gives_the_centroids(catalogue, number, parity, seed):
+    scenario = with_parity(quiet(calibration_scenario(number, frames=5), seed=seed), parity)
+    telemetry = simulated(scenario, catalogue)
+    difference_px, rows = noise_px(telemetry, scenario, catalogue)
+    assert len(rows) == len(telemetry)
+    np.testing.assert_allclose(difference_px, 0.0, atol=1e-6)
+
+
+@with_catalogue
+@given(number=numbers, parity=st.sampled_from([-1, 1]))
+def test_the_attitude_in_the_file_is_wahbas_solution_for_either_parity(catalogue, number, parity):
+    scenario = with_parity(quiet(calibration_scenario(number, frames=2)), parity)
+    telemetry = simulated(scenario, catalogue)
+    first = np.flatnonzero((telemetry.frame == 0) & (telemetry.exposure == 0))
+    s_i, _ = expected_directions(telemetry, scenario, catalogue, first)
+    measured = CAMERA_MODELS[scenario.sensor.camera_model].directions(
+        scenario.truth, telemetry.row_px[first], telemetry.col_px[first], scenario.sensor.pixel_pitch_m
+    )
+    wahba, loss = Rotation.align_vectors(measured * [1.0, parity, 1.0], s_i)
+    assert loss < 1e-6  # its rounding; one pixel of noise would be 1e-4
+    assert (wahba * Rotation.from_quat(telemetry.quaternion[first[0]]).inv()).magnitude() < 1e-9
+
+
+@pytest.mark.parametrize("number", [1, 6])
+def test_the_wrong_parity_leaves_an_image_that_no_attitude_explains(catalogue, number):
+    scenario = with_parity(quiet(calibration_scenario(number, frames=1)), -1)
+    telemetry = simulated(scenario, catalogue)
+    first = np.flatnonzero(telemetry.exposure == 0)
+    s_i, _ = expected_directions(telemetry, scenario, catalogue, first)
+    measured = CAMERA_MODELS[scenario.sensor.camera_model].directions(
+        scenario.truth, telemetry.row_px[first], telemetry.col_px[first], scenario.sensor.pixel_pitch_m
+    )
+    assert Rotation.align_vectors(measured, s_i)[1] > 0.01
+
+
+@pytest.mark.parametrize("sigma_dex_per_mag", [0.0, 0.2])
+@pytest.mark.parametrize("number", [2, 5])
+def test_centroid_noise_has_the_variance_that_the_file_reports(catalogue, number, sigma_dex_per_mag):
+    scenario = replace(calibration_scenario(number), sigma_dex_per_mag=sigma_dex_per_mag)
+    telemetry = simulated(scenario, catalogue)
+    difference_px, rows = noise_px(telemetry, scenario, catalogue)
+    normalised = (difference_px / telemetry.sigma_px[rows, None]).ravel()
+    low, high = stats.chi2.interval(1 - ONE_IN_A_MILLION, len(normalised))
+    assert low < np.sum(normalised**2) < high
+    assert abs(normalised.mean()) < 5.0 / np.sqrt(len(normalised))
+    assert stats.kstest(normalised, "norm").pvalue > ONE_IN_A_MILLION
+
+
+def test_noise_grows_with_magnitude_by_the_asked_decades(catalogue):
+    scenario = replace(calibration_scenario(1), sigma_dex_per_mag=0.2, false_stars=0.0)
+    telemetry = simulated(scenario, catalogue)
+    rows = np.flatnonzero(telemetry.star_id > 0)
+    magnitude = catalogue.magnitude[catalogue.index_of(telemetry.star_id[rows])]
+    expected = scenario.centroid_sigma_px * 10 ** (0.2 * (magnitude - scenario.magnitude_limit))
+    np.testing.assert_allclose(telemetry.sigma_px[rows], expected)
+
+
+@with_catalogue
+@given(rate=st.floats(0.0, 5.0), seed=st.integers(0, 2**32))
+def test_false_stars_come_in_the_asked_number_unidentified_and_all_over_the_detector(catalogue, rate, seed):
+    scenario = replace(calibration_scenario(3, frames=50), false_stars=rate, blanked_share=0.0, seed=seed)
+    telemetry = simulated(scenario, catalogue)
+    false = telemetry.star_id == 0
+    low, high = stats.poisson.interval(1 - ONE_IN_A_MILLION, rate * 100) if rate else (0, 0)
+    assert low <= false.sum() <= high
+    if false.sum() > 20:
+        assert stats.kstest(telemetry.row_px[false], "uniform", args=(-0.5, 1944)).pvalue > ONE_IN_A_MILLION
+        assert stats.kstest(telemetry.col_px[false], "uniform", args=(-0.5, 2592)).pvalue > ONE_IN_A_MILLION
+
+
+@with_catalogue
+@given(share=st.floats(0.0, 1.0))
+def test_the_asked_share_of_identifications_is_blanked(catalogue, share):
+    scenario = replace(calibration_scenario(4, frames=50), false_stars=0.0, blanked_share=share)
+    telemetry = simulated(scenario, catalogue)
+    low, high = stats.binom.interval(1 - ONE_IN_A_MILLION, len(telemetry), share)
+    assert low <= np.sum(telemetry.star_id == 0) <= high
+
+
+@pytest.mark.parametrize("number", SENSOR_NUMBERS)
+def test_a_set_has_every_column_with_its_rows_in_contract_order_on_the_detector(catalogue, number):
+    scenario = calibration_scenario(number, frames=40)
+    telemetry = simulated(scenario, catalogue)
+    columns = columns_of(telemetry)
+    assert telemetry.ra_rad is None
+    assert len(columns) == 11
+    assert telemetry.unknown == {}
+    assert all(len(column) == len(telemetry) for column in columns.values())
+    assert all(np.all(np.isfinite(column)) for name, column in columns.items() if name != "time_utc")
+    key = telemetry.frame * scenario.exposures + telemetry.exposure
+    assert np.all(np.diff(key) >= 0)
+    assert set(telemetry.frame) == set(range(40))
+    assert np.all(np.diff(telemetry.time_utc) >= np.timedelta64(0))
+    assert np.all((telemetry.row_px >= -0.5) & (telemetry.row_px <= 1943.5))
+    assert np.all((telemetry.col_px >= -0.5) & (telemetry.col_px <= 2591.5))
+    np.testing.assert_allclose(np.linalg.norm(telemetry.quaternion, axis=1), 1.0)
+
+
+def test_the_two_exposures_of_a_frame_are_a_quarter_second_apart_and_frames_a_sample_period_or_more(catalogue):
+    scenario = calibration_scenario(1)
+    telemetry = simulated(scenario, catalogue)
+    times = np.unique(telemetry.time_utc)
+    steps_s = np.diff(times) / np.timedelta64(1, "us") / 1e6
+    np.testing.assert_allclose(steps_s[::2], 0.25)
+    assert np.all(steps_s[1::2] >= 39.74)
+    assert np.median(steps_s[1::2]) == pytest.approx(39.75)
+
+
+@pytest.mark.parametrize("number", SENSOR_NUMBERS)
+def test_no_star_is_listed_twice_in_an_exposure_and_no_two_are_closer_than_a_blend(catalogue, number):
+    scenario = quiet(calibration_scenario(number))
+    telemetry = simulated(scenario, catalogue)
+    key = telemetry.frame * scenario.exposures + telemetry.exposure
+    assert len(np.unique(np.stack([key, telemetry.star_id]), axis=1).T) == len(telemetry)
+    for exposure in np.unique(key)[::20]:
+        m, n = telemetry.row_px[key == exposure], telemetry.col_px[key == exposure]
+        apart_px = np.hypot(m[:, None] - m, n[:, None] - n) + 1e9 * np.eye(len(m))
+        assert apart_px.min() > 4.5
+
+
+def test_the_calibration_sets_show_about_eleven_stars_an_exposure(catalogue):
+    scenarios = [replace(calibration_scenario(number), false_stars=0.0) for number in SENSOR_NUMBERS]
+    stars = sum(len(simulated(scenario, catalogue)) for scenario in scenarios)
+    assert stars / (400 * len(scenarios)) == pytest.approx(10.8, abs=0.3)
+
+
+@pytest.mark.parametrize("number", SENSOR_NUMBERS)
+def test_the_validation_set_is_later_shorter_and_mostly_of_other_stars(catalogue, number):
+    calibration = simulated(calibration_scenario(number), catalogue)
+    validation = simulated(validation_scenario(number), catalogue)
+    assert validation.time_utc[0] - calibration.time_utc[-1] > np.timedelta64(2, "h")
+    assert len(np.unique(validation.frame)) < 0.6 * len(np.unique(calibration.frame))
+    seen_before = np.isin(validation.star_id[validation.star_id > 0], calibration.star_id)
+    assert seen_before.mean() < 0.7
+
+
+@with_catalogue
+@given(number=numbers, seed=st.integers(0, 2**63 - 1))
+def test_the_same_seed_gives_the_same_set_to_the_last_bit(catalogue, number, seed):
+    scenario = replace(calibration_scenario(number, frames=4), seed=seed)
+    first, second = columns_of(simulated(scenario, catalogue)), columns_of(simulated(scenario, catalogue))
+    assert first.keys() == second.keys()
+    for name, column in first.items():
+        np.testing.assert_array_equal(column, second[name])
+
+
+def test_another_seed_gives_another_set(catalogue):
+    scenario = calibration_scenario(1, frames=4)
+    other = simulated(replace(scenario, seed=scenario.seed + 1), catalogue)
+    assert not np.array_equal(simulated(scenario, catalogue).row_px[:10], other.row_px[:10])
+
+
+def test_a_focal_drift_scales_the_image_with_temperature(catalogue):
+    scenario = quiet(calibration_scenario(1, frames=30), focal_drift_m_per_c=1e-6)
+    telemetry = simulated(scenario, catalogue)
+    _, s_d = expected_directions(telemetry, scenario, catalogue, np.arange(len(telemetry)))
+    model, pitch = CAMERA_MODELS[scenario.sensor.camera_model], scenario.sensor.pixel_pitch_m
+    for exposure in np.unique(telemetry.time_utc)[::7]:
+        rows = telemetry.time_utc == exposure
+        x = scenario.truth.copy()
+        x[0] += 1e-6 * (telemetry.temperature_c[rows][0] - 20.0)
+        row_px, col_px = model.project(x, s_d[rows], pitch)
+        np.testing.assert_allclose(telemetry.row_px[rows], row_px, atol=1e-6)
+        np.testing.assert_allclose(telemetry.col_px[rows], col_px, atol=1e-6)
+    assert np.ptp(telemetry.temperature_c) > 1.0
+
+
+def test_a_sensor_that_looks_at_the_earth_is_refused_with_the_number_of_usable_frames(catalogue):
+    scenario = replace(calibration_scenario(1, frames=10), pointing_rad=np.pi)
+    with pytest.raises(RefusedInputError, match="0 of 10 frames"):
+        simulated(scenario, catalogue)
+
+
+def test_a_limit_that_no_star_reaches_is_refused(catalogue):
+    scenario = quiet(calibration_scenario(1, frames=2), magnitude_limit=-5.0)
+    with pytest.raises(RefusedInputError, match="magnitude_limit"):
+        simulated(scenario, catalogue)
+
+
+def test_two_thousand_frames_take_less_than_three_seconds(catalogue):
+    scenario = calibration_scenario(1, frames=2_000)
+    start = time.perf_counter()
+    telemetry = simulated(scenario, catalogue)
+    assert time.perf_counter() - start < 3.0
+    assert len(np.unique(telemetry.frame)) == 2_000
