@@ -1,0 +1,63 @@
+"""What a figure is: a name, a guide in words, and two pure functions of calibration JSON.
+
+A figure never reads a file, a database or a clock, so the page, the report, a notebook and a test draw the same thing.
+A run that is still computing gives a JSON with keys missing; the figure then says what is missing instead of failing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import orjson
+import plotly.graph_objects as go
+
+Result = Mapping[str, Any]
+Table = dict[str, list[Any]]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One run to draw; several make a comparison.
+
+    Parameters
+    ----------
+    label
+        What the legend calls the run.
+    result
+        Its calibration JSON, complete or partial.
+    """
+
+    label: str
+    result: Result
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One chart of the registry.
+
+    Parameters
+    ----------
+    name
+        In addresses and file names.
+    title
+        In headings.
+    guide
+        Two sentences: how to read it, and what a good one looks like.
+    draw
+        Calibration results to a Plotly figure.
+    table
+        One calibration result to the columns of its CSV: complete, in SI, never thinned.
+    """
+
+    name: str
+    title: str
+    guide: str
+    draw: Callable[[Sequence[Trace]], go.Figure]
+    table: Callable[[Result], Table]
+
+
+def figure_json(figure: go.Figure) -> bytes:
+    """Encode a figure for `Plotly.react`; NaN and infinities become null."""
+    return orjson.dumps(figure.to_plotly_json(), option=orjson.OPT_SERIALIZE_NUMPY)

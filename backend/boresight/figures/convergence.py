@@ -1,0 +1,202 @@
+"""How each free parameter found its value: small multiples over frames or iterations (E Fig. 3).
+
+Drawn is x_k - x_0, the change from the initial parameters of the first run, so that a live run keeps its axis while it
+moves and two runs of one sensor share it. The band is +-3 sigma_k. E Eq. 31 subtracts the batch result instead: in a
+comparison with frames on the axis a batch run is drawn as a level with its band, and the eye does the subtraction.
+
+The first bands are the a-priori ones and would flatten all that follows, so the window of each panel is that of the
+estimates, the levels and the median band; a double click shows everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from boresight.figures import theme
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.course import Course, course_of, free_names
+from boresight.figures.quantities import Quantity, change_label, quantity
+from boresight.figures.thinning import keep_extremes
+
+FloatArray = NDArray[np.float64]
+
+TITLE = "Convergence"
+COLUMNS = 3
+PANEL_HEIGHT_PX = 190
+POINT_BUDGET = 9000  # estimates of all panels and runs together
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One parameter's subplot: its unit, where it starts from, and what its window must hold."""
+
+    name: str
+    item: Quantity
+    origin: float
+    row: int
+    column: int
+    seen: list[float]
+
+    def change(self, value: FloatArray | float) -> FloatArray:
+        """Turn SI values into changes in display units."""
+        return np.asarray((np.asarray(value, dtype=np.float64) - self.origin) * self.item.change_factor)
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw every free parameter's change with its 3-sigma band."""
+    courses = [course_of(trace.result) for trace in traces]
+    found = [course for course in courses if course is not None]
+    if not found:
+        return theme.missing(TITLE, "No frame or iteration has been recorded yet: the curves appear as the run moves.")
+    axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
+    panels = _panels(traces, found)
+    n_rows = 1 + max(panel.row for panel in panels)
+    figure = make_subplots(n_rows, COLUMNS, shared_xaxes="all", horizontal_spacing=0.09, vertical_spacing=0.16 / n_rows)
+    span = _span([course for course in found if course.axis == axis])
+    limit = POINT_BUDGET // (len(panels) * len(found))
+    for course, style in zip(courses, theme.run_styles(traces), strict=True):
+        if course is not None:
+            _draw_run(figure, panels, course if course.axis == axis else _level(course, span), style, limit)
+    for panel in panels:
+        _draw_references(figure, panel, traces, span)
+        _frame_panel(figure, panel)
+    return _dress(figure, traces, axis, n_rows, len(panels))
+
+
+def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_rows: int, n_panels: int) -> go.Figure:
+    """Name the axis on the lowest panel of each column and hide the empty places of the grid."""
+    theme.dress(figure, title=_headline(traces), height_px=110 + n_rows * PANEL_HEIGHT_PX)
+    figure.update_xaxes(showticklabels=True)
+    for place in range(n_rows * COLUMNS):
+        row, column = divmod(place, COLUMNS)
+        if place >= n_panels:
+            figure.update_xaxes(visible=False, row=row + 1, col=column + 1)
+            figure.update_yaxes(visible=False, row=row + 1, col=column + 1)
+        elif place + COLUMNS >= n_panels:
+            figure.update_xaxes(title_text=axis, row=row + 1, col=column + 1)
+    return figure
+
+
+def _headline(traces: Sequence[Trace]) -> str:
+    result = traces[0].result
+    if len(traces) > 1:
+        return f"Change since the initial parameters, {len(traces)} runs, bands ±3σ"
+    state = "" if result.get("status") != "running" else ", still running"
+    return f"Change since the initial parameters, band ±3σ{state}"
+
+
+def _panels(traces: Sequence[Trace], courses: Sequence[Course]) -> list[Panel]:
+    """Lay out one panel a parameter that any run estimates."""
+    names = list(dict.fromkeys(name for trace in traces for name in free_names(trace.result)))
+    names = [name for name in names if any(name in course.names for course in courses)]
+    return [
+        Panel(name, quantity(name, traces[0].result), _origin(name, traces, courses), *divmod(i, COLUMNS), [])
+        for i, name in enumerate(names)
+    ]
+
+
+def _origin(name: str, traces: Sequence[Trace], courses: Sequence[Course]) -> float:
+    """Choose what changes are counted from: the first run's initial value, or its first estimate."""
+    for trace in traces:
+        if (initial := (trace.result.get("initial") or {}).get(name)) is not None:
+            return float(initial)
+    return next(float(c.value[0, c.names.index(name)]) for c in courses if name in c.names)
+
+
+def _span(courses: Sequence[Course]) -> tuple[float, float]:
+    return min(float(c.x.min()) for c in courses), max(float(c.x.max()) for c in courses)
+
+
+def _level(course: Course, span: tuple[float, float]) -> Course:
+    """Stretch a batch run's last estimate over the frames of the sequential runs beside it."""
+    value, sigma = (np.tile(last, (2, 1)) for last in (course.value[-1], course.sigma[-1]))
+    return replace(course, axis="frame", x=np.array(span), value=value, sigma=sigma, record={})
+
+
+def _draw_run(figure: go.Figure, panels: list[Panel], course: Course, style: theme.RunStyle, limit: int) -> None:
+    """Add one run's curve and band to every panel it has a parameter for."""
+    shown = False
+    for panel in panels:
+        if panel.name not in course.free:
+            continue
+        column = course.names.index(panel.name)
+        value = panel.change(course.value[:, column])
+        reach = 3 * course.sigma[:, column] * panel.item.change_factor
+        kept = keep_extremes([value, reach], max(limit, 40))
+        x, value, reach = course.x[kept], value[kept], reach[kept]
+        place = {"row": panel.row + 1, "col": panel.column + 1}
+        figure.add_trace(theme.band(style, x, value - reach, value + reach), **place)
+        hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {panel.item.change_unit}<extra>{style.label}</extra>"
+        settings = {"customdata": theme.short(reach), "hovertemplate": hover, "showlegend": not shown}
+        figure.add_trace(theme.line(style, x, value, **settings), **place)
+        shown = True
+        panel.seen.extend(_seen(value, reach))
+
+
+def _seen(value: FloatArray, reach: FloatArray) -> list[float]:
+    """List what the window must hold: the estimates, and the last one within the median band."""
+    value, reach = value[np.isfinite(value)], reach[np.isfinite(reach)]
+    if not len(value):
+        return []
+    half = float(np.median(reach)) if len(reach) else 0.0
+    return [float(value.min()), float(value.max()), float(value[-1]) - half, float(value[-1]) + half]
+
+
+def _draw_references(figure: go.Figure, panel: Panel, traces: Sequence[Trace], span: tuple[float, float]) -> None:
+    """Add the initial level, and the true one where a simulation knows it."""
+    levels: dict[tuple[str, float], tuple[str, str]] = {}
+    for trace in traces:
+        for key, look in (("initial", (theme.REFERENCE_COLOUR, "dot")), ("truth", (theme.TRUTH_COLOUR, "longdashdot"))):
+            value = _named(trace.result.get(key), panel.name)
+            if value is not None:
+                levels[key, float(panel.change(value))] = look
+    first = panel.row == panel.column == 0
+    for (key, level), (colour, dash) in levels.items():
+        settings = {"showlegend": first, "hoverinfo": "skip", "hovertemplate": None}
+        drawn = theme.reference(span, level, key, colour, dash, **settings)
+        figure.add_trace(drawn, row=panel.row + 1, col=panel.column + 1)
+        panel.seen.append(level)
+
+
+def _named(values: Mapping[str, float | None] | None, name: str) -> float | None:
+    return None if not values else values.get(name)
+
+
+def _frame_panel(figure: go.Figure, panel: Panel) -> None:
+    low, high = (min(panel.seen), max(panel.seen)) if panel.seen else (-1.0, 1.0)
+    margin = 0.08 * (high - low) or 1.0
+    title = {"text": change_label(panel.item), "standoff": 4}
+    figure.update_yaxes(title=title, range=[low - margin, high + margin], row=panel.row + 1, col=panel.column + 1)
+
+
+def table(result: Result) -> Table:
+    """List every step: parameters and sigmas in SI."""
+    course = course_of(result)
+    if course is None:
+        return {}
+    columns: Table = {course.axis: [int(step) for step in course.x]}
+    if course.axis == "frame" and course.record.get("time_utc"):
+        columns["time_utc"] = list(course.record["time_utc"])
+    for i, name in enumerate(course.names):
+        columns[name] = theme.plain(course.value[:, i])
+        columns[f"sigma_{name}"] = theme.plain(course.sigma[:, i])
+    return columns
+
+
+CONVERGENCE = Figure(
+    name="convergence",
+    title=TITLE,
+    guide=(
+        "Each panel shows how far one parameter has moved from its initial value (dotted line at zero), with its "
+        "own ±3σ band; double-click a panel to see the wide first bands. A trustworthy run settles, its band "
+        "narrows around the curve, and the curve stays inside the bands it drew earlier."
+    ),
+    draw=draw,
+    table=table,
+)

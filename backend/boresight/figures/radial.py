@@ -1,0 +1,179 @@
+"""What the new parameters change along the radius, with how far that can be trusted (E Fig. 5).
+
+f, b4 and b2 trade against each other, so their separate values say little; their joint effect, the radial displacement
+final minus initial at a distance from the principal point, says what the detector will see. Below stand the stars that
+carried it, over the same radius; beyond the outermost star the curve is extrapolation, and shaded as such.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from boresight.figures import theme
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.thinning import keep_extremes
+
+FloatArray = NDArray[np.float64]
+
+TITLE = "Radial difference"
+SHADE = "rgba(133,146,163,0.16)"
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw radial difference curves over the coverage histogram."""
+    drawn = [
+        (trace, style)
+        for trace, style in zip(traces, theme.run_styles(traces), strict=True)
+        if (trace.result.get("radial") or {}).get("radius_px")
+    ]
+    if not drawn:
+        return theme.missing(TITLE, "The radial difference is computed when the run ends; it is not there yet.")
+    figure = make_subplots(
+        2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.05, specs=[[{"secondary_y": True}], [{}]]
+    )
+    seen = [0.0]
+    for trace, style in drawn:
+        seen += _draw_run(figure, trace.result["radial"], style)
+    theme.dress(figure, title=_headline(drawn[0][0]), height_px=460)
+    _shade_extrapolation(figure, [trace.result["radial"] for trace, _ in drawn])
+    _scale(figure, seen, _arcsec_per_px([trace.result["radial"] for trace, _ in drawn]))
+    return figure
+
+
+def _array(radial: Result, key: str) -> FloatArray:
+    n_points = len(radial["radius_px"])
+    values = np.array(radial.get(key) or [], dtype=np.float64)
+    return values if values.shape == (n_points,) else np.full(n_points, np.nan)
+
+
+def _draw_run(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[float]:
+    """Add one run's curve, band and histogram; return what the axis must hold where there are stars."""
+    radius, change = _array(radial, "radius_px"), _array(radial, "difference_px")
+    reach = 3 * _array(radial, "sigma_px")
+    kept = keep_extremes([change, reach])
+    angles = np.stack([_array(radial, "difference_arcsec"), 3 * _array(radial, "sigma_arcsec")])[:, kept]
+    seen = np.concatenate([change, change - reach, change + reach])
+    radius, change, reach = radius[kept], change[kept], reach[kept]
+    figure.add_trace(theme.band(style, radius, change - reach, change + reach), row=1, col=1)
+    hover = (
+        "%{y:+.3f} ±%{customdata[2]:.3f} px, %{customdata[0]:+.2f} ±%{customdata[1]:.2f}″"
+        f"<extra>{style.label}</extra>"
+    )
+    spread = [list(row) for row in zip(*(theme.short(row) for row in (*angles, reach)), strict=True)]
+    figure.add_trace(theme.line(style, radius, change, customdata=spread, hovertemplate=hover), row=1, col=1)
+    _draw_counts(figure, radial.get("counts") or {}, style)
+    return [float(value) for value in seen[np.isfinite(seen)]]
+
+
+def _draw_counts(figure: go.Figure, counts: Result, style: theme.RunStyle) -> None:
+    """Add the histogram of stars as a filled outline, so that several runs can lie over each other."""
+    edges, stars = counts.get("edges_px") or [], counts.get("stars") or []
+    if len(edges) != len(stars) + 1:
+        return
+    outline = go.Scatter(
+        x=list(edges),
+        y=[*stars, stars[-1] if stars else 0],
+        mode="lines",
+        line={"color": style.colour, "dash": style.dash, "width": 1.2, "shape": "hv"},
+        fill="tozeroy",
+        fillcolor=theme.translucent(style.colour, 0.22),
+        name=f"{style.label} stars",
+        legendgroup=style.label,
+        showlegend=False,
+        hovertemplate=f"%{{y}} stars<extra>{style.label}</extra>",
+    )
+    figure.add_trace(outline, row=2, col=1)
+
+
+def _shade_extrapolation(figure: go.Figure, radials: Sequence[Result]) -> None:
+    """Shade the radii that no star of any run reached."""
+    reached = [float(radial["data_radius_px"]) for radial in radials if radial.get("data_radius_px") is not None]
+    end = max(float(np.max(radial["radius_px"])) for radial in radials)
+    figure.update_xaxes(range=[0, end])
+    if not reached or max(reached) >= end:
+        return
+    for row in (1, 2):
+        figure.add_vrect(x0=max(reached), x1=end, fillcolor=SHADE, line_width=0, layer="below", row=row, col=1)
+    figure.add_vline(
+        x=max(reached), line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1}, row="all", col=1
+    )
+    figure.add_annotation(
+        text="extrapolated: no stars",
+        x=end,
+        y=1,
+        xref="x",
+        yref="y domain",
+        xanchor="right",
+        yanchor="top",
+        textangle=-90,
+    )
+
+
+def _arcsec_per_px(radials: Sequence[Result]) -> float | None:
+    """Read the plate scale on the axis out of the curves, or None where the runs do not share one."""
+    scales = []
+    for radial in radials:
+        pixels = np.concatenate([_array(radial, "sigma_px"), _array(radial, "difference_px")])
+        angles = np.concatenate([_array(radial, "sigma_arcsec"), _array(radial, "difference_arcsec")])
+        usable = np.isfinite(pixels) & np.isfinite(angles) & (np.abs(pixels) > 1e-12)
+        if not usable.any():
+            return None
+        scales.append(float(np.max(angles[usable] / pixels[usable])))
+    return scales[0] if max(scales) < 1.02 * min(scales) else None
+
+
+def _scale(figure: go.Figure, seen: list[float], arcsec_per_px: float | None) -> None:
+    """Put arcseconds on the right, tied to the pixels on the left, where one plate scale holds."""
+    figure.update_xaxes(title_text="radius from the principal point (px)", row=2, col=1)
+    figure.update_yaxes(title_text="stars", rangemode="tozero", row=2, col=1)
+    margin = 0.08 * (max(seen) - min(seen)) or 0.1
+    window = [min(seen) - margin, max(seen) + margin]
+    figure.update_yaxes(title_text="final − initial (px)", range=window, zeroline=True, row=1, col=1)
+    if arcsec_per_px is None:
+        return
+    figure.add_trace(
+        go.Scatter(x=[0], y=[0], opacity=0, showlegend=False, hoverinfo="skip"), row=1, col=1, secondary_y=True
+    )
+    right = {"title_text": "arcsec, on axis", "range": [edge * arcsec_per_px for edge in window], "showgrid": False}
+    figure.update_yaxes(**right, tickmode="auto", zeroline=False, row=1, col=1, secondary_y=True)
+    figure.update_yaxes(fixedrange=True, row=1, col=1)  # zoom along the radius: the two scales stay tied
+
+
+def _headline(trace: Trace) -> str:
+    radial = trace.result["radial"]
+    change, radius = _array(radial, "difference_px"), _array(radial, "radius_px")
+    reached = radial.get("data_radius_px")
+    within = np.isfinite(change) & (radius <= (np.inf if reached is None else float(reached)))
+    if not within.any():
+        return TITLE
+    worst = int(np.argmax(np.where(within, np.abs(change), -1.0)))
+    reach = 3 * _array(radial, "sigma_px")[worst]
+    spread = f" ±{reach:.2g}" if np.isfinite(reach) else ""
+    return f"Largest change where stars reach: {change[worst]:+.3g}{spread} px (3σ) at {radius[worst]:.0f} px"
+
+
+def table(result: Result) -> Table:
+    """List the curve: radius and difference in px, and the difference as an angle."""
+    radial = result.get("radial") or {}
+    if not radial.get("radius_px"):
+        return {}
+    keys = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
+    return {key: theme.plain(_array(radial, key)) for key in keys}
+
+
+RADIAL = Figure(
+    name="radial",
+    title=TITLE,
+    guide=(
+        "The curve is how far the new parameters move a star along the radius against the initial ones, with its "
+        "±3σ band; the histogram below counts the stars at that radius. Trust it where stars stand and the band "
+        "is narrow: in the shaded part no star was seen and the curve is extrapolation."
+    ),
+    draw=draw,
+    table=table,
+)

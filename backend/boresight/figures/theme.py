@@ -1,0 +1,198 @@
+"""The one look of every chart: dark console surface, one colour a run, one style of uncertainty.
+
+Everything that depends on the surface (ink, grid, hover) sits in a Plotly template and nowhere else. The paper is
+transparent, so the page's surface shows. A client that wants white, for a PNG or for print, replaces `layout.template`
+by `layout.meta.light` and needs to touch nothing more, because the run colours were chosen for at least 3:1 contrast
+against both surfaces and stay apart for the common colour-vision deficiencies; a dash style says the same again.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from boresight.figures.chart import Trace
+
+SANS = "'IBM Plex Sans', 'Inter', 'Segoe UI', 'DejaVu Sans', sans-serif"
+TABULAR = "'IBM Plex Mono', 'JetBrains Mono', 'DejaVu Sans Mono', ui-monospace, monospace"
+DARK_SURFACE = "#0d1520"
+LIGHT_SURFACE = "#ffffff"
+
+RUN_COLOURS = ("#3b8fe0", "#d9730d", "#12967c", "#b866c9", "#a08300", "#7b74d8", "#d4547a", "#7d8a99")
+RUN_DASHES = ("solid", "dash", "dashdot", "longdash", "solid", "dash", "dashdot", "longdash")
+REFERENCE_COLOUR = "#8592a3"
+TRUTH_COLOUR = "#a98a00"
+DIVERGING = ((0.0, "#d9730d"), (0.5, "rgba(133,146,163,0.06)"), (1.0, "#3b8fe0"))
+UI_REVISION = "boresight"
+
+
+@dataclass(frozen=True)
+class RunStyle:
+    """How one run is drawn in every figure."""
+
+    label: str
+    colour: str
+    dash: str
+
+
+@dataclass(frozen=True)
+class _Surface:
+    ink: str
+    muted: str
+    grid: str
+    line: str
+    hover: str
+
+
+_DARK = _Surface("#d8e1ec", "#9aa7b7", "rgba(154,167,183,0.16)", "rgba(154,167,183,0.45)", "#182434")
+_LIGHT = _Surface("#14202e", "#4a5768", "rgba(74,87,104,0.16)", "rgba(74,87,104,0.55)", "#ffffff")
+
+
+def _template(surface: _Surface, paper: str) -> go.layout.Template:
+    ticks = {"family": TABULAR, "size": 11, "color": surface.muted}
+    axis = {
+        "gridcolor": surface.grid,
+        "linecolor": surface.line,
+        "zerolinecolor": surface.line,
+        "zerolinewidth": 1,
+        "showline": True,
+        "ticks": "outside",
+        "ticklen": 4,
+        "tickcolor": surface.line,
+        "tickfont": ticks,
+        "title": {"font": {"size": 12, "color": surface.muted}, "standoff": 8},
+        "automargin": True,
+    }
+    bar = {"tickfont": ticks, "outlinewidth": 0, "title": {"font": {"size": 12, "color": surface.muted}}}
+    return go.layout.Template(
+        layout={
+            "paper_bgcolor": paper,
+            "plot_bgcolor": paper,
+            "font": {"family": SANS, "size": 13, "color": surface.ink},
+            "title": {"font": {"size": 14, "color": surface.ink}, "x": 0, "xref": "paper", "xanchor": "left"},
+            "xaxis": axis,
+            "yaxis": axis,
+            "colorway": RUN_COLOURS,
+            "legend": {"font": {"size": 12, "color": surface.ink}, "bgcolor": "rgba(0,0,0,0)"},
+            "hoverlabel": {
+                "bgcolor": surface.hover,
+                "bordercolor": surface.line,
+                "font": {"family": TABULAR, "size": 12, "color": surface.ink},
+            },
+            "annotationdefaults": {"font": {"color": surface.muted, "size": 12}, "showarrow": False},
+            "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": surface.muted, "activecolor": surface.ink},
+        },
+        data={
+            "heatmap": [{"colorbar": bar, "textfont": {"family": TABULAR, "size": 11}}],
+            "bar": [{"textfont": {"family": TABULAR, "size": 11, "color": surface.ink}}],
+        },
+    )
+
+
+DARK_TEMPLATE = _template(_DARK, "rgba(0,0,0,0)")
+LIGHT_TEMPLATE = _template(_LIGHT, LIGHT_SURFACE)
+
+
+def dress(figure: go.Figure, *, title: str, height_px: int, **layout: Any) -> go.Figure:
+    """Give a figure the house layout, with the light template on board for white images."""
+    figure.update_layout(
+        template=DARK_TEMPLATE,
+        meta={"light": LIGHT_TEMPLATE.to_plotly_json()},
+        title={"text": title, "y": 1, "yref": "container", "yanchor": "top", "pad": {"t": 8}},
+        height=height_px,
+        autosize=True,
+        uirevision=UI_REVISION,
+        hovermode="x unified",
+        margin={"l": 64, "r": 24, "t": 64, "b": 48},
+        legend={"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yref": "container", "yanchor": "top"},
+    )
+    figure.update_layout(legend={"title": {"text": ""}}, **layout)
+    figure.layout.legend.y = 1 - 30 / height_px
+    figure.update_annotations(font={"size": 12})
+    return figure
+
+
+def missing(title: str, sentence: str) -> go.Figure:
+    """Draw nothing, and say why."""
+    figure = go.Figure()
+    figure.add_annotation(text=escape(sentence), x=0.5, y=0.5, xref="paper", yref="paper")
+    dress(figure, title=title, height_px=220)
+    figure.update_xaxes(visible=False)
+    figure.update_yaxes(visible=False)
+    return figure
+
+
+def escape(text: str) -> str:
+    """Make foreign text safe inside Plotly's markup."""
+    return html.escape(text, quote=False)
+
+
+def run_styles(traces: Sequence[Trace]) -> list[RunStyle]:
+    """Give each run its colour and dash, by its place in the comparison."""
+    return [
+        RunStyle(escape(trace.label), RUN_COLOURS[i % len(RUN_COLOURS)], RUN_DASHES[i % len(RUN_DASHES)])
+        for i, trace in enumerate(traces)
+    ]
+
+
+def translucent(colour: str, opacity: float) -> str:
+    """Turn `#rrggbb` into the same colour with an opacity."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity:g})"
+
+
+def short(values: NDArray[np.float64]) -> list[float | None]:
+    """Round to seven significant digits, NaN as None: what a screen can show, in half the bytes."""
+    return [float(f"{value:.7g}") if np.isfinite(value) else None for value in values]
+
+
+def plain(values: NDArray[np.float64]) -> list[float | None]:
+    """Turn an array into a table column at full precision, NaN as None."""
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def line(style: RunStyle, x: NDArray[np.float64], y: NDArray[np.float64], **options: Any) -> go.Scatter:
+    """Draw a run's estimate."""
+    settings = {"mode": "lines", "name": style.label, "legendgroup": style.label, "connectgaps": True} | options
+    return go.Scatter(
+        x=short(x), y=short(y), line={"color": style.colour, "dash": style.dash, "width": 1.8}, **settings
+    )
+
+
+def band(
+    style: RunStyle, x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], **options: Any
+) -> go.Scatter:
+    """Draw +-3 sigma around a run's estimate: the one style of uncertainty, filled and edged faintly."""
+    known = np.isfinite(low) & np.isfinite(high)
+    outline_x = np.concatenate([x[known], x[known][::-1]])
+    outline_y = np.concatenate([high[known], low[known][::-1]])
+    settings = {"legendgroup": style.label, "showlegend": False, "hoverinfo": "skip"} | options
+    return go.Scatter(
+        x=short(outline_x),
+        y=short(outline_y),
+        mode="lines",
+        line={"color": translucent(style.colour, 0.4), "width": 0.7, "dash": "dot"},
+        fill="toself",
+        fillcolor=translucent(style.colour, 0.16),
+        name=f"{style.label} ±3σ",
+        **settings,
+    )
+
+
+def reference(x: Sequence[float], value: float, name: str, colour: str, dash: str, **options: Any) -> go.Scatter:
+    """Draw a level to compare with, in a style no run has."""
+    settings = {"legendgroup": name, "hovertemplate": f"{name} %{{y:.5g}}<extra></extra>"} | options
+    return go.Scatter(
+        x=list(x),
+        y=[value] * len(x),
+        mode="lines",
+        name=name,
+        line={"color": colour, "dash": dash, "width": 1.2},
+        **settings,
+    )
