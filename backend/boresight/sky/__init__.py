@@ -1,0 +1,1 @@
+"""The stars: catalogue, where the Earth carries the observer, and the directions in which stars are seen."""

@@ -42,6 +42,13 @@ OPTIONAL_COLUMNS = (
     "temperature_c",
 )
 
+INTEGER_COLUMNS = ("frame", "exposure", "star_id")
+FLOAT_COLUMNS = tuple(
+    column for column in (*REQUIRED_COLUMNS, *OPTIONAL_COLUMNS) if column not in {*INTEGER_COLUMNS, "time_utc"}
+)
+#: Columns that only make sense together, in a file and in a row.
+COLUMN_GROUPS = (("ra_deg", "dec_deg"), ("q_x", "q_y", "q_z", "q_w"), ("vx_km_s", "vy_km_s", "vz_km_s"))
+
 UNMATCHED = 0
 
 
@@ -69,6 +76,8 @@ class Telemetry:
         (n_rows, 3) satellite velocity, GCRS, or None.
     unknown
         Columns the contract does not name, kept as they came.
+    first_row
+        Row of the first entry in its file, counted as an editor does: 2 after a header line, 1 in JSON Lines.
     """
 
     frame: IntArray
@@ -85,6 +94,7 @@ class Telemetry:
     velocity_m_s: FloatArray | None = None
     temperature_c: FloatArray | None = None
     unknown: dict[str, list[str]] = field(default_factory=dict)
+    first_row: int = 2
 
     def __len__(self) -> int:
         """Count the rows."""

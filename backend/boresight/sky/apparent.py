@@ -1,0 +1,112 @@
+"""From the catalogue's epoch to what a moving tracker sees.
+
+With p the direction at the epoch, m the proper motion, w the parallax and E the Earth's barycentric position in au,
+
+    s = unit(p + t m - w E),    t = years since J1991.25 plus the light time p.E / c           (`erfa.pmpx`)
+
+and the observer's velocity v, in units of c, Earth's plus the satellite's, turns it towards v:
+
+    s' = unit(s / g + (1 + s.v / (1 + 1/g)) v),    1/g = sqrt(1 - v^2)                           (`erfa.ab`)
+
+Aberration is 20.5 arcsec for the Earth and 5 for a low orbit. Its common part is a rotation, which arclengths do not
+see; its gradient stretches the field by 1e-4, and left out it would be fitted as focal length and distortion.
+
+Traps of the two routines: `pmpx` wants the motion in right ascension *without* cos(declination), the parallax in
+arcseconds, and the epoch difference in Julian years; `ab` wants the direction before the velocity in units of c.
+
+Left out, each below 0.02 arcsec for the stars used: light deflection by the Sun beyond 30 degrees from it, radial
+velocity (perspective acceleration), the satellite's own place in the parallax.
+
+Reference: Urban & Seidelmann, Explanatory Supplement to the Astronomical Almanac, 2013, sections 7.2 and 7.40.
+"""
+
+from __future__ import annotations
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.sky.catalogue import Catalogue
+from boresight.sky.earth import days_since_j2000, earth_state
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_J1991_25_DAYS = 2448349.0625 - 2451545.0
+_DAYS_PER_YEAR = 365.25
+_ARCSEC_PER_RAD = 180.0 * 3600.0 / np.pi
+_C_AU_DAY = 173.1446326846693
+_C_M_S = 299792458.0
+
+
+def apparent_directions(
+    catalogue: Catalogue,
+    index: IntArray,
+    time_utc: NDArray[np.datetime64],
+    velocity_m_s: FloatArray | None,
+) -> FloatArray:
+    """Return the directions in which stars are seen.
+
+    Parameters
+    ----------
+    catalogue
+        The stars.
+    index
+        (n,) positions in the catalogue, -1 for none.
+    time_utc
+        (n,) datetime64[us].
+    velocity_m_s
+        (n, 3) the satellite's velocity, GCRS; None = that of the Earth's centre.
+
+    Returns
+    -------
+    (n, 3) unit vectors in ICRS axes; NaN where the index is -1, the time is NaT or the velocity is NaN.
+    """
+    directions = np.full((len(index), 3), np.nan)
+    known = np.flatnonzero((index >= 0) & ~np.isnat(time_utc))
+    if len(known):
+        velocity = None if velocity_m_s is None else velocity_m_s[known]
+        directions[known] = _seen(catalogue, index[known], time_utc[known], velocity)
+    return directions
+
+
+def _seen(
+    catalogue: Catalogue, star: IntArray, time_utc: NDArray[np.datetime64], velocity_m_s: FloatArray | None
+) -> FloatArray:
+    """Return (n, 3) apparent directions of (n,) catalogue stars; the Earth is asked once for every distinct time."""
+    moments, moment_of_row = np.unique(time_utc.astype("datetime64[us]"), return_inverse=True)
+    days = days_since_j2000(moments)
+    position_au, velocity_au_day = earth_state(days)
+    years = (days - _J1991_25_DAYS) / _DAYS_PER_YEAR
+    s = erfa.pmpx(
+        catalogue.ra_rad[star],
+        catalogue.dec_rad[star],
+        catalogue.pm_ra_cosdec_rad_yr[star] / np.cos(catalogue.dec_rad[star]),
+        catalogue.pm_dec_rad_yr[star],
+        catalogue.parallax_rad[star] * _ARCSEC_PER_RAD,
+        0.0,
+        years[moment_of_row],
+        position_au[moment_of_row],
+    )
+    v = velocity_au_day[moment_of_row] / _C_AU_DAY
+    if velocity_m_s is not None:
+        v = v + velocity_m_s / _C_M_S
+    return aberrated(s, v)
+
+
+def aberrated(s: FloatArray, v: FloatArray) -> FloatArray:
+    """Turn directions towards the observer's velocity.
+
+    Parameters
+    ----------
+    s
+        (n, 3) unit vectors as an observer at rest sees them.
+    v
+        (n, 3) or (3,) the observer's velocity in units of c.
+
+    Returns
+    -------
+    (n, 3) unit vectors. The Sun's potential (0.4 microarcseconds) is taken at 1 au.
+    """
+    inverse_lorentz = np.sqrt(1.0 - np.sum(v * v, axis=-1))
+    return np.asarray(erfa.ab(s, v, 1.0, inverse_lorentz))

@@ -1,0 +1,95 @@
+"""Which direction belongs to each row of telemetry: the file's own where it gives one, else the catalogue's.
+
+==================================  ==========================================================================
+row                                 direction
+==================================  ==========================================================================
+unmatched (`star_id` 0)             none (NaN): the row is not used
+matched, `ra` and `dec` given       as given: it is apparent already
+matched, no `ra`, in the catalogue  proper motion, parallax, aberration at the row's time (`sky.apparent`)
+matched, no `ra`, unknown number    none (NaN): the quality report lists the number
+the file has no `star_id` column    as given where `ra` and `dec` are, else none
+==================================  ==========================================================================
+
+A matched row that needs the catalogue but has no time, or an absent velocity in a file that gives velocities, has no
+direction either; a file in which no such row has a time is refused, for nobody wants that by accident.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.errors import RefusedInputError
+from boresight.sky.apparent import apparent_directions
+from boresight.sky.catalogue import Catalogue
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def star_directions(  # noqa: PLR0913, PLR0917 - one argument a telemetry column: sky may not import telemetry
+    star_id: IntArray | None,
+    ra_rad: FloatArray | None,
+    dec_rad: FloatArray | None,
+    time_utc: NDArray[np.datetime64] | None,
+    velocity_m_s: FloatArray | None,
+    catalogue: Catalogue,
+) -> FloatArray:
+    """Return the apparent direction of every row.
+
+    Parameters
+    ----------
+    star_id
+        (n_rows,) Hipparcos numbers, 0 = unmatched; None when the file names no stars.
+    ra_rad, dec_rad
+        (n_rows,) apparent direction in ICRS axes, NaN where absent; None when the file gives none.
+    time_utc
+        (n_rows,) datetime64[us], NaT where absent; None when the file gives none.
+    velocity_m_s
+        (n_rows, 3) satellite velocity, GCRS; None when the file gives none.
+    catalogue
+        Where directions come from that the file does not give.
+
+    Returns
+    -------
+    (n_rows, 3) unit vectors in ICRS axes, NaN for rows that cannot be used.
+
+    Raises
+    ------
+    RefusedInputError
+        When neither numbers nor directions are given, or directions must come from the catalogue and no row that
+        needs one has a time.
+    """
+    given = _given_directions(ra_rad, dec_rad)
+    if star_id is None:
+        if given is None:
+            raise RefusedInputError(
+                "The telemetry names no stars: give a star_id column (Hipparcos numbers) or ra_deg and dec_deg."
+            )
+        return given
+    directions = np.full((len(star_id), 3), np.nan) if given is None else np.where(star_id[:, None] > 0, given, np.nan)
+    index = catalogue.index_of(star_id)
+    wanted = np.flatnonzero((star_id > 0) & (index >= 0) & np.isnan(directions[:, 0]))
+    if len(wanted):
+        times = _times_of(time_utc, wanted)
+        velocity = None if velocity_m_s is None else velocity_m_s[wanted]
+        directions[wanted] = apparent_directions(catalogue, index[wanted], times, velocity)
+    return directions
+
+
+def _given_directions(ra_rad: FloatArray | None, dec_rad: FloatArray | None) -> FloatArray | None:
+    """Return the (n_rows, 3) unit vectors that the file gives, NaN where it gives none; None without such columns."""
+    if ra_rad is None or dec_rad is None:
+        return None
+    cos_dec = np.cos(dec_rad)
+    return np.column_stack([cos_dec * np.cos(ra_rad), cos_dec * np.sin(ra_rad), np.sin(dec_rad)])
+
+
+def _times_of(time_utc: NDArray[np.datetime64] | None, rows: IntArray) -> NDArray[np.datetime64]:
+    """Return the times of rows whose direction comes from the catalogue; refuse when not one of them has a time."""
+    if time_utc is None or np.isnat(time_utc[rows]).all():
+        raise RefusedInputError(
+            f"{len(rows)} matched stars take their direction from the catalogue, which needs a time: "
+            "add a time_utc column (ISO 8601, UTC), or give ra_deg and dec_deg."
+        )
+    return time_utc[rows]

@@ -1,0 +1,156 @@
+"""What a telemetry set must satisfy before any arithmetic, each check with its sentence.
+
+Refused here is what would make the arithmetic wrong: rows out of order, a star or a centroid twice in one exposure,
+angles and velocities in other units, quaternions that are not unit, noise that is not positive, half a direction.
+What harms nothing (unknown stars, false detections, gaps, further columns) is let pass, left out of use, and told in
+the quality report.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.telemetry.exposures import Exposures, exposures_of, repeats_within
+from boresight.telemetry.refusals import Faults
+from boresight.telemetry.schema import Telemetry
+
+FloatArray = NDArray[np.float64]
+
+_QUATERNION_TOLERANCE = 1e-3
+_FASTEST_M_S = 100e3
+
+
+def check_telemetry(telemetry: Telemetry, faults: Faults) -> None:
+    """Collect every fault of a telemetry set.
+
+    Parameters
+    ----------
+    telemetry
+        As read, with any order of rows.
+    faults
+        Receives the faults; nothing is raised here.
+    """
+    exposures = exposures_of(telemetry)
+    _check_order(telemetry, exposures, faults)
+    _check_repeated_stars(telemetry, exposures, faults)
+    _check_repeated_centroids(telemetry, exposures, faults)
+    _check_directions(telemetry, faults)
+    _check_quaternions(telemetry, faults)
+    _check_velocities(telemetry, faults)
+    _check_noise(telemetry, faults)
+
+
+def _check_order(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:
+    """Find frames that descend and exposures that are not one run of rows."""
+    frame = telemetry.frame
+    descends = np.diff(frame, prepend=frame[:1]) < 0
+    faults.add_entries(
+        descends,
+        "frame",
+        lambda entry: f"frame {frame[entry]} follows frame {frame[entry - 1]}: sort the rows by frame",
+    )
+    if descends.any():
+        return
+    later, _ = repeats_within(np.zeros(len(exposures), dtype=np.int64), exposures.frame, exposures.exposure)
+    torn = np.zeros(len(telemetry), dtype=np.bool_)
+    torn[exposures.start[later]] = True
+    faults.add_entries(
+        torn,
+        "exposure",
+        lambda entry: (
+            f"exposure {telemetry.exposure[entry]} of frame {frame[entry]} was interrupted by another: "
+            "sort the rows by frame and exposure"
+        ),
+    )
+
+
+def _check_repeated_stars(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:
+    """Find stars that are seen twice in an exposure."""
+    if telemetry.star_id is None:
+        return
+    matched = np.flatnonzero(telemetry.star_id > 0)
+    later, earlier = repeats_within(exposures.of_entry[matched], telemetry.star_id[matched])
+    for entry, before in zip(matched[later].tolist(), matched[earlier].tolist(), strict=True):
+        faults.add(
+            f"star {telemetry.star_id[entry]} is already in row {before + faults.first_row} of this exposure: "
+            "leave star_id empty where the match is wrong",
+            row=entry + faults.first_row,
+            column="star_id",
+        )
+
+
+def _check_repeated_centroids(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:
+    """Find detections of an exposure in the very same place."""
+    later, earlier = repeats_within(exposures.of_entry, telemetry.row_px, telemetry.col_px)
+    for entry, before in zip(later.tolist(), earlier.tolist(), strict=True):
+        faults.add(
+            f"the centroid is that of row {before + faults.first_row} in the same exposure: delete one of the two rows",
+            row=entry + faults.first_row,
+            column="row_px",
+        )
+
+
+def _check_directions(telemetry: Telemetry, faults: Faults) -> None:
+    """Find directions given by half or out of range."""
+    ra_rad, dec_rad = telemetry.ra_rad, telemetry.dec_rad
+    if ra_rad is None or dec_rad is None:
+        return
+    _check_together(np.column_stack([ra_rad, dec_rad]), "ra_deg", "ra_deg and dec_deg", faults)
+    ra_deg, dec_deg = np.degrees(ra_rad), np.degrees(dec_rad)
+    faults.add_entries(
+        (ra_deg < -180.0 - 1e-9) | (ra_deg > 360.0 + 1e-9),
+        "ra_deg",
+        lambda entry: f"{ra_deg[entry]:.9g} is not between -180 and 360: give degrees",
+    )
+    faults.add_entries(
+        np.abs(dec_deg) > 90.0 + 1e-9,
+        "dec_deg",
+        lambda entry: f"{dec_deg[entry]:.9g} is not between -90 and 90: give degrees",
+    )
+
+
+def _check_quaternions(telemetry: Telemetry, faults: Faults) -> None:
+    """Find quaternions given in part or not of unit length."""
+    if telemetry.quaternion is None:
+        return
+    _check_together(telemetry.quaternion, "q_x", "q_x, q_y, q_z and q_w", faults)
+    length = np.linalg.norm(telemetry.quaternion, axis=1)
+    faults.add_entries(
+        np.abs(length - 1.0) > _QUATERNION_TOLERANCE,
+        "q_x",
+        lambda entry: f"the quaternion's length is {length[entry]:.6g}, not 1: give a unit quaternion x, y, z, w",
+    )
+
+
+def _check_velocities(telemetry: Telemetry, faults: Faults) -> None:
+    """Find velocities given in part or in metres per second."""
+    if telemetry.velocity_m_s is None:
+        return
+    _check_together(telemetry.velocity_m_s, "vx_km_s", "vx_km_s, vy_km_s and vz_km_s", faults)
+    speed = np.linalg.norm(telemetry.velocity_m_s, axis=1)
+    faults.add_entries(
+        speed > _FASTEST_M_S,
+        "vx_km_s",
+        lambda entry: f"the speed is {speed[entry] / 1e3:.6g} km/s: give kilometres a second, not metres",
+    )
+
+
+def _check_noise(telemetry: Telemetry, faults: Faults) -> None:
+    """Find standard deviations that are not positive."""
+    sigma_px = telemetry.sigma_px
+    if sigma_px is None:
+        return
+    faults.add_entries(
+        sigma_px <= 0.0,
+        "sigma_px",
+        lambda entry: f"{sigma_px[entry]:g} is not positive: give the standard deviation, or leave it empty",
+    )
+
+
+def _check_together(values: FloatArray, column: str, group: str, faults: Faults) -> None:
+    """Refuse rows of the (n_rows, n_columns) values that are given in part."""
+    absent = np.isnan(values)
+    given = absent.shape[1] - np.count_nonzero(absent, axis=1)
+    partial = (given > 0) & (given < absent.shape[1])
+    faults.add_entries(partial, column, lambda _: f"give all of {group}, or leave all empty")

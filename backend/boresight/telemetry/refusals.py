@@ -1,0 +1,60 @@
+"""Collecting what is wrong with an input before refusing it, so that one reading names every fault.
+
+The first twenty faults are kept and the rest counted: a file exported in the wrong units has one fault a row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.errors import Fault, RefusedInputError
+
+MOST_FAULTS = 20
+
+
+class Faults:
+    """Faults of one input in the order of its rows.
+
+    Parameters
+    ----------
+    subject
+        What is being read, as the refusal names it: a file's or a sensor's name.
+    first_row
+        Row of entry 0, as an editor counts.
+    """
+
+    def __init__(self, subject: str, first_row: int = 1) -> None:
+        self.subject = subject
+        self.first_row = first_row
+        self.count = 0
+        self._kept: list[Fault] = []
+
+    def add(self, detail: str, *, column: str | None = None, row: int | None = None) -> None:
+        """Add one fault; `row` as an editor counts."""
+        self.count += 1
+        self._kept.append(Fault(row, column, detail))
+
+    def add_entries(self, wrong: NDArray[np.bool_], column: str | None, detail: Callable[[int], str]) -> None:
+        """Add a fault for every entry of the (n,) mask; `detail` writes the sentence of one entry."""
+        entries = np.flatnonzero(wrong)
+        self.count += len(entries)
+        for entry in entries[:MOST_FAULTS].tolist():
+            self._kept.append(Fault(entry + self.first_row, column, detail(entry)))
+
+    def refuse(self) -> None:
+        """Raise what was collected, if anything was.
+
+        Raises
+        ------
+        RefusedInputError
+            Its sentence is the first fault and the number of the others; its faults are the first twenty.
+        """
+        if not self.count:
+            return
+        kept = sorted(self._kept, key=lambda fault: fault.row or 0)[:MOST_FAULTS]
+        others = self.count - 1
+        more = f" (and {others} more {'fault' if others == 1 else 'faults'})" if others else ""
+        raise RefusedInputError(f"{self.subject}: {kept[0]}{more}", tuple(kept))

@@ -1,0 +1,63 @@
+"""Writing telemetry: the contract's columns in the contract's units, then the columns nobody interprets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as arrow_csv
+import pyarrow.parquet as arrow_parquet
+from numpy.typing import NDArray
+
+from boresight.telemetry.schema import UNMATCHED, Telemetry
+
+FloatArray = NDArray[np.float64]
+
+
+def write_parquet(telemetry: Telemetry, path: Path) -> None:
+    """Write telemetry as Parquet, compressed with zstd; absent values are null."""
+    arrow_parquet.write_table(contract_table(telemetry), path, compression="zstd")
+
+
+def write_csv(telemetry: Telemetry, path: Path) -> None:
+    """Write telemetry as CSV with every digit; absent values are empty cells, times end in Z."""
+    table = contract_table(telemetry)
+    if "time_utc" in table.column_names:
+        place = table.column_names.index("time_utc")
+        stamps = pc.strftime(table["time_utc"], format="%Y-%m-%dT%H:%M:%SZ")
+        table = table.set_column(place, "time_utc", stamps)
+    arrow_csv.write_csv(table, path)
+
+
+def contract_table(telemetry: Telemetry) -> pa.Table:
+    """Return telemetry as a table of the contract's columns, absent columns left out."""
+    columns: dict[str, pa.Array] = {
+        "frame": pa.array(telemetry.frame),
+        "exposure": pa.array(telemetry.exposure),
+        "row_px": pa.array(telemetry.row_px),
+        "col_px": pa.array(telemetry.col_px),
+    }
+    if telemetry.time_utc is not None:
+        columns["time_utc"] = pa.array(telemetry.time_utc, pa.timestamp("us", tz="UTC"))
+    if telemetry.star_id is not None:
+        columns["star_id"] = pa.array(telemetry.star_id, mask=telemetry.star_id == UNMATCHED)
+    for name, values in _optional_numbers(telemetry).items():
+        if values is not None:
+            columns[name] = pa.array(values, mask=np.isnan(values))
+    return pa.table(columns | {name: pa.array(cells, pa.string()) for name, cells in telemetry.unknown.items()})
+
+
+def _optional_numbers(telemetry: Telemetry) -> dict[str, FloatArray | None]:
+    """Return the optional float columns in the contract's units."""
+    quaternion, velocity = telemetry.quaternion, telemetry.velocity_m_s
+    return {
+        "magnitude": telemetry.magnitude,
+        "sigma_px": telemetry.sigma_px,
+        "ra_deg": None if telemetry.ra_rad is None else np.degrees(telemetry.ra_rad),
+        "dec_deg": None if telemetry.dec_rad is None else np.degrees(telemetry.dec_rad),
+        **{f"q_{axis}": None if quaternion is None else quaternion[:, k] for k, axis in enumerate("xyzw")},
+        **{f"v{axis}_km_s": None if velocity is None else velocity[:, k] / 1e3 for k, axis in enumerate("xyz")},
+        "temperature_c": telemetry.temperature_c,
+    }
