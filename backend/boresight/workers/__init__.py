@@ -1,0 +1,1 @@
+"""Where runs are computed: worker processes, and the loop that keeps the run rows true whatever dies."""

@@ -1,0 +1,262 @@
+"""Launching, stopping and reading runs.
+
+What a run needs is fixed when it is launched: the sensor as it is then, the telemetry by content address, every setting
+by value. So a run can be computed again anywhere and gives the same result, whatever is edited meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import orjson
+
+from boresight.calibration.settings import CalibrationSettings
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.services import audit
+from boresight.services.actors import Actor, require_role, require_scope
+from boresight.services.run_estimates import pairs_of, predicted_s, seconds_per_star
+from boresight.store import run_events
+from boresight.store import runs as rows
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Session
+from boresight.store.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, Sensor, TelemetrySet
+from boresight.telemetry.sensors import parse_sensor
+
+LABEL_LENGTH = 200
+PAGE = 50
+LONGEST_PAGE = 500
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What a run is asked to do, checked."""
+
+    sensor: Sensor
+    telemetry: TelemetrySet
+    validation: TelemetrySet | None
+    settings: CalibrationSettings
+    label: str
+
+
+def launch(  # noqa: PLR0913 - the choices of a run, as the form and the REST body name them
+    session: Session,
+    actor: Actor,
+    sensor_id: int,
+    telemetry_set_id: int,
+    settings: Mapping[str, Any],
+    *,
+    validation_set_id: int | None = None,
+    label: str = "",
+    validate_only: bool = False,
+) -> Run | dict[str, Any]:
+    """Queue a calibration, or only say what it would be.
+
+    Returns
+    -------
+    Run or dict
+        The QUEUED row; with `validate_only` the dry-run summary, see `dry_run`.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    NotFoundError
+        When sensor or telemetry set do not exist.
+    RefusedInputError
+        When they do not belong together or a setting cannot be used.
+    ConflictError
+        When a telemetry set is archived.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    order = _ordered(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
+    if validate_only:
+        return dry_run(session, order)
+    run = rows.add_run(
+        session,
+        sensor_id=order.sensor.id,
+        telemetry_set_id=order.telemetry.id,
+        validation_set_id=None if order.validation is None else order.validation.id,
+        method=order.settings.method,
+        settings=order.settings.document(),
+        sensor_document=order.sensor.document,
+        label=order.label,
+        launched_by=actor.user_id,
+    )
+    after = {"sensor": order.sensor.name, "telemetry_set": order.telemetry.name, "settings": run.settings}
+    audit.append(session, actor, "launched", f"runs/{run.id}", None, after)
+    return run
+
+
+def _ordered(  # noqa: PLR0913, PLR0917 - the choices of a run
+    session: Session,
+    sensor_id: int,
+    telemetry_set_id: int,
+    settings: Mapping[str, Any],
+    validation_set_id: int | None,
+    label: str,
+) -> _Order:
+    """Check the choices of a run against one another."""
+    sensor = session.get(Sensor, sensor_id)
+    if sensor is None:
+        raise NotFoundError(f"There is no sensor {sensor_id}; choose one of the list.")
+    telemetry = _set_of(session, sensor, telemetry_set_id)
+    validation = None if validation_set_id is None else _set_of(session, sensor, validation_set_id)
+    if validation is not None and validation.id == telemetry.id:
+        raise RefusedInputError(f"{telemetry.name} cannot validate a calibration made from itself; choose another set.")
+    if len(label) > LABEL_LENGTH:
+        raise RefusedInputError(f"The label has {len(label)} characters; shorten it to {LABEL_LENGTH}.")
+    parsed = CalibrationSettings.parse(settings)
+    known = CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
+    if strange := [name for name in parsed.free or () if name not in known]:
+        raise RefusedInputError(f"{sensor.name} has no parameter {', '.join(strange)}; choose from {', '.join(known)}.")
+    return _Order(sensor, telemetry, validation, parsed, label.strip())
+
+
+def _set_of(session: Session, sensor: Sensor, set_id: int) -> TelemetrySet:
+    """Return a telemetry set that this sensor's runs may use."""
+    found = session.get(TelemetrySet, set_id)
+    if found is None:
+        raise NotFoundError(f"There is no telemetry set {set_id}; choose one of the list.")
+    if found.sensor_id != sensor.id:
+        raise RefusedInputError(f"{found.name} is telemetry of another sensor; choose a set of {sensor.name}.")
+    if found.archived_utc is not None:
+        raise ConflictError(f"{found.name} was archived on {found.archived_utc[:10]}; choose a set that is in use.")
+    return found
+
+
+def dry_run(session: Session, order: _Order) -> dict[str, Any]:
+    """Say what a run would be: its size, its free parameters, its time, and what to beware of."""
+    telemetry, settings = order.telemetry, order.settings
+    sensor = parse_sensor(order.sensor.document)
+    free = list(settings.free or sensor.free)
+    exposures = int(telemetry.quality.get("exposures") or telemetry.frames)
+    pairs = pairs_of(telemetry.stars, exposures)
+    pace = seconds_per_star(session, settings.method)
+    return {
+        "sensor": order.sensor.name,
+        "telemetry_set": telemetry.name,
+        "validation_set": None if order.validation is None else order.validation.name,
+        "settings": settings.document(),
+        "frames": telemetry.frames,
+        "exposures": exposures,
+        "stars": telemetry.stars,
+        "pairs": pairs,
+        "free": free,
+        "predicted_s": round(predicted_s(settings.document(), telemetry.frames, telemetry.stars, pace), 3),
+        "warnings": _warnings(order, free, pairs),
+    }
+
+
+def _warnings(order: _Order, free: Sequence[str], pairs: int) -> list[str]:
+    """Gather what an analyst should know before queueing."""
+    warnings = [str(sentence) for sentence in order.telemetry.quality.get("warnings") or ()]
+    if pairs < 10 * len(free):
+        warnings.append(f"About {pairs} arcs for {len(free)} parameters is little; free fewer or use a longer set.")
+    if order.validation is None:
+        warnings.append("Without a validation set nothing independent will say whether the result is better.")
+    return warnings
+
+
+def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run:
+    """Stop a run: a QUEUED one ends at once, a RUNNING one as soon as it notices.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    NotFoundError
+        When there is no such run.
+    ConflictError
+        When it has ended already.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    before = get_run(session, run_id).state
+    if before in TERMINAL_RUN_STATES:
+        raise ConflictError(f"Run {run_id} is {before} already; there is nothing to stop.")
+    said = f"Cancelled by {actor.printed_name}" + (f": {reason.strip()}" if reason.strip() else ".")
+    rows.request_cancel(session, run_id, said)
+    after = get_run(session, run_id)
+    if after.state != before:
+        audit.append(
+            session, actor, "cancelled", f"runs/{run_id}", {"state": before}, {"state": after.state}, reason or None
+        )
+    return after
+
+
+def get_run(session: Session, run_id: int) -> Run:
+    """Return a run.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none of this number.
+    """
+    run = rows.find_run(session, run_id)
+    if run is None:
+        raise NotFoundError(f"There is no run {run_id}; choose one of the list.")
+    return run
+
+
+def list_runs(  # noqa: PLR0913 - the filters of the list
+    session: Session,
+    *,
+    sensor_id: int | None = None,
+    state: str | Collection[str] | None = None,
+    method: str | None = None,
+    telemetry_set_id: int | None = None,
+    before_id: int | None = None,
+    limit: int = PAGE,
+) -> list[Run]:
+    """Return a page of runs, newest first; the next page starts before the last one's id.
+
+    Raises
+    ------
+    RefusedInputError
+        When a state is none.
+    """
+    asked = [state] if isinstance(state, str) else list(state or ())
+    if strange := [word for word in asked if word not in RUN_STATES]:
+        raise RefusedInputError(f"{', '.join(strange)} is no state of a run; choose from {', '.join(RUN_STATES)}.")
+    where: dict[str, Any] = {"sensor_id": sensor_id, "method": method, "telemetry_set_id": telemetry_set_id}
+    where = {name: value for name, value in where.items() if value is not None}
+    if asked:
+        where["state"] = asked
+    return rows.page_of_runs(session, where=where, before_id=before_id, limit=max(1, min(limit, LONGEST_PAGE)))
+
+
+def count_by_state(session: Session) -> dict[str, int]:
+    """Count the runs in every state, zero where there are none."""
+    counted = rows.count_by_state(session)
+    return {state: counted.get(state, 0) for state in RUN_STATES}
+
+
+def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
+    """Return a run's calibration JSON; while it computes what there is so far (status `running`), None when nothing is.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run, or its file is missing.
+    """
+    run = get_run(session, run_id)
+    if run.result_sha256 is not None:
+        document: dict[str, Any] = orjson.loads(blobs.read(run.result_sha256))
+        return document
+    return (run.progress or {}).get("partial")
+
+
+def log_lines(session: Session, run_id: int, *, after_id: int = 0) -> list[RunEvent]:
+    """Return a run's log in order, from the line after `after_id`.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run.
+    """
+    get_run(session, run_id)
+    return run_events.events_of_run(session, run_id, after_id)

@@ -1,0 +1,36 @@
+"""The log of runs: one line an event, in the order they happened.
+
+Kinds: `state` for every change of state (the message begins with the new state's word), `log` for what the computation
+says, `lost` for every attempt that died with its worker or its server. Writers are one at a time, so numbers ascend in
+the order of commits and whoever follows the log from a number on misses nothing.
+"""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import RunEvent
+
+
+def write_event(session: Session, run_id: int, attempt: int, kind: str, message: str) -> None:
+    """Add a line to a run's log; `kind` is state, log or lost."""
+    session.add(RunEvent(run_id=run_id, attempt=attempt, at_utc=utc_now(), kind=kind, message=message))
+    session.flush()
+
+
+def events_of_run(session: Session, run_id: int, after_id: int = 0, limit: int = 1000) -> list[RunEvent]:
+    """Return the log of one run in order, from the line after `after_id`."""
+    query = sa.select(RunEvent).where(RunEvent.run_id == run_id, RunEvent.id > after_id)
+    return list(session.scalars(query.order_by(RunEvent.id).limit(limit)))
+
+
+def newest_event_id(session: Session) -> int:
+    """Return the number of the newest log line of any run; 0 where there is none."""
+    return session.scalar(sa.select(sa.func.max(RunEvent.id))) or 0
+
+
+def state_events(session: Session, after_id: int, limit: int = 500) -> list[RunEvent]:
+    """Return the changes of state of all runs in order, from the line after `after_id`."""
+    query = sa.select(RunEvent).where(RunEvent.id > after_id, RunEvent.kind == "state")
+    return list(session.scalars(query.order_by(RunEvent.id).limit(limit)))

@@ -1,0 +1,96 @@
+"""The thread between a computing run and the server: progress goes up, the wish to stop comes down.
+
+Progress is an event on a topic of the scheduler, at most four a second, its histories thinned; the wish to stop is a
+`distributed.Event` named after run and attempt, looked at five times a second at most, because a look is a round trip.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, TypedDict
+
+import orjson
+from distributed import Event, get_worker
+
+from boresight.calibration.calibrate import Progress
+from boresight.errors import CancelledError
+
+TOPIC = "boresight-progress"
+REPORT_EVERY_S = 0.25
+LOOK_EVERY_S = 0.2
+HISTORY_POINTS = 300
+
+
+class ProgressEvent(TypedDict):
+    """One report on its way; `partial` is a calibration JSON so far, as bytes, or None."""
+
+    run_id: int
+    attempt: int
+    fraction: float
+    message: str
+    partial: bytes | None
+
+
+def cancel_event(run_id: int, attempt: int) -> str:
+    """Name the event that asks an attempt to stop."""
+    return f"boresight-cancel-{run_id}-{attempt}"
+
+
+class Link:
+    """One attempt's link; made where the attempt computes."""
+
+    def __init__(self, run_id: int, attempt: int) -> None:
+        self.run_id = run_id
+        self.attempt = attempt
+        self._stop = Event(cancel_event(run_id, attempt))
+        self._reported_s = -REPORT_EVERY_S
+        self._looked_s = time.monotonic()
+        self._stopped = False
+
+    def report(self, progress: Progress) -> None:
+        """Send a report on, unless the last one is younger than a quarter of a second."""
+        now_s = time.monotonic()
+        if now_s - self._reported_s < REPORT_EVERY_S:
+            return
+        self._reported_s = now_s
+        partial = None if progress.partial is None else encoded(progress.partial)
+        event = ProgressEvent(
+            run_id=self.run_id,
+            attempt=self.attempt,
+            fraction=float(progress.fraction),
+            message=progress.message,
+            partial=partial,
+        )
+        get_worker().log_event(TOPIC, dict(event))
+
+    def cancelled(self) -> bool:
+        """Say whether this attempt was asked to stop."""
+        now_s = time.monotonic()
+        if not self._stopped and now_s - self._looked_s >= LOOK_EVERY_S:
+            self._looked_s = now_s
+            self._stopped = bool(self._stop.is_set())
+        return self._stopped
+
+    def refuse_if_cancelled(self) -> None:
+        """Look now, before the work begins: a run that waited in its group may have been cancelled meanwhile."""
+        if self._stop.is_set():
+            raise CancelledError("Stopped on request before it began.")
+
+
+def encoded(partial: dict[str, Any]) -> bytes:
+    """Write a calibration so far as JSON, its history thinned to what a chart can show."""
+    history = partial.get("history")
+    thin = {**partial, "history": thinned(history)} if isinstance(history, dict) else partial
+    return orjson.dumps(thin, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
+
+
+def thinned(history: dict[str, Any], points: int = HISTORY_POINTS) -> dict[str, Any]:
+    """Keep at most `points` of every column of a history, evenly spread, the last always among them."""
+    length = len(history.get("frame") or ())
+    if length <= points:
+        return history
+    kept = [round(i * (length - 1) / (points - 1)) for i in range(points)]
+    return {
+        name: [column[k] for k in kept] if column is not None and len(column) == length else column
+        for name, column in history.items()
+    }

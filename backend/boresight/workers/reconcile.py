@@ -1,0 +1,164 @@
+"""Keeping the run rows true: everything the engine writes to the database, one short transaction each.
+
+Leases: what we hold we renew three times a lease; what lapses belonged to a server that is gone and is queued again,
+or ended when it has lost too many attempts. Every write is fenced by attempt and state (see `boresight.store.runs`), so
+two servers on one database cannot both end a run, and a result that comes too late writes nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import orjson
+
+from boresight.services.run_estimates import predicted_s, seconds_per_star
+from boresight.store import run_events, runs
+from boresight.store.runs import Claimed, Held, Waiting
+from boresight.store.sessions import Engine as Database
+from boresight.store.sessions import Session, reading, writing
+from boresight.workers.planning import GROUP_RUNS, planned
+from boresight.workers.tasks import Outcome
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Reconciler:
+    """The database as one owner of runs sees it.
+
+    Parameters
+    ----------
+    database
+        The store.
+    owner
+        Names this engine among all that share the database.
+    lease_s
+        How long a claim holds without a renewal.
+    max_attempts
+        After so many lost attempts a run is ended.
+    """
+
+    database: Database
+    owner: str
+    lease_s: float
+    max_attempts: int
+
+    def settle(self, outcomes: Iterable[Outcome]) -> None:
+        """Write how attempts ended."""
+        with writing(self.database) as session:
+            for outcome in outcomes:
+                self._settle_one(session, outcome)
+
+    def _settle_one(self, session: Session, outcome: Outcome) -> None:
+        """Write one end with its log, unless the attempt no longer holds the run."""
+        held = outcome["run_id"], outcome["attempt"]
+        if runs.states_of(session, [held[0]]).get(held) not in runs.HELD:
+            log.info("Run %d: a late outcome of attempt %d writes nothing", *held)
+            return
+        for line in outcome["log"]:
+            run_events.write_event(session, *held, "log", line)
+        runs.finish(
+            session,
+            *held,
+            outcome["state"],
+            outcome["reason"],
+            outcome["result_sha256"],
+            outcome["summary"],
+            outcome["result_bytes"],
+        )
+
+    def give_up(self, members: Collection[Held], cause: str) -> None:
+        """Write that a task was lost with its worker.
+
+        A run that was alone in it is charged with the loss. Of several nobody knows which one was guilty: they go back
+        unharmed, and alone the next time.
+        """
+        with writing(self.database) as session:
+            for held in members:
+                if len(members) == 1:
+                    runs.give_up_attempt(session, *held, cause, self.max_attempts)
+                else:
+                    runs.put_back(session, *held, cause)
+
+    def put_back(self, members: Collection[Held], cause: str) -> None:
+        """Queue attempts again that ended through no fault of their own."""
+        if members:
+            with writing(self.database) as session:
+                for held in members:
+                    runs.put_back(session, *held, cause)
+
+    def end_cancelled(self, held: Held) -> None:
+        """Write that an attempt which did not answer was ended by force."""
+        with writing(self.database) as session:
+            runs.finish(session, *held, "CANCELLED")
+
+    def renew(self, members: Collection[Held]) -> set[Held]:
+        """Renew our leases and give up lapsed ones of others; return those of `members` that are no longer ours."""
+        with writing(self.database) as session:
+            ours = runs.renew(session, self.owner, self.lease_s, [run_id for run_id, _ in members])
+            runs.give_up_expired(session, self.max_attempts)
+        return {held for held in members if held not in ours}
+
+    def stops(self, members: Collection[Held]) -> set[Held]:
+        """Return those attempts that somebody asked to stop."""
+        with reading(self.database) as session:
+            states = runs.states_of(session, [run_id for run_id, _ in members])
+        return {held for held in members if states.get(held) == "CANCELLING"}
+
+    def record(self, reports: Mapping[Held, Mapping[str, Any]]) -> None:
+        """Write how far attempts are, with what a live page draws."""
+        with writing(self.database) as session:
+            for held, report in reports.items():
+                partial = report["partial"]
+                progress = {
+                    "fraction": report["fraction"],
+                    "message": report["message"],
+                    "partial": None if partial is None else orjson.loads(partial),
+                }
+                runs.record_progress(session, *held, progress)
+
+    def take(self, slots: int) -> list[list[Claimed]]:
+        """Claim the oldest waiting runs for `slots` free threads, grouped into tasks."""
+        with reading(self.database) as session:
+            waiting = runs.waiting_runs(session, slots * GROUP_RUNS)
+            groups = planned(waiting, slots, _clock(session, waiting))
+        if not groups:
+            return []
+        with writing(self.database) as session:
+            run_ids = [run_id for group in groups for run_id in group]
+            claimed = runs.claim(session, self.owner, self.lease_s, len(run_ids), run_ids)
+        ours = {run.run_id: run for run in claimed}
+        kept = [[ours[run_id] for run_id in group if run_id in ours] for group in groups]
+        return [group for group in kept if group]
+
+    def newest_event(self) -> int:
+        """Return where the log of all runs ends now."""
+        with reading(self.database) as session:
+            return run_events.newest_event_id(session)
+
+    def news(self, after_id: int) -> tuple[int, list[dict[str, Any]]]:
+        """Return the changes of state after a line of the log, whoever made them, and where the log ends now."""
+        with reading(self.database) as session:
+            events = run_events.state_events(session, after_id)
+        told = [
+            {
+                "kind": "run",
+                "id": event.id,
+                "run_id": event.run_id,
+                "attempt": event.attempt,
+                "state": event.message.partition(":")[0],
+                "message": event.message,
+                "at_utc": event.at_utc,
+            }
+            for event in events
+        ]
+        return max((event.id for event in events), default=after_id), told
+
+
+def _clock(session: Session, waiting: Sequence[Waiting]) -> Any:
+    """Return a function that predicts the seconds of a waiting run."""
+    paces = {method: seconds_per_star(session, method) for method in {run.method for run in waiting}}
+    return lambda run: predicted_s(run.settings, run.frames, run.stars, paces[run.method])
