@@ -1,0 +1,22 @@
+"""The pages. One file a page, each with a `router`; this package finds and joins them. A new page is one new file."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+from fastapi import APIRouter
+from fastapi.responses import HTMLResponse
+
+
+def _assemble() -> APIRouter:
+    """Join the `router` of every page file."""
+    joined = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
+    for found in iter_modules(__path__):
+        page = import_module(f"{__name__}.{found.name}")
+        if hasattr(page, "router"):
+            joined.include_router(page.router)
+    return joined
+
+
+router = _assemble()

@@ -1,0 +1,103 @@
+"""What every page shows around its content: mode, fleet, approvals waiting, person, navigation, flash line.
+
+The values come from `request.state` (who is logged in), the settings, and one short read of the store. A page that
+reports a failure must not fail for the same cause: where the store cannot be read, the frame says so and goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+from urllib.parse import unquote
+
+from fastapi import Request
+
+from boresight.pages.fleet import Standing, fleet_standing
+from boresight.pages.formats import day_of_year
+from boresight.pages.states import LEVELS
+from boresight.services.actors import Actor
+from boresight.store.sessions import reading
+
+log = logging.getLogger(__name__)
+
+FLASH_COOKIE = "boresight_flash"
+UNREAD = Standing("off", "UNKNOWN", "The store could not be read.")
+
+
+@dataclass(frozen=True)
+class Destination:
+    """One line of the navigation; `key` opens it after `g`, and no `roles` means everybody."""
+
+    path: str
+    label: str
+    key: str
+    roles: frozenset[str] = frozenset()
+
+
+NAVIGATION = (
+    Destination("/", "Overview", "o"),
+    Destination("/sensors", "Sensors", "s"),
+    Destination("/telemetry", "Telemetry", "t"),
+    Destination("/runs", "Runs", "r"),
+    Destination("/compare", "Compare", "c"),
+    Destination("/parameter-sets", "Parameter sets", "p"),
+    Destination("/approvals", "Approvals", "a"),
+    Destination("/audit", "Audit", "h"),
+    Destination("/users", "Users and keys", "u"),
+)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The values that `frame.html` prints."""
+
+    mode: str
+    actor: Actor | None
+    csrf_token: str
+    path: str
+    now: str
+    fleet: Standing
+    approvals_waiting: int | None
+    flash: tuple[str, str] | None
+    navigation: tuple[Destination, ...]
+
+
+def _read_flash(request: Request) -> tuple[str, str] | None:
+    """Return the (level, sentence) that the last POST left, if it can be read."""
+    try:
+        level, sentence = json.loads(unquote(request.cookies.get(FLASH_COOKIE, "")))
+    except (ValueError, TypeError):
+        return None
+    return (level, str(sentence)) if level in LEVELS else None
+
+
+def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None]:
+    """Read the fleet's standing and how many requests wait for a signature; nobody logged in learns neither."""
+    if actor is None:
+        return UNREAD, None
+    try:
+        with reading(request.app.state.engine) as session:
+            return fleet_standing(session)
+    except Exception:
+        log.exception("The frame could not read the store")
+        return UNREAD, None
+
+
+def frame_of(request: Request) -> Frame:
+    """Gather the frame's values for a request."""
+    actor: Any = getattr(request.state, "actor", None)
+    fleet, waiting = _fleet(request, actor)
+    return Frame(
+        mode=request.app.state.settings.mode,
+        actor=actor,
+        csrf_token=getattr(request.state, "csrf_token", ""),
+        path=request.url.path,
+        now=day_of_year(datetime.now(UTC)),
+        fleet=fleet,
+        approvals_waiting=waiting,
+        flash=_read_flash(request),
+        navigation=NAVIGATION if actor else (),
+    )

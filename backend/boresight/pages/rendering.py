@@ -1,0 +1,71 @@
+"""Turning a template and its values into a page; answering a form.
+
+`render(request, "run.html", run=row)` is all a page file needs: the frame around the content fills itself. After a POST
+a page answers with `redirect(location, flash="...")`; the line travels in a short-lived cookie and is shown once on the
+next page. Undefined names are errors, and everything is escaped.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import Request
+from fastapi.responses import HTMLResponse, RedirectResponse
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+import boresight
+from boresight.pages import formats
+from boresight.pages.frame import FLASH_COOKIE, frame_of
+from boresight.pages.states import LEVELS, level_of, worst
+from boresight.resources import folder
+
+FLASH_SECONDS = 60
+
+
+def _environment() -> Environment:
+    """Build the template environment with every filter of `formats`."""
+    environment = Environment(
+        loader=FileSystemLoader(folder("frontend") / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {function.__name__: function for function in formats.FILTERS}
+    environment.filters |= {"level_of": level_of, "worst": worst}
+    environment.globals |= {"LEVELS": LEVELS, "version": boresight.__version__}
+    return environment
+
+
+TEMPLATES = _environment()
+
+
+def render(request: Request, template: str, *, status_code: int = 200, **values: Any) -> HTMLResponse:
+    """Render a template inside the frame.
+
+    Parameters
+    ----------
+    template
+        File name in `frontend/templates`.
+    status_code
+        200, or the code of the refusal that the page shows.
+    values
+        What the template names, besides `frame` and `request`.
+    """
+    frame = frame_of(request)
+    page = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
+    response = HTMLResponse(page, status_code=status_code, headers={"Cache-Control": "no-store"})
+    if frame.flash:
+        response.delete_cookie(FLASH_COOKIE, path="/")
+    return response
+
+
+def redirect(location: str, *, flash: str = "", level: str = "normal") -> RedirectResponse:
+    """Answer a POST: send the browser to a page by GET, with one line to show there."""
+    response = RedirectResponse(location, status_code=303)
+    if flash:
+        value = quote(json.dumps([level, flash]))
+        response.set_cookie(FLASH_COOKIE, value, max_age=FLASH_SECONDS, path="/", httponly=True, samesite="lax")
+    return response
