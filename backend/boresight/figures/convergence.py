@@ -4,8 +4,11 @@ Drawn is x_k - x_0, the change from the initial parameters of the first run, so 
 moves and two runs of one sensor share it. The band is +-3 sigma_k. E Eq. 31 subtracts the batch result instead: in a
 comparison with frames on the axis a batch run is drawn as a level with its band, and the eye does the subtraction.
 
-The first bands are the a-priori ones and would flatten all that follows, so the window of each panel is that of the
-estimates, the levels and the median band; a double click shows everything.
+The first bands are the a-priori ones and would flatten all that follows, so the window of each panel holds what
+follows the first steps, the median band, the truth, and the initial level where that is near; a double click shows all.
+
+The last panel judges the whole: a batch run's cost, on a log axis, or a sequential run's normalised innovation squared,
+sum nis / sum dof of the frames so far, which is 1 for a filter whose covariance is honest.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ FloatArray = NDArray[np.float64]
 TITLE = "Convergence"
 COLUMNS = 3
 PANEL_HEIGHT_PX = 190
+TRANSIENT_SHARE = 0.05  # of the steps, which the window need not hold
 POINT_BUDGET = 9000  # estimates of all panels and runs together
 
 
@@ -56,7 +60,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         return theme.missing(TITLE, "No frame or iteration has been recorded yet: the curves appear as the run moves.")
     axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
     panels = _panels(traces, found)
-    n_rows = 1 + max(panel.row for panel in panels)
+    n_rows = 1 + len(panels) // COLUMNS
     figure = make_subplots(n_rows, COLUMNS, shared_xaxes="all", horizontal_spacing=0.09, vertical_spacing=0.16 / n_rows)
     span = _span([course for course in found if course.axis == axis])
     limit = POINT_BUDGET // (len(panels) * len(found))
@@ -66,7 +70,8 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     for panel in panels:
         _draw_references(figure, panel, traces, span)
         _frame_panel(figure, panel)
-    return _dress(figure, traces, axis, n_rows, len(panels))
+    _draw_judge(figure, divmod(len(panels), COLUMNS), [c if c and c.axis == axis else None for c in courses], traces)
+    return _dress(figure, traces, axis, n_rows, len(panels) + 1)
 
 
 def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_rows: int, n_panels: int) -> go.Figure:
@@ -140,12 +145,39 @@ def _draw_run(figure: go.Figure, panels: list[Panel], course: Course, style: the
 
 
 def _seen(value: FloatArray, reach: FloatArray) -> list[float]:
-    """List what the window must hold: the estimates, and the last one within the median band."""
+    """List what the window must hold: the estimates after the first steps, and the last one within the median band."""
     value, reach = value[np.isfinite(value)], reach[np.isfinite(reach)]
     if not len(value):
         return []
     half = float(np.median(reach)) if len(reach) else 0.0
-    return [float(value.min()), float(value.max()), float(value[-1]) - half, float(value[-1]) + half]
+    settled = value[int(TRANSIENT_SHARE * len(value)) :]
+    return [float(settled.min()), float(settled.max()), float(value[-1]) - half, float(value[-1]) + half]
+
+
+def _draw_judge(
+    figure: go.Figure, place: tuple[int, int], courses: Sequence[Course | None], traces: Sequence[Trace]
+) -> None:
+    """Add the panel that judges the whole: cost of a batch run, or innovations of a sequential one."""
+    where = {"row": place[0] + 1, "col": place[1] + 1}
+    for course, style in zip(courses, theme.run_styles(traces), strict=True):
+        if course is None:
+            continue
+        y = course.series("cost") if course.axis == "iteration" else _innovations(course)
+        kept = keep_extremes([y], 400)
+        hover = f"%{{y:.4g}}<extra>{style.label}</extra>"
+        drawn = theme.line(style, course.x[kept], y[kept], hovertemplate=hover, showlegend=False)
+        figure.add_trace(drawn, **where)
+    if any(course is not None and course.axis == "frame" for course in courses):
+        figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, **where)
+        figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **where)
+    else:
+        figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", dtick=1, **where)
+
+
+def _innovations(course: Course) -> FloatArray:
+    """Average the normalised innovation squared over the frames so far, per degree of freedom."""
+    nis, dof = (np.nancumsum(course.series(key)) for key in ("nis", "nis_dof"))
+    return np.where(dof > 0, nis / np.maximum(dof, 1), np.nan)
 
 
 def _draw_references(figure: go.Figure, panel: Panel, traces: Sequence[Trace], span: tuple[float, float]) -> None:
@@ -157,11 +189,13 @@ def _draw_references(figure: go.Figure, panel: Panel, traces: Sequence[Trace], s
             if value is not None:
                 levels[key, float(panel.change(value))] = look
     first = panel.row == panel.column == 0
+    height = max(panel.seen, default=0.0) - min(panel.seen, default=0.0)
     for (key, level), (colour, dash) in levels.items():
         settings = {"showlegend": first, "hoverinfo": "skip", "hovertemplate": None}
         drawn = theme.reference(span, level, key, colour, dash, **settings)
         figure.add_trace(drawn, row=panel.row + 1, col=panel.column + 1)
-        panel.seen.append(level)
+        if key == "truth" or min(abs(level - seen) for seen in panel.seen or [level]) <= height:
+            panel.seen.append(level)
 
 
 def _named(values: Mapping[str, float | None] | None, name: str) -> float | None:

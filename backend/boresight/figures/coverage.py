@@ -29,7 +29,8 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     highest = max(float(np.max(trace.result["coverage"]["counts"])) for trace in drawn)
     for column, trace in enumerate(drawn, start=1):
         figure.add_trace(_map(trace.result["coverage"], highest), row=1, col=column)
-    theme.dress(figure, title=_headline(drawn), height_px=460, hovermode="closest")
+    figure.update_traces(showscale=True, col=len(drawn))
+    theme.dress(figure, title=_headline(drawn), height_px=460, legend=False, hovermode="closest")
     figure.update_xaxes(title_text="column (px)", showgrid=False, zeroline=False, constrain="domain")
     figure.update_yaxes(autorange="reversed", showgrid=False, zeroline=False, constrain="domain")
     figure.update_yaxes(title_text="row (px)", row=1, col=1)
@@ -58,6 +59,7 @@ def _map(coverage: Result, highest: float) -> go.Heatmap:
         colorbar={"title": {"text": "stars"}, "thickness": 10},
         hovertemplate="%{z} stars<br>column %{x:.0f}, row %{y:.0f}<extra></extra>",
         hoverongaps=False,
+        showscale=False,
     )
 
 

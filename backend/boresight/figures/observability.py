@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -96,9 +97,11 @@ def _dress(figure: go.Figure, drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> 
     number = f"{condition:.4g}" if condition is not None else "infinite: a direction is not determined at all"
     whose = f" ({drawn[0][1].label})" if len(drawn) > 1 else ""
     sentence = _sentence(result)
-    theme.dress(figure, title=f"Condition number {number}{whose}", height_px=520, hovermode="closest", barmode="group")
-    figure.update_layout(margin={"b": 70 + 18 * sentence.count("<br>"), "t": 76}, showlegend=len(drawn) > 1)
-    figure.update_yaxes(title_text="singular value", type="log", dtick=1, row=1, col=1)
+    layout: dict[str, Any] = {"hovermode": "closest", "barmode": "group", "legend": len(drawn) > 1}
+    theme.dress(figure, title=f"Condition number {number}{whose}", height_px=520, **layout)
+    figure.update_layout(margin={"b": 84 + 18 * sentence.count("<br>")})
+    figure.update_yaxes(title_text="singular value", type="log", dtick=1, range=_window(drawn), row=1, col=1)
+    figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, row=1, col=1)
     figure.update_yaxes(autorange="reversed", showgrid=False, row=2, col=1)
     figure.update_xaxes(showgrid=False, type="category")
     figure.update_xaxes(title_text="direction, best known to weakest", row=2, col=1)
@@ -106,6 +109,14 @@ def _dress(figure: go.Figure, drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> 
         figure.add_annotation(
             text=sentence, x=0, y=0, xref="paper", yref="paper", xanchor="left", yanchor="top", yshift=-42, align="left"
         )
+
+
+def _window(drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> list[float]:
+    """Choose the decades of the log axis: every bar can be seen, and the level 1 too."""
+    values = np.concatenate([trace.result["observability"]["singular_values"] for trace, _ in drawn])
+    known = values[values > 0]
+    low, high = float(np.min(known, initial=1.0)), float(np.max(known, initial=1.0))
+    return [float(np.log10(low)) - 0.5, float(np.log10(high)) + 0.5]
 
 
 def _sentence(result: Result) -> str:

@@ -73,7 +73,7 @@ def _bars(result: Result, names: Sequence[str], style: theme.RunStyle, *, labell
             "color": [style.colour if abs(w) >= SIGNIFICANT else theme.translucent(style.colour, 0.4) for w in worth],
             "line": {"color": style.colour, "width": 1},
         },
-        text=[f"{w:+.3g}" if np.isfinite(w) else "" for w in worth] if labelled else None,
+        text=[theme.signed(w) if np.isfinite(w) else "" for w in worth] if labelled else None,
         textposition="outside",
         cliponaxis=False,
         customdata=theme.short(worth),
@@ -102,8 +102,7 @@ def _points(result: Result, names: Sequence[str], style: theme.RunStyle) -> go.S
 def _dress(figure: go.Figure, drawn: Sequence[tuple[Trace, theme.RunStyle]], n_names: int) -> None:
     height = 150 + n_names * max(34, 18 * len(drawn))
     layout: dict[str, Any] = {"hovermode": "closest", "barmode": "group", "scattermode": "group"}
-    theme.dress(figure, title=_headline(drawn), height_px=height, **layout)
-    figure.update_layout(showlegend=len(drawn) > 1)
+    theme.dress(figure, title=_headline(drawn), height_px=height, legend=len(drawn) > 1, **layout)
     figure.update_yaxes(autorange="reversed", type="category", showgrid=False)
     largest = max(SIGNIFICANT, *(_largest(trace.result) for trace, _ in drawn))
     span = [float(np.log10(FLOOR)), float(np.log10(largest)) + 0.5]

@@ -154,7 +154,7 @@ def _headline(trace: Trace) -> str:
     worst = int(np.argmax(np.where(within, np.abs(change), -1.0)))
     reach = 3 * _array(radial, "sigma_px")[worst]
     spread = f" ±{reach:.2g}" if np.isfinite(reach) else ""
-    return f"Largest change where stars reach: {change[worst]:+.3g}{spread} px (3σ) at {radius[worst]:.0f} px"
+    return f"Largest change where stars reach: {theme.signed(change[worst])}{spread} px (3σ) at {radius[worst]:.0f} px"
 
 
 def table(result: Result) -> Table:

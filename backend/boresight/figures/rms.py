@@ -3,15 +3,21 @@
 Tail at frame k is the error of the whole set under the parameters x_k; aggregate is the error of frames 1 to k, each
 under the parameters it had at the time. An aggregate well below the tail means that the filter follows single frames.
 A batch run has the error of the whole set at each iteration; beside sequential runs it is a level.
+
+The first frames fall from the initial error by hundreds of microradians and tail and aggregate then differ by a few, so
+a sequential run is drawn twice: whole on the left, and on the right what follows its first fifth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
+from plotly.subplots import make_subplots
 
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
@@ -23,7 +29,18 @@ FloatArray = NDArray[np.float64]
 TITLE = "Tail and aggregate RMS"
 URAD_PER_RAD = 1e6
 LOG_RATIO = 8.0  # beyond this ratio of highest to lowest a log axis reads better
-CURVES = (("tail_rms_rad", "tail"), ("aggregate_rms_rad", "aggregate"))
+SETTLING_SHARE = 0.2
+CURVES = {"frame": {"tail_rms_rad": "tail", "aggregate_rms_rad": "aggregate"}, "iteration": {"rms_arc_rad": "RMS"}}
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """One subplot: the steps it shows, and what its axis must hold, in µrad."""
+
+    column: int
+    start: float
+    end: float
+    seen: list[float] = field(default_factory=list)
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
@@ -33,68 +50,82 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     if not found:
         return theme.missing(TITLE, "No RMS arc error has been recorded yet: the curves appear as the run moves.")
     axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
-    span = _span([course.x for course in found if course.axis == axis])
-    figure, seen = go.Figure(), list[float]()
+    along = [course.x for course in found if course.axis == axis]
+    span = (min(float(x.min()) for x in along), max(float(x.max()) for x in along))
+    starts = [span[0]] if axis == "iteration" else [span[0], span[0] + SETTLING_SHARE * (span[1] - span[0])]
+    panels = [_Panel(i + 1, start, span[1]) for i, start in enumerate(starts)]
+    figure = make_subplots(1, len(panels), column_widths=[0.4, 0.6][: len(panels)] if len(panels) > 1 else None)
     for trace, course, style in zip(traces, courses, theme.run_styles(traces), strict=True):
-        if course is not None and course.axis == axis:
-            seen += _draw_run(figure, course, style)
-        if len(traces) == 1 or course is None or course.axis != axis:
-            seen += _draw_levels(figure, trace.result, style, span, single=len(traces) == 1)
-    theme.dress(figure, title=_headline(traces), height_px=380)
-    figure.update_xaxes(title_text=axis)
-    log = min(seen) > 0 and max(seen) / min(seen) > LOG_RATIO
-    figure.update_yaxes(title_text="RMS arc error (µrad)", type="log" if log else "linear", dtick="D2" if log else None)
-    return figure
+        for panel in panels:
+            if course is not None and course.axis == axis:
+                _draw_run(figure, panel, course, style)
+            if len(traces) == 1 or course is None or course.axis != axis:
+                _draw_levels(figure, panel, trace.result, style, single=len(traces) == 1)
+    return _dress(figure, panels, traces, axis)
 
 
 def _has_curve(course: Course) -> bool:
-    keys = [key for key, _ in CURVES] if course.axis == "frame" else ["rms_arc_rad"]
-    return any(np.isfinite(course.series(key)).any() for key in keys)
+    return any(np.isfinite(course.series(key)).any() for key in CURVES[course.axis])
 
 
-def _span(axes: list[FloatArray]) -> tuple[float, float]:
-    return min(float(x.min()) for x in axes), max(float(x.max()) for x in axes)
-
-
-def _draw_run(figure: go.Figure, course: Course, style: theme.RunStyle) -> list[float]:
+def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.RunStyle) -> None:
     """Add the curves of one run; tail in the run's dash, aggregate dotted in the same colour."""
-    seen: list[float] = []
-    curves = CURVES if course.axis == "frame" else (("rms_arc_rad", "RMS"),)
-    for key, word in curves:
+    for key, word in CURVES[course.axis].items():
         y = course.series(key) * URAD_PER_RAD
-        known = np.isfinite(y)
-        x, y = course.x[known], y[known]
+        shown = np.isfinite(y) & (course.x >= panel.start)
+        x, y = course.x[shown], y[shown]
         if not len(x):
             continue
         kept = keep_extremes([y])
+        name = f"{style.label} · {word}"
         curve = theme.RunStyle(style.label, style.colour, "dot" if word == "aggregate" else style.dash)
         settings = {
-            "name": f"{style.label} · {word}",
-            "hovertemplate": f"%{{y:.2f}} µrad<extra>{style.label} · {word}</extra>",
+            "name": name,
+            "legendgroup": name,
+            "showlegend": panel.column == 1,
+            "hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>",
             "mode": "lines" if course.axis == "frame" else "lines+markers",
         }
-        figure.add_trace(theme.line(curve, x[kept], y[kept], **settings))
-        seen += [float(y.min()), float(y.max())]
-    return seen
+        figure.add_trace(theme.line(curve, x[kept], y[kept], **settings), row=1, col=panel.column)
+        panel.seen.extend((float(y.min()), float(y.max())))
 
 
-def _draw_levels(
-    figure: go.Figure, result: Result, style: theme.RunStyle, span: tuple[float, float], *, single: bool
-) -> list[float]:
+def _draw_levels(figure: go.Figure, panel: _Panel, result: Result, style: theme.RunStyle, *, single: bool) -> None:
     """Add the errors under the initial and the final parameters; beside sequential runs a batch is its final level."""
     rms = result.get("rms_arc_rad") or {}
     looks = {"initial": (theme.REFERENCE_COLOUR, "dot"), "final": (theme.REFERENCE_COLOUR, "dash")}
     if not single:
         looks = {"final": (style.colour, style.dash)}
-    seen: list[float] = []
     for key, (colour, dash) in looks.items():
-        if rms.get(key) is not None:
-            level = float(rms[key]) * URAD_PER_RAD
-            name = f"{key} parameters" if single else f"{style.label} · final"
-            hover = f"%{{y:.2f}} µrad<extra>{name}</extra>"
-            figure.add_trace(theme.reference(span, level, name, colour, dash, hovertemplate=hover))
-            seen.append(level)
-    return seen
+        if rms.get(key) is None or (key == "initial" and panel.column > 1):
+            continue
+        level = float(rms[key]) * URAD_PER_RAD
+        name = f"{key} parameters" if single else f"{style.label} · final"
+        settings = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>", "showlegend": panel.column == 1}
+        drawn = theme.reference((panel.start, panel.end), level, name, colour, dash, **settings)
+        figure.add_trace(drawn, row=1, col=panel.column)
+        panel.seen.append(level)
+
+
+def _dress(figure: go.Figure, panels: list[_Panel], traces: Sequence[Trace], axis: str) -> go.Figure:
+    """Choose log or linear by the range of each panel, and say what the panels show."""
+    theme.dress(figure, title=_headline(traces), height_px=380)
+    for panel in panels:
+        scale: dict[str, Any] = {"type": "linear"}
+        if panel.seen and 0 < min(panel.seen) < max(panel.seen) / LOG_RATIO:
+            scale = {"type": "log", "dtick": "D2"}
+        figure.update_yaxes(**scale, row=1, col=panel.column)
+        figure.update_xaxes(title_text=axis, range=_window(panel.start, panel.end), row=1, col=panel.column)
+    if len(panels) > 1:
+        figure.update_xaxes(title_text=f"{axis}, whole run", row=1, col=1)
+        figure.update_xaxes(title_text=f"{axis}, after the first fifth", row=1, col=2)
+    figure.update_yaxes(title_text="RMS arc error (µrad)", row=1, col=1)
+    return figure
+
+
+def _window(start: float, end: float) -> list[float]:
+    margin = 0.02 * (end - start) or 0.5
+    return [start - margin, end + margin]
 
 
 def _headline(traces: Sequence[Trace]) -> str:
@@ -110,8 +141,8 @@ def table(result: Result) -> Table:
     course = course_of(result)
     if course is None:
         return {}
-    keys = [key for key, _ in CURVES] if course.axis == "frame" else ["rms_arc_rad"]
-    return {course.axis: [int(step) for step in course.x], **{key: theme.plain(course.series(key)) for key in keys}}
+    steps: Table = {course.axis: [int(step) for step in course.x]}
+    return steps | {key: theme.plain(course.series(key)) for key in CURVES[course.axis]}
 
 
 RMS = Figure(

@@ -89,7 +89,7 @@ def _template(surface: _Surface, paper: str) -> go.layout.Template:
             "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": surface.muted, "activecolor": surface.ink},
         },
         data={
-            "heatmap": [{"colorbar": bar, "textfont": {"family": TABULAR, "size": 11}}],
+            "heatmap": [{"colorbar": bar, "textfont": {"family": TABULAR, "size": 11, "color": surface.ink}}],
             "bar": [{"textfont": {"family": TABULAR, "size": 11, "color": surface.ink}}],
         },
     )
@@ -99,7 +99,7 @@ DARK_TEMPLATE = _template(_DARK, "rgba(0,0,0,0)")
 LIGHT_TEMPLATE = _template(_LIGHT, LIGHT_SURFACE)
 
 
-def dress(figure: go.Figure, *, title: str, height_px: int, **layout: Any) -> go.Figure:
+def dress(figure: go.Figure, *, title: str, height_px: int, legend: bool = True, **layout: Any) -> go.Figure:
     """Give a figure the house layout, with the light template on board for white images."""
     figure.update_layout(
         template=DARK_TEMPLATE,
@@ -109,10 +109,11 @@ def dress(figure: go.Figure, *, title: str, height_px: int, **layout: Any) -> go
         autosize=True,
         uirevision=UI_REVISION,
         hovermode="x unified",
-        margin={"l": 64, "r": 24, "t": 64, "b": 48},
-        legend={"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yref": "container", "yanchor": "top"},
+        margin={"l": 64, "r": 24, "t": 66 if legend else 42, "b": 48},
+        showlegend=legend,
+        legend={"orientation": "h", "x": 0, "xanchor": "left", "yref": "container", "yanchor": "top"},
     )
-    figure.update_layout(legend={"title": {"text": ""}}, **layout)
+    figure.update_layout(**layout)
     figure.layout.legend.y = 1 - 30 / height_px
     figure.update_annotations(font={"size": 12})
     return figure
@@ -150,6 +151,12 @@ def translucent(colour: str, opacity: float) -> str:
 def short(values: NDArray[np.float64]) -> list[float | None]:
     """Round to seven significant digits, NaN as None: what a screen can show, in half the bytes."""
     return [float(f"{value:.7g}") if np.isfinite(value) else None for value in values]
+
+
+def signed(value: float, digits: int = 3) -> str:
+    """Print a number with its sign, without an exponent where it has few digits: `+12.3`, `−1,140`."""
+    text = f"{value:+,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:+.{digits}g}"
+    return text.replace("-", "−")
 
 
 def plain(values: NDArray[np.float64]) -> list[float | None]:
