@@ -90,3 +90,16 @@ def require_person(actor: Actor, what: str) -> int:
     if actor.user_id is None or actor.credential != "session":
         raise ForbiddenError(f"Only a person who is logged in may {what}, not {actor.credential}.")
     return actor.user_id
+
+
+def require_user(actor: Actor, what: str) -> int:
+    """Return the row of the person, or of the owner of the key, who answers for this.
+
+    Raises
+    ------
+    ForbiddenError
+        When the command line or the system acts.
+    """
+    if actor.user_id is None:
+        raise ForbiddenError(f"Somebody must answer for this: log in or use an API key to {what}.")
+    return actor.user_id

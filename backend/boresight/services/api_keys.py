@@ -1,7 +1,7 @@
 """API keys: how programs act for a person, within the scopes that the person gave.
 
-A secret is `bs_<prefix>_<random>`. It is shown once and kept as SHA-256, which is enough for 256 random bits: a slow hash
-protects what can be guessed. A key never has more roles than its owner has now, and never signs.
+A secret is `bs_<prefix>_<random>`. It is shown once and kept as SHA-256, which is enough for 256 random bits: a slow
+hash protects what can be guessed. A key never has more roles than its owner has now, and never signs.
 """
 
 from __future__ import annotations

@@ -37,6 +37,7 @@ __all__ = [
     "reading",
     "utc_after",
     "utc_now",
+    "utc_text",
     "writing",
 ]
 
@@ -58,7 +59,13 @@ def utc_now() -> str:
 
 def utc_after(seconds: float) -> str:
     """Return the time so many seconds from now, in the same form; negative seconds are in the past."""
-    return (datetime.now(UTC) + timedelta(seconds=seconds)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    return utc_text(datetime.now(UTC) + timedelta(seconds=seconds))
+
+
+def utc_text(moment: datetime) -> str:
+    """Return a moment as the store writes it; one without a zone is UTC already."""
+    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 def open_engine(url: str) -> Engine:

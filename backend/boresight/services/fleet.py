@@ -1,0 +1,146 @@
+"""The state of the fleet: for every sensor the worst thing that is known, and why it is said.
+
+Status words, from worst to best: critical, serious, caution, normal, standby, off. Each finding below is a word with its
+sentence; a sensor shows the worst of its findings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from boresight.store import sensors as rows
+from boresight.store.sessions import Session
+from boresight.store.tables import ParameterSet, Run, Sensor
+
+STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
+OLD_DAYS = 180.0  # a baseline older than this deserves a look
+SECONDS_PER_DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class SensorTile:
+    """What the overview shows of a sensor.
+
+    Parameters
+    ----------
+    sensor, baseline, last_run
+        The rows; no run when none was launched.
+    active
+        The set that was read back as active on board, None when that is not known.
+    telemetry_sets
+        How many are in use.
+    days_since_calibration
+        Days since the baseline was promoted; of a ground calibration, since the sensor was registered.
+    status, sentence
+        The worst status word and why.
+    """
+
+    sensor: Sensor
+    baseline: ParameterSet | None
+    active: ParameterSet | None
+    last_run: Run | None
+    telemetry_sets: int
+    days_since_calibration: float | None
+    status: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of one sensor."""
+
+    baseline: ParameterSet | None
+    last_run: Run | None
+    onboard: tuple[ParameterSet, ...]
+    waiting: str | None
+    telemetry_sets: int
+    days: float | None
+
+
+def fleet_overview(session: Session) -> list[SensorTile]:
+    """Return a tile for every sensor, by name."""
+    baselines, runs, counts = rows.baselines(session), rows.last_runs(session), rows.set_counts(session)
+    waiting, onboard = rows.waiting_approvals(session), rows.onboard_sets(session)
+    tiles = []
+    for sensor in rows.sensors(session):
+        known = Known(
+            baseline=baselines.get(sensor.id),
+            last_run=runs.get(sensor.id),
+            onboard=tuple(row for row in onboard if row.sensor_id == sensor.id),
+            waiting=waiting.get(sensor.id),
+            telemetry_sets=counts.get(sensor.id, 0),
+            days=days_since(baselines.get(sensor.id)),
+        )
+        tiles.append(_tile(sensor, known))
+    return tiles
+
+
+def _tile(sensor: Sensor, known: Known) -> SensorTile:
+    """Show the worst of what is known; equally bad findings in the order in which they are looked for."""
+    status, sentence = min(findings(known), key=lambda finding: STATUS_WORDS.index(finding[0]))
+    active = next((row for row in known.onboard if row.onboard_state == "ACTIVE"), None)
+    return SensorTile(
+        sensor, known.baseline, active, known.last_run, known.telemetry_sets, known.days, status, sentence
+    )
+
+
+def days_since(baseline: ParameterSet | None) -> float | None:
+    """Return the days since a set became baseline."""
+    if baseline is None or baseline.baseline_from_utc is None:
+        return None
+    since = datetime.now(UTC) - datetime.fromisoformat(baseline.baseline_from_utc)
+    return max(0.0, since.total_seconds() / SECONDS_PER_DAY)
+
+
+def findings(known: Known) -> Iterator[tuple[str, str]]:
+    """Yield every finding on a sensor as a status word and its sentence; there is always one."""
+    yield from _onboard_findings(known)
+    yield from _run_findings(known.last_run)
+    if known.waiting is not None:
+        yield "caution", f"{known.waiting} waits for a signature."
+    if known.baseline is None:
+        yield "serious", "There is no baseline; register the sensor again."
+    elif known.days is not None and known.days > OLD_DAYS:
+        yield "caution", f"The baseline {known.baseline.name} is {known.days:.0f} days old; recalibrate."
+    elif known.baseline.run_id is not None:
+        yield "normal", f"{known.baseline.name} is the baseline."
+    if known.telemetry_sets == 0:
+        yield "off", "There is no telemetry yet; upload a set."
+    elif known.last_run is None:
+        yield "standby", "There is telemetry and no calibration yet; launch a run."
+
+
+def _onboard_findings(known: Known) -> Iterator[tuple[str, str]]:
+    """Yield what the read-backs say about the baseline."""
+    for row in known.onboard:
+        if row.onboard_state == "MISMATCH":
+            yield "critical", f"The read-back of {row.name} does not match what was sent."
+        elif known.baseline is not None and row.id != known.baseline.id:
+            yield "caution", f"{row.name} is active on board, and the baseline is {known.baseline.name}."
+
+
+def _run_findings(run: Run | None) -> Iterator[tuple[str, str]]:
+    """Yield what the newest run says."""
+    if run is None:
+        return
+    if run.state in {"FAILED", "LOST"}:
+        yield "serious", f"Run {run.id} {run.state.lower()}: {run.reason or 'no cause was recorded'}"
+    elif run.state == "SUCCEEDED":
+        yield _result_finding(run.id, run.summary or {})
+    elif run.state == "CANCELLED":
+        yield "standby", f"Run {run.id} was cancelled."
+    else:
+        yield "standby", f"Run {run.id} is {run.state.lower()}."
+
+
+def _result_finding(run_id: int, summary: Mapping[str, object]) -> tuple[str, str]:
+    """Say what the status of a finished calibration means for the sensor."""
+    status = str(summary.get("status", "converged"))
+    words = status.replace("_", " ")
+    if status == "converged":
+        return "normal", f"Run {run_id} converged."
+    if status == "max_iterations":
+        return "caution", f"Run {run_id} stopped at {words}; look at its advice."
+    return "serious", f"Run {run_id} ended {words}; look at its advice."

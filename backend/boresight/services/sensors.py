@@ -1,0 +1,125 @@
+"""Sensors: registering star trackers, and the state of the fleet at a glance."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.services import audit
+from boresight.services.actors import Actor, require_role, require_scope
+from boresight.services.fleet import SensorTile, fleet_overview
+from boresight.services.parameter_sets import create_ground_calibration
+from boresight.services.transitions import require_seen, subject_of
+from boresight.store import sensors as rows
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import Sensor
+from boresight.telemetry.sensors import parse_sensor, sensor_document
+
+__all__ = [
+    "SensorTile",
+    "edit_sensor",
+    "fleet_overview",
+    "get_sensor",
+    "list_sensors",
+    "register_sensor",
+]
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,63}")  # becomes part of PS-<sensor>-<n> and of file names
+LASTING = ("name", "camera_model", "detector", "parity")  # a parameter set means nothing with another
+
+
+def register_sensor(
+    session: Session,
+    actor: Actor,
+    document: Mapping[str, Any],
+    *,
+    simulated: bool = False,
+    truth: Mapping[str, float] | None = None,
+) -> Sensor:
+    """Add a star tracker, with its ground calibration `PS-<sensor>-0` as baseline.
+
+    Parameters
+    ----------
+    document
+        The contract's sensor file.
+    simulated, truth
+        Whether its telemetry is made here, and from which parameters; pages show them beside the estimates.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is neither analyst nor administrator.
+    RefusedInputError
+        When the document cannot be used; names the field.
+    ConflictError
+        When the name is taken.
+    """
+    require_role(actor, "analyst", "administrator")
+    require_scope(actor, "sensors")
+    description = parse_sensor(document)
+    if not NAME.fullmatch(description.name):
+        raise RefusedInputError(
+            f"{description.name!r} is no sensor name: use up to 64 letters, digits, spaces and . _ -."
+        )
+    if rows.sensor_named(session, description.name) is not None:
+        raise ConflictError(f"There is a sensor {description.name} already; edit it, or choose another name.")
+    row = Sensor(
+        name=description.name,
+        document=sensor_document(description),
+        created_utc=utc_now(),
+        created_by=actor.user_id,
+        simulated=int(simulated),
+        truth=None if truth is None else dict(truth),
+    )
+    session.add(row)
+    session.flush()
+    audit.append(session, actor, "registered", subject_of(row), None, row.document)
+    create_ground_calibration(session, actor, row, description)
+    return row
+
+
+def edit_sensor(
+    session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], seen_version: int | None
+) -> Sensor:
+    """Change what runs launched from now on start from; runs and parameter sets of before stay as they are.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError
+        When the actor or the version does not allow it.
+    RefusedInputError
+        When the document cannot be used, or changes what a sensor keeps for life.
+    """
+    require_role(actor, "analyst", "administrator")
+    require_scope(actor, "sensors")
+    row = get_sensor(session, sensor_id)
+    require_seen(session, row, seen_version)
+    before, after = row.document, sensor_document(parse_sensor(document))
+    for field in LASTING:
+        if before[field] != after[field]:
+            raise RefusedInputError(f"The {field} of {row.name} cannot change; register a new sensor for it.")
+    row.document = after
+    row.version += 1
+    audit.append(session, actor, "edited", subject_of(row), before, after)
+    return row
+
+
+def get_sensor(session: Session, sensor_id: int) -> Sensor:
+    """Return a sensor.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Sensor, sensor_id)
+    if row is None:
+        raise NotFoundError(f"There is no sensor {sensor_id}.")
+    return row
+
+
+def list_sensors(session: Session) -> Sequence[Sensor]:
+    """Return the fleet, by name."""
+    return rows.sensors(session)

@@ -1,0 +1,190 @@
+"""Telemetry sets: what was downlinked, kept as it came and as the table that is worked on.
+
+A file is read and checked whole before anything of it is stored, so a refusal leaves nothing behind.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePath
+
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.services import audit
+from boresight.services.actors import Actor, require_role, require_scope
+from boresight.services.sensors import get_sensor
+from boresight.sky.catalogue import Catalogue
+from boresight.store import telemetry_sets as rows
+from boresight.store.blobs import BlobStore, register_blob
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import TelemetrySet
+from boresight.telemetry.quality import quality_report
+from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import parse_sensor
+
+PURPOSES = ("calibration", "validation")
+MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
+PARQUET = "application/vnd.apache.parquet"
+
+
+def add_telemetry_set(  # noqa: PLR0913, PLR0917 - a file, whose it is and where it goes
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    catalogue: Catalogue | None,
+    sensor_id: int,
+    path: Path,
+    file_name: str,
+    purpose: str = "calibration",
+) -> TelemetrySet:
+    """Store an uploaded file of a sensor with its quality report; the same bytes again are the set that is there.
+
+    Parameters
+    ----------
+    catalogue
+        Tells which star ids exist; None leaves that out of the report.
+    path
+        Where the uploaded bytes are now; they are copied.
+    file_name
+        As the sender called it; its suffix says what it is.
+    purpose
+        `calibration`, or `validation` to be held out.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst.
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the file cannot be read, with rows and columns; or the purpose does not exist.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "telemetry-sets")
+    if purpose not in PURPOSES:
+        raise RefusedInputError(f"The purpose is calibration or validation, not {purpose!r}.")
+    sensor = get_sensor(session, sensor_id)
+    if (existing := rows.set_with_bytes(session, sensor_id, _sha256_of_file(path))) is not None:
+        return _in_use_again(session, actor, existing)
+    with _called(path, file_name) as named:
+        telemetry = read_telemetry(named)
+    quality = quality_report(telemetry, parse_sensor(sensor.document), catalogue)
+    original, table = blobs.put(path), _put_table(blobs, telemetry)
+    register_blob(session, blobs, original, MEDIA_TYPES.get(PurePath(file_name).suffix.lower(), PARQUET))
+    register_blob(session, blobs, table, PARQUET)
+    row = TelemetrySet(
+        sensor_id=sensor_id,
+        name=_base_name(file_name),
+        purpose=purpose,
+        original_sha256=original,
+        table_sha256=table,
+        frames=len(set(telemetry.frame.tolist())),
+        stars=len(telemetry),
+        quality=quality,
+        uploaded_utc=utc_now(),
+        uploaded_by=actor.user_id,
+    )
+    session.add(row)
+    session.flush()
+    after = {"name": row.name, "sensor_id": sensor_id, "purpose": purpose, "original_sha256": original}
+    audit.append(session, actor, "uploaded", _subject(row), None, after)
+    return row
+
+
+def _sha256_of_file(path: Path) -> str:
+    """Return the address that a file's bytes would have."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _in_use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySet:
+    """Take a set out of the archive, where it is in it."""
+    if row.archived_utc is not None:
+        row.archived_utc = None
+        audit.append(session, actor, "took out of the archive", _subject(row))
+    return row
+
+
+def _base_name(file_name: str) -> str:
+    """Return a sender's file name without the folders of either kind of path."""
+    return file_name.replace("\\", "/").rsplit("/", 1)[-1] or "telemetry"
+
+
+@contextmanager
+def _called(path: Path, file_name: str) -> Iterator[Path]:
+    """Give a file a name with the sender's suffix, by which readers know what it is."""
+    suffix = PurePath(_base_name(file_name)).suffix
+    if path.suffix == suffix:
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        named = Path(folder) / f"telemetry{suffix}"
+        named.symlink_to(path.resolve())
+        yield named
+
+
+def _put_table(blobs: BlobStore, telemetry: Telemetry) -> str:
+    """Store the Parquet form."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "table.parquet"
+        write_parquet(telemetry, path)
+        return blobs.put(path)
+
+
+def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
+    """Return a set.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(TelemetrySet, set_id)
+    if row is None:
+        raise NotFoundError(f"There is no telemetry set {set_id}.")
+    return row
+
+
+def list_telemetry_sets(  # noqa: PLR0913 - one argument a filter
+    session: Session,
+    *,
+    sensor_id: int | None = None,
+    purpose: str | None = None,
+    archived: bool = False,
+    before_id: int | None = None,
+    limit: int = 100,
+) -> Sequence[TelemetrySet]:
+    """Return a page of sets, newest first, with the archived ones where asked; the next starts before the last id."""
+    return rows.sets(session, sensor_id=sensor_id, purpose=purpose, archived=archived, before_id=before_id, limit=limit)
+
+
+def archive_telemetry_set(session: Session, actor: Actor, set_id: int) -> TelemetrySet:
+    """Put a set out of sight; nothing is deleted, and runs that used it keep it."""
+    require_role(actor, "analyst")
+    require_scope(actor, "telemetry-sets")
+    row = get_telemetry_set(session, set_id)
+    if row.archived_utc is None:
+        row.archived_utc = utc_now()
+        audit.append(session, actor, "archived", _subject(row))
+    return row
+
+
+def load_telemetry(session: Session, blobs: BlobStore, set_id: int) -> Telemetry:
+    """Return a set's table in memory.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such set, or its bytes are missing.
+    """
+    row = get_telemetry_set(session, set_id)
+    with _called(blobs.path(row.table_sha256), "table.parquet") as named:
+        return read_telemetry(named)
+
+
+def _subject(row: TelemetrySet) -> str:
+    """Name a set as the audit log does."""
+    return f"telemetry-sets/{row.id}"

@@ -1,0 +1,54 @@
+"""Queries on requests for approval and their signatures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from boresight.store.sessions import Session
+from boresight.store.tables import Approval, ParameterSet, Signature
+
+UNDECIDED = ("OPEN", "APPROVED")  # states that a promotion of another set makes stale
+
+
+def latest_of(session: Session, parameter_set_id: int, *states: str) -> Approval | None:
+    """Return a set's newest request in one of these states."""
+    query = sa.select(Approval).where(Approval.parameter_set_id == parameter_set_id, Approval.state.in_(states))
+    return session.scalar(query.order_by(Approval.id.desc()).limit(1))
+
+
+def undecided_of_sensor(session: Session, sensor_id: int) -> Sequence[Approval]:
+    """Return a sensor's requests that are not decided, with those approved and not yet promoted."""
+    query = sa.select(Approval).join(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
+    live = ParameterSet.ground_state.in_(("SUBMITTED", "APPROVED"))
+    newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # an older one had its promotion
+    query = query.where(Approval.state.in_(UNDECIDED), live, Approval.id.in_(newest))
+    return session.scalars(query.order_by(Approval.id)).all()
+
+
+def approvals(
+    session: Session, *, state: str | None, parameter_set_id: int | None, before_id: int | None, limit: int
+) -> Sequence[Approval]:
+    """Return a page of requests, newest first."""
+    query = sa.select(Approval).order_by(Approval.id.desc()).limit(limit)
+    if state is not None:
+        query = query.where(Approval.state == state)
+    if parameter_set_id is not None:
+        query = query.where(Approval.parameter_set_id == parameter_set_id)
+    if before_id is not None:
+        query = query.where(Approval.id < before_id)
+    return session.scalars(query).all()
+
+
+def signatures(session: Session, approval_id: int) -> Sequence[Signature]:
+    """Return who signed a request, in order."""
+    return session.scalars(
+        sa.select(Signature).where(Signature.approval_id == approval_id).order_by(Signature.id)
+    ).all()
+
+
+def signature_of(session: Session, approval_id: int, user_id: int) -> Signature | None:
+    """Return a person's signature on a request."""
+    query = sa.select(Signature).where(Signature.approval_id == approval_id)
+    return session.scalar(query.where(Signature.user_id == user_id))

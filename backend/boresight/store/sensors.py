@@ -1,0 +1,50 @@
+"""Queries on sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from boresight.store.sessions import Session
+from boresight.store.tables import Approval, ParameterSet, Run, Sensor, TelemetrySet
+
+
+def sensor_named(session: Session, name: str) -> Sensor | None:
+    """Return the sensor with a name."""
+    return session.scalar(sa.select(Sensor).where(Sensor.name == name))
+
+
+def sensors(session: Session) -> Sequence[Sensor]:
+    """Return the fleet, by name."""
+    return session.scalars(sa.select(Sensor).order_by(Sensor.name)).all()
+
+
+def baselines(session: Session) -> dict[int, ParameterSet]:
+    """Return each sensor's baseline, by sensor."""
+    query = sa.select(ParameterSet).where(ParameterSet.ground_state == "BASELINE")
+    return {row.sensor_id: row for row in session.scalars(query)}
+
+
+def last_runs(session: Session) -> dict[int, Run]:
+    """Return each sensor's newest run, by sensor."""
+    newest = sa.select(sa.func.max(Run.id)).group_by(Run.sensor_id)
+    return {row.sensor_id: row for row in session.scalars(sa.select(Run).where(Run.id.in_(newest)))}
+
+
+def set_counts(session: Session) -> dict[int, int]:
+    """Count each sensor's telemetry sets that are in use, by sensor."""
+    query = sa.select(TelemetrySet.sensor_id, sa.func.count()).where(TelemetrySet.archived_utc.is_(None))
+    return {sensor_id: count for sensor_id, count in session.execute(query.group_by(TelemetrySet.sensor_id))}  # noqa: C416 - rows are not pairs to a type checker
+
+
+def waiting_approvals(session: Session) -> dict[int, str]:
+    """Return the name of a set that waits for a signature, by sensor."""
+    query = sa.select(ParameterSet.sensor_id, ParameterSet.name).join(Approval).where(Approval.state == "OPEN")
+    return {sensor_id: name for sensor_id, name in session.execute(query)}  # noqa: C416 - rows are not pairs to a type checker
+
+
+def onboard_sets(session: Session) -> Sequence[ParameterSet]:
+    """Return the sets whose on-board state says something about what a sensor runs with."""
+    words = ("ACTIVE", "MISMATCH")
+    return session.scalars(sa.select(ParameterSet).where(ParameterSet.onboard_state.in_(words))).all()

@@ -1,0 +1,37 @@
+"""Queries on what was recorded about the sets on board."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from boresight.store.sessions import Session
+from boresight.store.tables import ParameterSet, Uplink
+
+
+def uplinks(
+    session: Session, *, parameter_set_id: int | None, sensor_id: int | None, before_id: int | None, limit: int
+) -> Sequence[Uplink]:
+    """Return a page of records, newest first."""
+    query = sa.select(Uplink).order_by(Uplink.id.desc()).limit(limit)
+    if parameter_set_id is not None:
+        query = query.where(Uplink.parameter_set_id == parameter_set_id)
+    if sensor_id is not None:
+        query = query.join(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
+    if before_id is not None:
+        query = query.where(Uplink.id < before_id)
+    return session.scalars(query).all()
+
+
+def records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
+    """Return each of a sensor's sets with its newest record at a time."""
+    newest = (
+        sa.select(sa.func.max(Uplink.id))
+        .join(ParameterSet)
+        .where(ParameterSet.sensor_id == sensor_id, Uplink.recorded_utc <= time_utc)
+        .group_by(Uplink.parameter_set_id)
+    )
+    query = sa.select(ParameterSet, Uplink).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
+    rows = session.execute(query.where(Uplink.id.in_(newest)).order_by(Uplink.id))
+    return [(parameter_set, uplink) for parameter_set, uplink in rows]
