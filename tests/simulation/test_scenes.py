@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from boresight.calibration.problem import build_problem
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.estimation.metrics import rms
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS
 from boresight.sky.apparent import apparent_directions
@@ -246,3 +248,13 @@ def test_two_thousand_frames_take_less_than_three_seconds(catalogue):
     telemetry = simulated(scenario, catalogue)
     assert time.perf_counter() - start < 3.0
     assert len(np.unique(telemetry.frame)) == 2_000
+
+
+@pytest.mark.parametrize("number", SENSOR_NUMBERS)
+def test_arcs_at_the_truth_have_the_noise_asked_for_and_at_the_ground_calibration_far_more(catalogue, number):
+    scenario = calibration_scenario(number)
+    problem = build_problem(simulated(scenario, catalogue), scenario.sensor, catalogue)
+    at_truth = rms(problem.weighed(scenario.truth), scenario.truth)
+    at_ground = rms(problem.weighed(scenario.sensor.initial), scenario.sensor.initial)
+    assert at_truth == pytest.approx(83e-6, abs=3e-6)
+    assert at_ground > 1.5 * at_truth
