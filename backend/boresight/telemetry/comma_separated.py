@@ -7,6 +7,7 @@ the ones that are wrong; only a file with faults pays for it.
 from __future__ import annotations
 
 import csv
+import io
 
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
@@ -54,7 +55,7 @@ def read_csv(name: str, text: bytes) -> pa.Table:
 
 def _header(name: str, text: bytes) -> list[str]:
     """Return the column names, stripped of blanks; refuse nameless and repeated ones and other separators."""
-    line = text.split(b"\n", 1)[0].decode()
+    line = io.BytesIO(text).readline().decode()
     header = [column.strip() for column in next(csv.reader([line]), [])]
     faults = Faults(name)
     for separator, spelled in ((";", "semicolons"), ("\t", "tabs")):

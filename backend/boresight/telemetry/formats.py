@@ -69,7 +69,7 @@ def text_of(name: str, data: bytes) -> bytes:
         _refuse_other_encodings(name, data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    if not data.strip():
+    if not data or data.isspace():
         raise RefusedInputError(f"{name} holds nothing but blanks: download it again.")
     return data[: _end_of_last_row(data)]
 

@@ -1,11 +1,38 @@
-"""The sensor description: detector, camera model, starting parameters and their typical spread."""
+"""The sensor description: detector, camera model, starting parameters and their typical spread.
+
+A sensor file is small and written by hand, so every field is checked and every wrong one named. Most mistakes are of
+units (millimetres for metres) or belong to another sensor; single values hide them, the field of view does not. So,
+beside the range of each value, the camera must see an angle between opposite corners that a star tracker can have.
+"""
 
 from __future__ import annotations
 
+import difflib
+import json
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from boresight.errors import RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
+from boresight.telemetry.formats import read_bytes, text_of
+from boresight.telemetry.refusals import Faults
+
+FloatArray = NDArray[np.float64]
+
+_REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
+_OPTIONAL = ("free", "magnitude_limit")
+_LONGEST_NAME = 64
+_MOST_PIXELS = 65536
+_PITCH_M = (1e-7, 1e-3)
+_SIGMA_PX = (1e-4, 100.0)
+_MAGNITUDE = (-2.0, 20.0)
+_FIELD_DEG = (0.1, 175.0)
 
 
 @dataclass(frozen=True)
@@ -41,7 +68,218 @@ class Sensor:
     camera_model: str
     parity: int
     centroid_sigma_px: float
-    initial: NDArray[np.float64]
-    typical_sigma: NDArray[np.float64]
+    initial: FloatArray
+    typical_sigma: FloatArray
     free: tuple[str, ...]
     magnitude_limit: float | None = None
+
+
+def read_sensor(path: Path) -> Sensor:
+    """Read a sensor file.
+
+    Raises
+    ------
+    RefusedInputError
+        When there is no such file, it is not JSON, or a field is wrong; names the field.
+    """
+    path = Path(path)
+    text = text_of(path.name, read_bytes(path))
+    try:
+        document = json.loads(text)
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        row = getattr(error, "lineno", 1)
+        raise RefusedInputError(
+            f"{path.name}: row {row}: this is not JSON: a sensor file is one JSON object."
+        ) from error
+    if not isinstance(document, dict):
+        raise RefusedInputError(f"{path.name} is not a sensor file: write one JSON object with a name and a detector.")
+    return _parse(document, Faults(path.name))
+
+
+def parse_sensor(document: Mapping[str, Any]) -> Sensor:
+    """Turn a sensor document into a sensor.
+
+    Parameters
+    ----------
+    document
+        As in a sensor file. Keys of other names are ignored, unless they look like a slip of the pen.
+
+    Raises
+    ------
+    RefusedInputError
+        When a field is missing or wrong; names it and says what to do.
+    """
+    return _parse(document, Faults("The sensor description"))
+
+
+def sensor_document(sensor: Sensor) -> dict[str, Any]:
+    """Return the document of a sensor, as `parse_sensor` reads it."""
+    names = CAMERA_MODELS[sensor.camera_model].parameter_names
+    document: dict[str, Any] = {
+        "name": sensor.name,
+        "detector": {"rows": sensor.rows, "columns": sensor.columns, "pixel_pitch_m": sensor.pixel_pitch_m},
+        "camera_model": sensor.camera_model,
+        "parity": sensor.parity,
+        "centroid_sigma_px": sensor.centroid_sigma_px,
+        "initial": dict(zip(names, sensor.initial.tolist(), strict=True)),
+        "typical_sigma": dict(zip(names, sensor.typical_sigma.tolist(), strict=True)),
+        "free": list(sensor.free),
+    }
+    if sensor.magnitude_limit is not None:
+        document["magnitude_limit"] = sensor.magnitude_limit
+    return document
+
+
+def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
+    """Check every field, collecting faults; refuse when there are any."""
+    _check_keys(document, faults)
+    faults.refuse()
+    detector = _mapping(document, "detector", faults)
+    model = _camera_model(document["camera_model"], faults)
+    faults.refuse()
+    names = model.parameter_names
+    sensor = Sensor(
+        name=_name(document["name"], faults),
+        rows=_pixels(detector, "rows", faults),
+        columns=_pixels(detector, "columns", faults),
+        pixel_pitch_m=_number(detector.get("pixel_pitch_m"), "detector.pixel_pitch_m", _PITCH_M, faults),
+        camera_model=model.name,
+        parity=_parity(document["parity"], faults),
+        centroid_sigma_px=_number(document["centroid_sigma_px"], "centroid_sigma_px", _SIGMA_PX, faults),
+        initial=_parameters(document, "initial", model, model.plausible, faults),
+        typical_sigma=_parameters(document, "typical_sigma", model, _spreads(model), faults),
+        free=_free(document.get("free"), names, faults),
+        magnitude_limit=_magnitude_limit(document.get("magnitude_limit"), faults),
+    )
+    faults.refuse()
+    _check_geometry(sensor, model, faults)
+    faults.refuse()
+    return sensor
+
+
+def _check_keys(document: Mapping[str, Any], faults: Faults) -> None:
+    """Find missing keys, and unknown ones that look like a known key misspelt."""
+    for key in _REQUIRED:
+        if key not in document:
+            faults.add(f"{key} is missing: add it")
+    known = (*_REQUIRED, *_OPTIONAL)
+    for key in document:
+        meant = difflib.get_close_matches(key, known, 1, 0.8) if key not in known else []
+        if meant:
+            faults.add(f"{key} is not a field: write {meant[0]}")
+
+
+def _mapping(document: Mapping[str, Any], key: str, faults: Faults) -> Mapping[str, Any]:
+    """Return a field that must be an object; an empty one when it is not."""
+    value = document[key]
+    if isinstance(value, Mapping):
+        return value
+    faults.add(f"{key} is {value!r}: write an object of names and numbers")
+    return {}
+
+
+def _name(value: Any, faults: Faults) -> str:
+    if isinstance(value, str) and value.strip() == value and 0 < len(value) <= _LONGEST_NAME and value.isprintable():
+        return value
+    faults.add(f"name is {_shown(value)}: write a text of 1 to {_LONGEST_NAME} printable characters")
+    return ""
+
+
+def _number(value: Any, field: str, limits: tuple[float, float], faults: Faults) -> float:
+    """Return a finite number between two limits; NaN with a fault otherwise."""
+    if value is None:
+        faults.add(f"{field} is missing: give a number")
+    elif isinstance(value, bool) or not isinstance(value, int | float):
+        faults.add(f"{field} is {_shown(value)}: give a number")
+    elif isinstance(value, float) and not math.isfinite(value):
+        faults.add(f"{field} is {value}: give a finite number")
+    elif not limits[0] <= value <= limits[1]:
+        faults.add(f"{field} is {_shown(value)}, expected {limits[0]:g} to {limits[1]:g}: check its unit")
+    else:
+        return float(value)
+    return math.nan
+
+
+def _pixels(detector: Mapping[str, Any], key: str, faults: Faults) -> int:
+    value = _number(detector.get(key), f"detector.{key}", (1, _MOST_PIXELS), faults)
+    if math.isnan(value):
+        return 0
+    if value != round(value):
+        faults.add(f"detector.{key} is {value:g}: give a whole number of pixels")
+    return round(value)
+
+
+def _parity(value: Any, faults: Faults) -> int:
+    if isinstance(value, int) and not isinstance(value, bool) and value in {1, -1}:
+        return value
+    faults.add(f"parity is {_shown(value)}: give 1 for a right-handed detector frame or -1 for an upright image")
+    return 0
+
+
+def _camera_model(value: Any, faults: Faults) -> CameraModel:
+    """Return the model of a name; any model, with a fault, when there is none such."""
+    if isinstance(value, str) and value in CAMERA_MODELS:
+        return CAMERA_MODELS[value]
+    faults.add(f"camera_model is {_shown(value)}: choose {' or '.join(CAMERA_MODELS)}")
+    return next(iter(CAMERA_MODELS.values()))
+
+
+def _spreads(model: CameraModel) -> tuple[tuple[float, float], ...]:
+    """Return the limits of each typical sigma: positive, and not wider than the plausible range."""
+    return tuple((1e-12 * (high - low), high - low) for low, high in model.plausible)
+
+
+def _parameters(
+    document: Mapping[str, Any],
+    key: str,
+    model: CameraModel,
+    limits: tuple[tuple[float, float], ...],
+    faults: Faults,
+) -> FloatArray:
+    """Return (n_parameters,) values in the model's order, all of them given and none unknown."""
+    values = _mapping(document, key, faults)
+    for name in values:
+        if name not in model.parameter_names:
+            faults.add(f"{key}.{name} is no parameter of {model.name}: it has {', '.join(model.parameter_names)}")
+    pairs = zip(model.parameter_names, limits, strict=True)
+    return np.array([_number(values.get(name), f"{key}.{name}", limit, faults) for name, limit in pairs])
+
+
+def _free(value: Any, names: tuple[str, ...], faults: Faults) -> tuple[str, ...]:
+    """Return the names of the free parameters in the model's order; all of them when none are named."""
+    if value is None:
+        return names
+    if not isinstance(value, list | tuple) or not value:
+        faults.add(f"free is {_shown(value)}: list the parameters to estimate, or leave it out for all")
+        return ()
+    for name in value:
+        if name not in names:
+            faults.add(f"free names {_shown(name)}: choose from {', '.join(names)}")
+    return tuple(name for name in names if name in value)
+
+
+def _magnitude_limit(value: Any, faults: Faults) -> float | None:
+    return None if value is None else _number(value, "magnitude_limit", _MAGNITUDE, faults)
+
+
+def _check_geometry(sensor: Sensor, model: CameraModel, faults: Faults) -> None:
+    """Find a camera that no star tracker is: principal point far off the detector, or an absurd field of view."""
+    row, col = model.principal_point(sensor.initial)
+    if not (-sensor.rows < row < 2 * sensor.rows and -sensor.columns < col < 2 * sensor.columns):
+        faults.add(f"initial puts the principal point at row {row:g}, column {col:g}, far off the detector: correct it")
+        return
+    rows, columns = np.array([0.0, sensor.rows - 1.0]), np.array([0.0, sensor.columns - 1.0])
+    with np.errstate(all="ignore"):
+        corners = model.directions(sensor.initial, rows, columns, sensor.pixel_pitch_m)
+        field_deg = math.degrees(2.0 * math.asin(min(1.0, float(np.linalg.norm(corners[1] - corners[0])) / 2.0)))
+    if not _FIELD_DEG[0] <= field_deg <= _FIELD_DEG[1]:
+        faults.add(
+            f"initial gives a field of view of {field_deg:.3g} degrees from corner to corner, expected "
+            f"{_FIELD_DEG[0]:g} to {_FIELD_DEG[1]:g}: check focal length, distortion and pixel_pitch_m (all in metres)"
+        )
+
+
+def _shown(value: Any) -> str:
+    """Return a value as a refusal shows it, shortened."""
+    text = repr(value)
+    return text if len(text) <= 40 else text[:39] + "…"
