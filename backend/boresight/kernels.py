@@ -25,6 +25,7 @@ import numpy as np
 N_PARAMETERS = 8
 HALF_BANDWIDTH = 4
 _BAND = HALF_BANDWIDTH + 1
+_HALVINGS = 6  # of a filter step that raises its frame's cost
 _STAR = 20  # numbers kept a star: s(3), 1/|r|, M(3), U_u U_v V_u V_v, U_f V_f, u v, f/D^2, rho2, U V, column offset
 
 # Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
@@ -284,6 +285,33 @@ def inflate(S, q, M):
 
 
 @_jit
+def _prior_cost(S, z, z_prior, y):
+    """|S^-1 (z - z_prior)|^2 by back substitution, the prior's share of a frame's cost."""
+    n = z.shape[0]
+    cost = 0.0
+    for i in range(n - 1, -1, -1):
+        value = z[i] - z_prior[i]
+        for j in range(i + 1, n):
+            value -= S[i, j] * y[j]
+        y[i] = value / S[i, i]
+        cost += y[i] * y[i]
+    return cost
+
+
+@_jit
+def _frame_residuals(x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
+    """Whitened residuals `e` of the exposures first <= m < last, one after another; returns their unweighted sum of squares."""
+    total = 0.0
+    n_arcs = 0
+    for m in range(first, last):
+        s0, s1 = star_start[m], star_start[m + 1]
+        a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
+        total += _exposure_residuals(x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e[n_arcs:])
+        n_arcs += a1 - a0
+    return total
+
+
+@_jit
 def square_root_filter(
     x, z, S, q, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     states, sigmas, nis, dof, squares, passes,
@@ -338,19 +366,27 @@ def square_root_filter(
             for a in range(n_arcs):
                 innovation = e[a]
                 for p in range(n_free):
-                    innovation += H[a, p] * (z[p] - z_at[p])  # the innovation moves inside the frame (erratum to E Eq 83)
+                    innovation += H[a, p] * (
+                        z[p] - z_at[p]
+                    )  # the innovation moves inside the frame (erratum to E Eq 83)
                 frame_nis += carlson_update(z, S, H[a], innovation, f, gain)
             for p in range(n_free):
                 x[free[p]] = x0[p] + scale[p] * z[p]
-            n_post = 0
-            total = 0.0
-            for m in range(frame_start[k], frame_start[k + 1]):
-                s0, s1 = star_start[m], star_start[m + 1]
-                a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
-                total += _exposure_residuals(
-                    x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, post[n_post:]
+            before = _prior_cost(S_prior, z_at, z_prior, f)
+            for a in range(n_arcs):
+                before += e[a] * e[a]
+            for _ in range(_HALVINGS):
+                total = _frame_residuals(
+                    x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
                 )
-                n_post += a1 - a0
+                after = _prior_cost(S_prior, z, z_prior, f)
+                for a in range(n_arcs):
+                    after += post[a] * post[a]
+                if after <= before * (1.0 + 1e-9):
+                    break
+                for p in range(n_free):  # overshot: the curvature is real, take half the step and linearise there
+                    z[p] = 0.5 * (z[p] + z_at[p])
+                    x[free[p]] = x0[p] + scale[p] * z[p]
             done = turn + 1
             worst = 0.0
             for a in range(n_arcs):
@@ -481,7 +517,7 @@ def _greedy(x, y, pool, window, order):
 
 @_jit
 def _exhaustive(x, y, n, order):
-    """Try every order of at most six stars, cutting branches that are already worse; return the best thinnest triangle."""
+    """Try every order of at most seven stars, cutting branches that are already worse; return the best thinnest triangle."""
     trial = np.zeros(n, np.int64)
     choice = np.full(n, -1, np.int64)
     used = np.zeros(n, np.bool_)
@@ -526,14 +562,14 @@ def order_stars(star_start, s, order, fatness):
     for k in range(star_start.shape[0] - 1):
         s0, n = star_start[k], star_start[k + 1] - star_start[k]
         _flatten(s[s0 : s0 + n], x, y, azimuth)
-        if n <= 6:
+        if n <= 7:
             fatness[k] = _exhaustive(x, y, n, trial[:n])
             order[s0 : s0 + n] = s0 + trial[:n]
             continue
         ranked = np.argsort(azimuth[:n])
         fatness[k] = -1.0
-        for attempt in range(6):
-            _interleave(ranked, attempt * n // 18, pool[:n])
+        for attempt in range(24 if n <= 20 else 6):
+            _interleave(ranked, attempt, pool[:n])
             thinnest = _greedy(x, y, pool[:n], 12, trial[:n])
             if thinnest > fatness[k]:
                 fatness[k] = thinnest

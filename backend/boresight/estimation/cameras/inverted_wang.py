@@ -63,7 +63,7 @@ def directions(x: FloatArray, row_px: ArrayLike, col_px: ArrayLike, pitch: float
     """
     _, _, _, U, V, _, B = _rays(x, row_px, col_px, pitch)
     r = np.stack([B * U, B * V, np.broadcast_to(x[0], U.shape)], axis=-1)
-    return r / np.sqrt(np.sum(r * r, axis=-1, keepdims=True))
+    return np.asarray(r / np.sqrt(np.sum(r * r, axis=-1, keepdims=True)))
 
 
 def directions_and_jacobian(

@@ -1,0 +1,135 @@
+"""What a person should know before believing a calibration: one sentence each, the gravest first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.problem import Problem
+from boresight.calibration.settings import CalibrationSettings
+from boresight.estimation.consistency import ChiSquare
+from boresight.estimation.observability import Observability
+
+#: Shift from the start, in typical sigmas, beyond which a parameter deserves a second look; E Table III stays within 10.
+FAR = 15.0
+#: Claimed over available information beyond which a filter is called over-confident.
+OVERCLAIM = 1.5
+
+
+def claim(estimate: Estimate, initial_sigma_scale: float) -> float:
+    """Largest ratio, over all directions, of the information a filter claims to what data and start together hold.
+
+    The claim is P^-1; data at the final state and start hold A + I / initial_sigma_scale^2. Linearising early frames at states
+    far away collects information that is not there, chiefly along the weak directions, and this ratio shows it without the truth.
+    """
+    held = estimate.A + np.eye(len(estimate.A)) / initial_sigma_scale**2
+    return float(1.0 / np.linalg.eigvals(estimate.P @ held).real.min())
+
+
+def advice(
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    estimate: Estimate,
+    fit: ChiSquare,
+    nis: ChiSquare,
+    observed: Observability,
+) -> list[str]:
+    """Collect every sentence that applies."""
+    return [
+        *_of_status(estimate, observed),
+        *_of_weak_directions(observed, estimate),
+        *_of_consistency(fit, nis, problem, settings, estimate),
+        *_of_shift(problem, parameters, estimate),
+        *_of_data(problem),
+    ]
+
+
+def too_few(problem: Problem, minimum_stars: int) -> list[str]:
+    """Say that nothing can be estimated, and what was missing."""
+    reasons = [f"{item.count} {item.what}: {item.reason}" for item in problem.left_out]
+    missing = "; ".join(reasons) or "the set is empty"
+    sentence = (
+        f"No exposure has {minimum_stars} usable matched stars off one line, so nothing was estimated; "
+        f"match more stars or send other frames ({missing})."
+    )
+    return [sentence]
+
+
+def _of_status(estimate: Estimate, observed: Observability) -> Iterator[str]:
+    """Sentences that follow from the status alone."""
+    if estimate.status == "diverged":
+        yield "The fit diverged: do not use these numbers; free fewer parameters, or start closer to the truth."
+    if estimate.status == "max_iterations":
+        yield "The fit was still moving at its last iteration: allow more iterations, or free fewer parameters."
+    if estimate.status == "rank_deficient":
+        lost = [observed.direction(i) for i in range(len(observed.names)) if observed.singular_values[i] == 0]
+        names = sorted({name for direction in lost for name, value in direction.items() if abs(value) > 0.1})
+        yield f"These data do not determine {', '.join(names)}: hold at least {len(lost)} of them fixed and run again."
+
+
+def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator[str]:
+    """Name directions that the data hardly determine."""
+    if estimate.status == "diverged":
+        return
+    for i in observed.weak():
+        if observed.singular_values[i] > 0:
+            yield (
+                f"Weakly determined: {observed.sentence(i)} Do not read these parameters one by one; "
+                "hold one of them fixed, or add frames that cover more of the detector."
+            )
+
+
+def _of_consistency(
+    fit: ChiSquare, nis: ChiSquare, problem: Problem, settings: CalibrationSettings, estimate: Estimate
+) -> Iterator[str]:
+    """Sentences on whether the sigmas can be believed."""
+    if estimate.status == "diverged":
+        return
+    implied = float(np.median(problem.arcs.sigma_px)) * np.sqrt(fit.mean)
+    if fit.mean > fit.upper:
+        yield (
+            f"The residuals are larger than the stated centroid noise explains (chi-square {fit.mean:.3g} per degree of "
+            f"freedom, at most {fit.upper:.3g} expected): the sigmas are about {np.sqrt(fit.mean):.2g} times too small; a "
+            f"centroid sigma of {implied:.3g} px would explain them, or look for wrong matches."
+        )
+    elif fit.mean < fit.lower:
+        yield (
+            f"The residuals are smaller than the stated centroid noise explains (chi-square {fit.mean:.3g} per degree of "
+            f"freedom, at least {fit.lower:.3g} expected): the sigmas are too wide; {implied:.3g} px would fit."
+        )
+    if settings.sequential and nis.mean > max(nis.upper, fit.mean * 1.05):
+        yield (
+            f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
+            f"{nis.upper:.3g} expected): do not rely on its sigmas; compare with a batch run."
+        )
+    claimed = claim(estimate, settings.initial_sigma_scale) if settings.sequential else 1.0
+    if claimed > OVERCLAIM:
+        yield (
+            f"The filter claims {claimed:.2g} times the information that the data hold along some direction, because it took "
+            "early frames in far from where it ended: its sigmas there are too small; run the batch, or start from its result."
+        )
+    if settings.sequential and settings.linearisations == 1:
+        yield (
+            "One linearisation a frame, as printed, makes the filter over-confident from a distant start: "
+            "its sigmas are too small."
+        )
+
+
+def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> Iterator[str]:
+    """Name parameters that went far from where they started."""
+    if estimate.status == "diverged":
+        return
+    shift = (estimate.x - problem.sensor.initial)[parameters.free] / parameters.scale
+    for place, steps in zip(parameters.free, shift, strict=True):
+        if abs(steps) > FAR:
+            name = problem.camera.parameter_names[place]
+            yield f"{name} moved {steps:+.0f} typical sigmas: check the sensor file's start and typical_sigma."
+
+
+def _of_data(problem: Problem) -> Iterator[str]:
+    """Sentences on what the data lack."""
+    if problem.arcs.n_frames < 20:
+        yield f"Only {problem.arcs.n_frames} frames took part: the result follows these few fields closely."

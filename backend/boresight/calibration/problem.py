@@ -1,0 +1,160 @@
+"""Telemetry and sky made into arcs: which rows take part, in what order, and what was left out and why.
+
+A row takes part when it lies on the detector and has a direction (its own, or its star's from the catalogue). An exposure
+takes part when at least N_min = 4 of its rows do (E section II-C) and not all of them lie on a line. Everything left out is counted
+with its reason, so that nothing disappears silently.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.estimation import arcs as arcsets
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
+from boresight.sky.catalogue import Catalogue
+from boresight.sky.directions import star_directions
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Rows or exposures that take no part, with the reason as a phrase."""
+
+    what: str
+    count: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A telemetry set ready for estimation.
+
+    Parameters
+    ----------
+    sensor, camera
+        Whose telemetry it is.
+    arcs
+        Stars in order; `phi` and `band` are filled by `weighed`.
+    time_utc
+        (n_frames,) time of each frame that takes part, or None.
+    frames_in_set
+        Frames in the telemetry, taking part or not.
+    left_out
+        What takes no part.
+    """
+
+    sensor: Sensor
+    camera: CameraModel
+    arcs: ArcSet
+    time_utc: NDArray[np.datetime64] | None
+    frames_in_set: int
+    left_out: tuple[LeftOut, ...]
+
+    def weighed(self, x: FloatArray) -> ArcSet:
+        """Return the arcs with R taken at state x (n_parameters,)."""
+        return weighed(self.arcs, self.camera, x)
+
+
+def weighed(arcs: ArcSet, camera: CameraModel, x: FloatArray) -> ArcSet:
+    """Fill a set's catalogue arcs and R at state x."""
+    return arcsets.weigh(arcs, arcsets.angular_sigma(camera, x, arcs))[0]
+
+
+def build_problem(
+    telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, minimum_stars: int = arcsets.MINIMUM_STARS
+) -> Problem:
+    """Choose and order the stars of a telemetry set.
+
+    Raises
+    ------
+    RefusedInputError
+        When matched rows can be given no direction at all, see `sky.directions`.
+    """
+    s_i = star_directions(
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
+    )
+    rows, left_out = _usable_rows(telemetry, sensor, s_i)
+    rows, few = _full_exposures(telemetry, rows, minimum_stars)
+    arcs, collinear = _ordered(telemetry, sensor, s_i, rows)
+    left_out += [
+        LeftOut("exposures", few, f"fewer than {minimum_stars} usable stars"),
+        LeftOut("exposures", collinear, "all usable stars on one line"),
+    ]
+    first_rows = arcs.source_row[arcs.star_start[arcs.frame_start[:-1]]]
+    return Problem(
+        sensor=sensor,
+        camera=CAMERA_MODELS[sensor.camera_model],
+        arcs=arcs,
+        time_utc=None if telemetry.time_utc is None else telemetry.time_utc[first_rows],
+        frames_in_set=len(np.unique(telemetry.frame)),
+        left_out=tuple(item for item in left_out if item.count),
+    )
+
+
+def _usable_rows(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray) -> tuple[IntArray, list[LeftOut]]:
+    """Rows on the detector with a direction, and the counts of the others."""
+    row, col = telemetry.row_px, telemetry.col_px
+    on_detector = (np.abs(row - (sensor.rows - 1) / 2) <= sensor.rows / 2) & (
+        np.abs(col - (sensor.columns - 1) / 2) <= sensor.columns / 2
+    )
+    seen = np.isfinite(s_i[:, 0])
+    unmatched = np.zeros(len(telemetry), bool) if telemetry.star_id is None else telemetry.star_id <= 0
+    left_out = [
+        LeftOut("stars", int(np.sum(unmatched)), "not matched to a catalogue star"),
+        LeftOut("stars", int(np.sum(~seen & ~unmatched)), "no direction: number not in the catalogue, or no time"),
+        LeftOut("stars", int(np.sum(~on_detector & seen)), "centroid off the detector"),
+    ]
+    return np.flatnonzero(on_detector & seen), left_out
+
+
+def _exposure_starts(frame: IntArray, exposure: IntArray) -> IntArray:
+    """First place of each run of equal (frame, exposure), and the end, (n_exposures + 1,)."""
+    if len(frame) == 0:
+        return np.zeros(1, np.int64)
+    new = np.flatnonzero((np.diff(frame) != 0) | (np.diff(exposure) != 0)) + 1
+    return np.concatenate([[0], new, [len(frame)]]).astype(np.int64)
+
+
+def _full_exposures(telemetry: Telemetry, rows: IntArray, minimum_stars: int) -> tuple[IntArray, int]:
+    """Keep the rows of exposures with enough stars; returns them and the number of exposures left out."""
+    starts = _exposure_starts(telemetry.frame[rows], telemetry.exposure[rows])
+    counts = np.diff(starts)
+    n_exposures = len(_exposure_starts(telemetry.frame, telemetry.exposure)) - 1
+    full = counts >= minimum_stars
+    return rows[np.repeat(full, counts)], n_exposures - int(full.sum())
+
+
+def _ordered(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, rows: IntArray) -> tuple[ArcSet, int]:
+    """Order the stars of each exposure and drop the collinear exposures; returns the arcs (unweighed) and their number."""
+    starts = _exposure_starts(telemetry.frame[rows], telemetry.exposure[rows])
+    places, fatness = arcsets.order(starts, s_i[rows])
+    fat = fatness > arcsets.COLLINEAR
+    rows = rows[places][np.repeat(fat, np.diff(starts))]
+    starts = _exposure_starts(telemetry.frame[rows], telemetry.exposure[rows])
+    frames, frame_start = np.unique(telemetry.frame[rows[starts[:-1]]], return_index=True)
+    sigma_px = np.full(len(rows), sensor.centroid_sigma_px)
+    if telemetry.sigma_px is not None:
+        given = telemetry.sigma_px[rows]
+        sigma_px = np.where(np.isfinite(given), given, sigma_px)
+    arcs = ArcSet(
+        pitch=sensor.pixel_pitch_m,
+        frame=frames,
+        frame_start=np.append(frame_start, len(starts) - 1).astype(np.int64),
+        star_start=starts,
+        row_px=telemetry.row_px[rows],
+        col_px=telemetry.col_px[rows],
+        sigma_px=sigma_px,
+        s_i=np.ascontiguousarray(s_i[rows]),
+        source_row=rows,
+        phi=np.empty(0),
+        band=np.empty((0, 5)),
+    )
+    return arcs, int((~fat).sum())

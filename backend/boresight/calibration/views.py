@@ -1,0 +1,119 @@
+"""What the figures draw, computed once with the result: histories, the batch's trace, the radial difference, coverage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.problem import Problem
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.metrics import aggregate_rms, tail_rms
+from boresight.estimation.uncertainty import radial_difference
+
+FloatArray = NDArray[np.float64]
+
+#: Tail RMS costs one pass over the set a point; a history keeps as many points as this many frame passes allow.
+TAIL_BUDGET = 4_000_000
+FEWEST_POINTS, MOST_POINTS = 100, 1000
+RADII = 61
+COVERAGE_ROWS, COVERAGE_COLUMNS = 12, 16
+ARCSEC = np.degrees(1.0) * 3600
+
+
+def _list(values: NDArray[Any]) -> list[Any]:
+    """Nested lists with null for what is not finite."""
+    return [_list(row) if row.ndim else (row.item() if np.isfinite(row) else None) for row in np.asarray(values)]
+
+
+def kept_points(n_updates: int, n_frames: int) -> NDArray[np.int64]:
+    """Which updates a history keeps: all where that is affordable, else evenly spaced with the first and the last."""
+    most = int(np.clip(TAIL_BUDGET // max(n_frames, 1), FEWEST_POINTS, MOST_POINTS))
+    if n_updates <= most:
+        return np.arange(n_updates)
+    return np.unique(np.linspace(0, n_updates - 1, most).round().astype(np.int64))
+
+
+def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, arcs: ArcSet) -> dict[str, Any] | None:
+    """A filter's history: state, sigma, tail and aggregate RMS, innovations; None for the batch."""
+    history = estimate.history
+    if history is None or estimate.updated is None or not len(history.nis):
+        return None
+    kept = kept_points(len(history.nis), arcs.n_frames)
+    sigma = np.full((len(kept), history.states.shape[1]), np.nan)
+    sigma[:, parameters.free] = history.sigmas[kept] * parameters.scale
+    frame = estimate.updated[kept]
+    times = None
+    if problem.time_utc is not None:
+        times = [str(value) + "Z" for value in problem.time_utc[np.searchsorted(problem.arcs.frame, frame)]]
+    return {
+        "frame": _list(frame),
+        "time_utc": times,
+        "parameters": _list(history.states[kept]),
+        "sigma": _list(sigma),
+        "tail_rms_rad": _list(tail_rms(arcs, history.states[kept])),
+        "aggregate_rms_rad": _list(aggregate_rms(history.sum_of_squares, history.dof.astype(float))[kept]),
+        "nis": _list(history.nis[kept]),
+        "nis_dof": _list(history.dof[kept]),
+        "linearisations": _list(history.linearisations[kept]),
+    }
+
+
+def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: Problem) -> dict[str, Any] | None:
+    """The batch's iterates; None for a filter."""
+    if not estimate.steps:
+        return None
+    sigma = np.full((len(estimate.steps), len(problem.camera.parameter_names)), np.nan)
+    sigma[:, parameters.free] = np.array([step.sigma for step in estimate.steps]) * parameters.scale
+    squares = np.array([step.sum_of_squares for step in estimate.steps])
+    return {
+        "iteration": list(range(len(estimate.steps))),
+        "parameters": _list(np.array([step.x for step in estimate.steps])),
+        "sigma": _list(sigma),
+        "cost": _list(np.array([step.chi2 / 2 for step in estimate.steps])),
+        "damping": _list(np.array([step.damping for step in estimate.steps])),
+        "rms_arc_rad": _list(np.sqrt(squares / n_arcs)),
+    }
+
+
+def radial_view(
+    problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray
+) -> dict[str, Any] | None:
+    """Radial displacement of the estimate against its start, one-sigma, and where the data are (E Figure 5)."""
+    sensor, camera = problem.sensor, problem.camera
+    if not np.isfinite(estimate.x).all():
+        return None
+    row_0, col_0 = camera.principal_point(estimate.x)
+    rows, columns = np.array([0, sensor.rows - 1.0]), np.array([0, sensor.columns - 1.0])
+    corner = float(np.hypot(np.abs(rows - row_0).max(), np.abs(columns - col_0).max()))
+    radius = np.linspace(0, corner, RADII)
+    P = np.zeros((len(sigma), len(sigma)))
+    scaled = estimate.P * np.outer(parameters.scale, parameters.scale)
+    P[np.ix_(parameters.free, parameters.free)] = np.nan_to_num(scaled)
+    curve = radial_difference(camera, estimate.x, sensor.initial, P, radius, sensor.pixel_pitch_m)
+    reach = np.hypot(problem.arcs.row_px - row_0, problem.arcs.col_px - col_0)
+    edges = np.linspace(0, corner, 25)
+    return {
+        "radius_px": _list(curve.radius_px),
+        "difference_px": _list(curve.difference_px),
+        "sigma_px": _list(curve.sigma_px),
+        "difference_arcsec": _list(curve.difference_rad * ARCSEC),
+        "sigma_arcsec": _list(curve.sigma_rad * ARCSEC),
+        "data_radius_px": float(reach.max()),
+        "counts": {"edges_px": _list(edges), "stars": np.histogram(reach, edges)[0].tolist()},
+    }
+
+
+def coverage_view(problem: Problem) -> dict[str, Any]:
+    """Star counts over the detector."""
+    sensor = problem.sensor
+    row_edges = np.linspace(-0.5, sensor.rows - 0.5, COVERAGE_ROWS + 1)
+    col_edges = np.linspace(-0.5, sensor.columns - 0.5, COVERAGE_COLUMNS + 1)
+    counts, _, _ = np.histogram2d(problem.arcs.row_px, problem.arcs.col_px, bins=(row_edges, col_edges))
+    return {
+        "row_edges_px": _list(row_edges),
+        "col_edges_px": _list(col_edges),
+        "counts": counts.astype(int).tolist(),
+    }

@@ -1,0 +1,219 @@
+"""The batch estimator: Levenberg-Marquardt on whitened arcs, in scaled parameters (E section II-C).
+
+The cost is J = 1/2 dphi^T R^-1 dphi (E Eq 14). The free parameters are scaled by their typical sigmas (E Eq 22, Table II),
+z = (x - x_0) / sigma_p, so with H' the whitened, scaled Jacobian (E Eqs 23, 82) and e' the whitened residual
+
+    A = H'^T H'     b = H'^T e'     (A + lambda I) dz = -b     covariance of z at the optimum = A^-1.
+
+Damping follows Nielsen's rule on the ratio of actual to predicted decrease. Plain Gauss-Newton will not do: at b2 = b4 = a1 =
+a2 = 0 the Jacobian has rank 6 of 8, because there (m0, a2) and (n0, a1) are pure rotations (erratum to II-C).
+
+The fit has converged when the undamped Newton decrement over the determined directions, b^T A^+ b, is below `REST` squared: the
+estimate then lies within `REST` of its own standard deviation from the optimum. R depends on f a little (sigma in rad is
+sigma_px Delta / f), so the caller weighs the arcs again at the solution and fits once more.
+
+References
+----------
+Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight import kernels
+from boresight.errors import CancelledError
+from boresight.estimation.arcs import ArcSet
+
+FloatArray = NDArray[np.float64]
+
+#: Distance from the optimum, in standard deviations, at which the fit rests.
+REST = 1e-4
+#: Eigenvalues of A below this share of the largest are rounding, not information.
+RANK_TOLERANCE = 1e-13
+FIRST_DAMPING = 1e-4
+LARGEST_DAMPING = 1e12
+
+
+@dataclass(frozen=True)
+class Step:
+    """One accepted iterate.
+
+    Parameters
+    ----------
+    x
+        (n_parameters,) state, SI.
+    sigma
+        (n_free,) one-sigma of the free parameters there, in typical sigmas; infinite where not determined.
+    chi2
+        Whitened sum of squares.
+    sum_of_squares
+        Unweighted sum of squares, rad^2.
+    damping
+        lambda of the step that led here.
+    """
+
+    x: FloatArray
+    sigma: FloatArray
+    chi2: float
+    sum_of_squares: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class BatchFit:
+    """Where the batch estimator ended.
+
+    Parameters
+    ----------
+    x
+        (n_parameters,) estimate, SI.
+    A
+        (n_free, n_free) information in units of the typical sigmas.
+    chi2, sum_of_squares
+        Whitened, and unweighted in rad^2, at x.
+    rank
+        Directions of the free parameters that the data determine.
+    status
+        `converged`, `max_iterations`, `rank_deficient` or `diverged`.
+    steps
+        Every accepted iterate, the start first.
+    """
+
+    x: FloatArray
+    A: FloatArray
+    chi2: float
+    sum_of_squares: float
+    rank: int
+    status: str
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """A, b and the costs at one state; see the module's derivation."""
+
+    A: FloatArray
+    b: FloatArray
+    chi2: float
+    sum_of_squares: float
+
+    def finite(self) -> bool:
+        """Whether the state is one the model can be evaluated at."""
+        return bool(np.isfinite(self.chi2) and np.isfinite(self.A).all() and np.isfinite(self.b).all())
+
+
+def normal_equations(arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> NormalEquations:
+    """Evaluate A and b.
+
+    Parameters
+    ----------
+    x
+        (n_parameters,) state, SI.
+    free
+        (n_free,) places of the free parameters in the state.
+    scale
+        (n_free,) their typical sigmas, SI.
+    """
+    A, b = np.empty((len(free), len(free))), np.empty(len(free))
+    chi2, total = kernels.normal_equations(
+        x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, free, scale, A, b
+    )
+    return NormalEquations(A, b, float(chi2), float(total))
+
+
+def determined(A: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Eigenvalues (ascending), eigenvectors and which of them carry information rather than rounding."""
+    values, vectors = np.linalg.eigh(A)
+    return values, vectors, values > RANK_TOLERANCE * max(values[-1], np.finfo(float).tiny)
+
+
+def sigma_in_scale(A: FloatArray) -> FloatArray:
+    """One-sigma of each free parameter in typical sigmas; infinite where an undetermined direction touches it."""
+    values, vectors, known = determined(A)
+    variance = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
+    touched = (np.abs(vectors[:, ~known]) > 1e-4).any(axis=1)
+    return np.asarray(np.where(touched, np.inf, np.sqrt(variance)))
+
+
+def _decrement(equations: NormalEquations) -> float:
+    """Squared distance to the optimum in standard deviations, over the determined directions."""
+    values, vectors, known = determined(equations.A)
+    return float(((vectors.T @ equations.b)[known] ** 2 / values[known]).sum())
+
+
+def fit(
+    arcs: ArcSet,
+    x0: FloatArray,
+    free: NDArray[np.int64],
+    scale: FloatArray,
+    *,
+    max_iterations: int = 50,
+    report: Callable[[Step], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> BatchFit:
+    """Estimate the free parameters.
+
+    Parameters
+    ----------
+    arcs
+        The weighed arcs of a set.
+    x0
+        (n_parameters,) start, SI; fixed parameters keep these values.
+    free
+        (n_free,) places of the free parameters.
+    scale
+        (n_free,) typical sigmas, SI.
+    report
+        Told of each accepted iterate, the start included.
+    cancelled
+        Asked before each iteration.
+
+    Returns
+    -------
+    BatchFit; a numeric failure is its status, never an exception.
+
+    Raises
+    ------
+    CancelledError
+        When `cancelled` says so.
+    """
+    x, damping, growth = x0.copy(), FIRST_DAMPING, 2.0
+    here = normal_equations(arcs, x, free, scale)
+    steps: list[Step] = []
+    status = "max_iterations" if here.finite() else "diverged"
+    for iteration in range(max_iterations + 1):
+        if not here.finite():
+            break
+        if not steps or steps[-1].chi2 != here.chi2:
+            steps.append(Step(x.copy(), sigma_in_scale(here.A), here.chi2, here.sum_of_squares, damping))
+            if report is not None:
+                report(steps[-1])
+        if _decrement(here) < REST**2:
+            status = "converged"
+            break
+        if cancelled is not None and cancelled():
+            raise CancelledError(f"Stopped as asked after {iteration} iterations")
+        if damping > LARGEST_DAMPING:
+            status = "diverged"
+            break
+        dz = np.linalg.solve(here.A + damping * np.eye(len(free)), -here.b)
+        trial = x.copy()
+        trial[free] += scale * dz
+        there = normal_equations(arcs, trial, free, scale)
+        predicted = float(dz @ (damping * dz - here.b))
+        ratio = (here.chi2 - there.chi2) / predicted if there.finite() and predicted > 0 else -1.0
+        if ratio > 0 or (there.finite() and abs(here.chi2 - there.chi2) <= 1e-13 * here.chi2):
+            x, here = trial, there
+            damping *= max(1 / 3, 1 - (2 * min(ratio, 1.0) - 1) ** 3) if ratio > 0 else 1.0
+            growth = 2.0
+        else:
+            damping, growth = damping * growth, growth * 2
+    rank = int(determined(here.A)[2].sum()) if here.finite() else 0
+    if status == "converged" and rank < len(free):
+        status = "rank_deficient"
+    return BatchFit(x, here.A, here.chi2, here.sum_of_squares, rank, status, tuple(steps))

@@ -1,0 +1,94 @@
+"""What goes into a filter and what comes out, the same for every one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Largest departure of a whitened residual from its linear prediction at which a frame is not linearised again.
+REST = 1e-3
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Choices of a sequential estimator.
+
+    Parameters
+    ----------
+    linearisations
+        Most linearisations a frame; 1 is the printed filter, which a Table III start makes far over-confident.
+    process_noise
+        Standard deviation added a frame to each free parameter, in typical sigmas; 0 is No-Q.
+    rest
+        See `REST`.
+    """
+
+    linearisations: int = 6
+    process_noise: float = 0.0
+    rest: float = REST
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """Mean and square root of the covariance of the free parameters, between frames.
+
+    Parameters
+    ----------
+    x
+        (n_parameters,) state, SI.
+    z
+        (n_free,) departure of the free parameters from their start, in typical sigmas.
+    S
+        (n_free, n_free) upper triangular, covariance of z = S S^T.
+    """
+
+    x: FloatArray
+    z: FloatArray
+    S: FloatArray
+
+    @property
+    def P(self) -> FloatArray:
+        """Covariance of the free parameters in typical sigmas, (n_free, n_free)."""
+        return np.asarray(self.S @ self.S.T)
+
+
+def start(x0: FloatArray, n_free: int, initial_sigma_scale: float) -> FilterState:
+    """State before any frame: P = (initial_sigma_scale typical sigmas)^2 I."""
+    return FilterState(x0.copy(), np.zeros(n_free), initial_sigma_scale * np.eye(n_free))
+
+
+@dataclass(frozen=True)
+class FilterHistory:
+    """The filter after each frame; leading dimension n_frames.
+
+    Parameters
+    ----------
+    states
+        (n_frames, n_parameters), SI.
+    sigmas
+        (n_frames, n_free), one-sigma in typical sigmas.
+    nis, dof
+        Normalised innovation squared of each frame and its degrees of freedom.
+    sum_of_squares
+        Unweighted, of each frame at its own posterior state, rad^2 (E Eq 33).
+    linearisations
+        How often each frame was linearised.
+    last
+        State after the last frame.
+    finite
+        False when the state ran away; the arrays then end at the frame before.
+    """
+
+    states: FloatArray
+    sigmas: FloatArray
+    nis: FloatArray
+    dof: IntArray
+    sum_of_squares: FloatArray
+    linearisations: IntArray
+    last: FilterState
+    finite: bool

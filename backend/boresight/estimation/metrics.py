@@ -1,0 +1,42 @@
+"""Arclength errors and their root mean squares (E Eqs 12, 20, 32, 33), unweighted, in radians.
+
+E Eq 20 as printed, sqrt(J / N) with J half and weighted, has no unit; the tables are in urad, so the erratum's
+sqrt(sum dphi^2 / N) is what is meant. The tail RMS judges one state by the whole set (Eq 32); the aggregate RMS
+judges each frame by the state the filter had after it (Eq 33).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight import kernels
+from boresight.estimation.arcs import ArcSet
+
+FloatArray = NDArray[np.float64]
+
+
+def arc_errors(arcs: ArcSet, x: FloatArray) -> FloatArray:
+    """Measured minus catalogue arclength of every arc, (n_arcs,) rad, at state x (n_parameters,)."""
+    e = np.empty(arcs.n_arcs)
+    kernels.residuals(x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, e)
+    return e
+
+
+def rms(arcs: ArcSet, x: FloatArray) -> float:
+    """RMS arclength error of the set at state x, rad."""
+    return float(np.sqrt(np.mean(arc_errors(arcs, x) ** 2)))
+
+
+def tail_rms(arcs: ArcSet, states: FloatArray) -> FloatArray:
+    """RMS of the whole set at each of several states (n_states, n_parameters), rad (E Eq 32)."""
+    totals = np.empty(len(states))
+    kernels.sums_of_squares(
+        np.ascontiguousarray(states), arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, totals
+    )
+    return np.asarray(np.sqrt(totals / arcs.n_arcs))
+
+
+def aggregate_rms(sum_of_squares: FloatArray, n_arcs: FloatArray) -> FloatArray:
+    """Running RMS of per-frame errors, each at its own state, up to every frame (n_frames,), rad (E Eq 33)."""
+    return np.asarray(np.sqrt(np.cumsum(sum_of_squares) / np.maximum(np.cumsum(n_arcs), 1)))

@@ -1,0 +1,89 @@
+"""What the data can tell apart: the singular value decomposition of the scaled Jacobian, in words.
+
+With H' whitened by R and scaled by the typical sigmas (E Eqs 22-24), U S V^T = H'. Column v_i of V is a direction in parameter
+space, and 1 / s_i is its standard deviation in typical sigmas: a direction with 1 / s_i of 1 is known no better than the spread
+from unit to unit that was known before any star was seen. H' is tall, so S and V come from the eigenvectors of A = H'^T H'.
+
+The paper's weak directions are (m0, a2) and (n0, a1). Moving the principal point while tilting the detector so that the axis
+follows leaves the arcs all but unchanged: a2 = (Delta/f) dm0, of the *same* sign (erratum to III-A).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.estimation.batch import determined
+
+FloatArray = NDArray[np.float64]
+
+#: A direction known worse than this many typical sigmas is called weak; the data then say little that was not known before.
+WEAK = 0.5
+#: Components of a direction smaller than this are left out of its sentence.
+NAMED = 0.25
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Singular values and directions of the free parameters.
+
+    Parameters
+    ----------
+    names, symbols
+        (n_free,) of the free parameters.
+    singular_values
+        (n_free,) descending.
+    V
+        (n_free, n_free) right singular vectors as columns, in typical sigmas.
+    """
+
+    names: tuple[str, ...]
+    symbols: tuple[str, ...]
+    singular_values: FloatArray
+    V: FloatArray
+
+    @property
+    def condition_number(self) -> float | None:
+        """Largest over smallest singular value; None when the smallest is rounding."""
+        s = self.singular_values
+        return float(s[0] / s[-1]) if s[-1] > 0 else None
+
+    @property
+    def sigma_of_direction(self) -> FloatArray:
+        """(n_free,) one-sigma along each direction, in typical sigmas; infinite when undetermined."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / self.singular_values)
+
+    def weak(self) -> list[int]:
+        """Directions known worse than `WEAK` typical sigmas, weakest first."""
+        return [i for i in range(len(self.names) - 1, -1, -1) if self.sigma_of_direction[i] > WEAK]
+
+    def direction(self, i: int) -> dict[str, float]:
+        """Components of direction i by parameter name, largest component positive."""
+        v = self.V[:, i] * np.sign(self.V[np.argmax(np.abs(self.V[:, i])), i])
+        return {name: float(value) for name, value in zip(self.names, v, strict=True)}
+
+    def sentence(self, i: int) -> str:
+        """Say in words what direction i is and how well it is known."""
+        parts = sorted(zip(self.symbols, self.direction(i).values(), strict=True), key=lambda part: -abs(part[1]))
+        named = [(symbol, value) for symbol, value in parts if abs(value) >= NAMED]
+        sigma = self.sigma_of_direction[i]
+        known = f"is known to {sigma:.2g} typical sigmas" if np.isfinite(sigma) else "is not determined by these data"
+        if len(named) == 1:
+            return f"{named[0][0]} moves nearly alone: it {known}."
+        ratio = ", ".join(f"{value:+.2f} {symbol}" for symbol, value in named)
+        return f"{_listed([symbol for symbol, _ in named])} move together: the combination {ratio} (typical sigmas) {known}."
+
+
+def _listed(words: list[str]) -> str:
+    """Join words as `a, b and c`."""
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def observability(A: FloatArray, names: tuple[str, ...], symbols: tuple[str, ...]) -> Observability:
+    """Decompose the information A (n_free, n_free), in typical sigmas."""
+    values, vectors, known = determined(A)
+    s = np.sqrt(np.where(known, values, 0.0))
+    return Observability(names, symbols, s[::-1], vectors[:, ::-1])
