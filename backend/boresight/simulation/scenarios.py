@@ -242,9 +242,9 @@ def _parse_orbit(document: Mapping[str, Any], base: Orbit) -> Orbit:
 
 def _parse_motion(motion: Any) -> str:
     """Return the name of a motion."""
-    if motion not in MOTIONS:
+    if not isinstance(motion, str) or motion not in MOTIONS:
         raise RefusedInputError(f"A scenario's `motion` must be one of {', '.join(MOTIONS)}.")
-    return str(motion)
+    return motion
 
 
 def _parse_time(text: Any) -> np.datetime64:
