@@ -1,0 +1,222 @@
+"""Launching a run: choose sensor, sets, method and free parameters, see what would run, queue it.
+
+The dry run is the service's own (`validate_only`), so that what it accepts is what queueing accepts. On a refusal the
+form comes back with everything that was typed. `?clone=ID` starts from a run's settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+from starlette.datastructures import FormData
+
+from boresight.api.dependencies import Reading, Who, csrf
+from boresight.errors import RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.pages.attempts import Outcome, Refusal, attempt
+from boresight.pages.formats import count, duration
+from boresight.pages.methods import METHODS, is_sequential, title_of
+from boresight.pages.rendering import redirect, render
+from boresight.services import runs, sensors, telemetry_sets
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session
+from boresight.store.tables import Sensor
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+DEFAULTS = {"method": "batch", "variant": "no-q", "linearisations": "6", "process_noise_sigma": "0.02"}
+
+
+@dataclass(frozen=True)
+class Typed:
+    """The form as it was typed: text, so that a refused form comes back as it was."""
+
+    sensor_id: str = ""
+    telemetry_set_id: str = ""
+    validation_set_id: str = ""
+    method: str = DEFAULTS["method"]
+    variant: str = DEFAULTS["variant"]
+    linearisations: str = DEFAULTS["linearisations"]
+    process_noise_sigma: str = DEFAULTS["process_noise_sigma"]
+    replay_frames_per_s: str = "0"
+    label: str = ""
+    free: Mapping[int, Sequence[str]] = field(default_factory=dict)
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings document of the calibration.
+
+        Raises
+        ------
+        RefusedInputError
+            When a number cannot be read; says which.
+        """
+        document: dict[str, Any] = {
+            "method": self.method,
+            "free": list(self.free.get(_whole(self.sensor_id, "sensor"), ())),
+        }
+        if not document["free"]:
+            raise RefusedInputError("No parameter is free: tick at least one to estimate.")
+        if is_sequential(self.method):
+            document |= {
+                "variant": self.variant,
+                "linearisations": _whole(self.linearisations, "number of linearisations"),
+                "replay_frames_per_s": _decimal(self.replay_frames_per_s, "replay pace"),
+            }
+            if self.variant == "q":
+                document["process_noise_sigma"] = _decimal(self.process_noise_sigma, "drift a frame")
+        return document
+
+
+def _whole(text: str, name: str) -> int:
+    """Read a whole number."""
+    if not text.strip().isdecimal():
+        raise RefusedInputError(f"The {name} {text.strip()!r} is not a whole number; type one, such as 6.")
+    return int(text)
+
+
+def _decimal(text: str, name: str) -> float:
+    """Read a number; a comma stands for a point, as many keyboards have it."""
+    try:
+        return float(text.strip().replace(",", ".") or "0")
+    except ValueError as error:
+        raise RefusedInputError(f"The {name} {text.strip()!r} is not a number; type one, such as 0.02.") from error
+
+
+def typed_form(form: FormData, fleet: Sequence[Sensor]) -> Typed:
+    """Read the form as typed."""
+    text = {key: value for key, value in form.items() if isinstance(value, str)}
+    named = {name: text.get(name, "") for name in Typed.__dataclass_fields__ if name != "free"}
+    free = {sensor.id: [str(name) for name in form.getlist(f"free-{sensor.id}")] for sensor in fleet}
+    return Typed(**{**DEFAULTS, **{name: value for name, value in named.items() if value}}, free=free)
+
+
+def first_choice(session: Session, fleet: Sequence[Sensor], clone: int | None) -> Typed:
+    """Fill the form anew: from a run to clone, else with the first sensor's newest sets."""
+    free = {sensor.id: _free_of(sensor) for sensor in fleet}
+    if clone is None:
+        return Typed(free=free)
+    run = runs.get_run(session, clone)
+    known = {
+        name: str(value)
+        for name, value in run.settings.items()
+        if name in Typed.__dataclass_fields__ and name != "free"
+    }
+    free[run.sensor_id] = list(run.settings.get("free") or free.get(run.sensor_id) or [])
+    return Typed(
+        **{
+            **known,
+            "sensor_id": str(run.sensor_id),
+            "telemetry_set_id": str(run.telemetry_set_id),
+            "validation_set_id": str(run.validation_set_id or ""),
+            "label": run.label,
+        },
+        free=free,
+    )
+
+
+def _free_of(sensor: Sensor) -> list[str]:
+    """Return the parameters that a sensor's file frees; all where it names none."""
+    return list(sensor.document.get("free") or _names_of(sensor))
+
+
+def _names_of(sensor: Sensor) -> tuple[str, ...]:
+    return CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What would run: facts to read, and warnings to think about."""
+
+    facts: Sequence[tuple[str, str]]
+    warnings: Sequence[str]
+
+
+def dry_run_of(summary: Mapping[str, Any]) -> DryRun:
+    """Lay out the service's dry-run summary."""
+    free = summary["free"]
+    facts = [
+        ("Sensor", summary["sensor"]),
+        ("Calibration set", summary["telemetry_set"]),
+        ("Validation set", summary["validation_set"] or "none"),
+        ("Method", title_of(summary["settings"]["method"])),
+        ("Frames", count(summary["frames"])),
+        ("Stars", count(summary["stars"])),
+        ("Star pairs", f"about {count(summary['pairs'])}"),
+        ("Free parameters", f"{len(free)}: {', '.join(free)}"),
+        ("Expected duration", f"about {duration(summary['predicted_s'])}"),
+    ]
+    return DryRun(facts, summary["warnings"])
+
+
+def _launch(session: Session, actor: Actor, typed: Typed, *, validate_only: bool) -> Any:
+    """Hand the typed form to the service."""
+    return runs.launch(
+        session,
+        actor,
+        _whole(typed.sensor_id, "sensor"),
+        _whole(typed.telemetry_set_id, "calibration set"),
+        typed.settings(),
+        validation_set_id=_whole(typed.validation_set_id, "validation set") if typed.validation_set_id else None,
+        label=typed.label.strip(),
+        validate_only=validate_only,
+    )
+
+
+@router.get("/runs/new", response_class=HTMLResponse)
+def launch_page(request: Request, session: Reading, actor: Who, clone: str = "", sensor: str = "") -> HTMLResponse:
+    """Show the form, empty or filled from a run."""
+    fleet = sensors.list_sensors(session)
+    cloned = int(clone) if clone.isdecimal() else None
+    typed = first_choice(session, fleet, cloned)
+    if sensor.isdecimal() and cloned is None:
+        typed = Typed(sensor_id=sensor, free=typed.free)
+    return _page(request, session, actor, typed, clone=cloned)
+
+
+@router.post("/runs/new", response_class=HTMLResponse)
+async def launch(request: Request, session: Reading, actor: Who, clone: str = "") -> Response:
+    """Check the form (`intent=check`) or queue the run."""
+    form = await request.form()
+    fleet = await run_in_threadpool(sensors.list_sensors, session)
+    typed = typed_form(form, fleet)
+    check = form.get("intent") != "queue"
+    outcome = await attempt(request, partial(_launch, actor=actor, typed=typed, validate_only=check))
+    if outcome.value is not None and not check:
+        return redirect(f"/runs/{outcome.value.id}", flash=f"Run #{outcome.value.id} is queued.")
+    cloned = int(clone) if clone.isdecimal() else None
+    return await run_in_threadpool(partial(_page, request, session, actor, typed, clone=cloned, outcome=outcome))
+
+
+def _page(
+    request: Request,
+    session: Session,
+    actor: Actor,
+    typed: Typed,
+    *,
+    clone: int | None,
+    outcome: Outcome[Any] | None = None,
+) -> HTMLResponse:
+    """Render the form with what was typed and what the check said."""
+    fleet = sensors.list_sensors(session)
+    refusal: Refusal | None = outcome.refusal if outcome else None
+    return render(
+        request,
+        "launch.html",
+        status_code=422 if refusal else 200,
+        sensors=fleet,
+        sensor_names={sensor.id: sensor.name for sensor in fleet},
+        parameter_names={sensor.id: _names_of(sensor) for sensor in fleet},
+        sets=telemetry_sets.list_telemetry_sets(session),
+        methods=METHODS,
+        typed=typed,
+        clone=clone,
+        refusal=refusal,
+        summary=dry_run_of(outcome.value) if outcome and outcome.value is not None else None,
+        may_launch="analyst" in actor.roles,
+    )

@@ -1,0 +1,50 @@
+"""The calibration methods as a person chooses among them: a title, and when to use it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method of `CalibrationSettings.method`."""
+
+    name: str
+    title: str
+    when: str
+    sequential: bool
+
+
+METHODS = (
+    Method(
+        "batch",
+        "Batch",
+        "All frames at once by least squares: the reference answer, and the first run to make on a new set.",
+        sequential=False,
+    ),
+    Method(
+        "sqrf",
+        "Square-root filter",
+        "Frame by frame with a square-root covariance, as it would run on board: use it to see how fast the parameters"
+        " settle and whether they drift.",
+        sequential=True,
+    ),
+    Method(
+        "ekf",
+        "Extended Kalman filter",
+        "The same filter with a full covariance: use it to check the square-root filter, not instead of it.",
+        sequential=True,
+    ),
+)
+
+_BY_NAME = {method.name: method for method in METHODS}
+
+
+def title_of(name: str) -> str:
+    """Return a method's title; a name without one stands for itself."""
+    return _BY_NAME[name].title if name in _BY_NAME else name
+
+
+def is_sequential(name: str) -> bool:
+    """Tell whether a method takes the frames one after the other."""
+    return name in _BY_NAME and _BY_NAME[name].sequential

@@ -1,0 +1,237 @@
+"""Parameter sets: the list, and a set with its two states, its values against the baseline, its lineage and what may be done.
+
+The ground state and the on-board state are two symbols side by side and never one word: a set that is baseline on the
+ground says nothing about what the sensor uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.api.dependencies import Reading, Who, csrf
+from boresight.errors import RefusedInputError
+from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.parameter_table import set_rows
+from boresight.pages.rendering import redirect, render
+from boresight.pages.runs import read_names
+from boresight.services import approvals, parameter_sets, runs, sensors, telemetry_sets, uplinks
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session
+from boresight.store.tables import GROUND_STATES, Approval, ParameterSet
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+ROWS_A_PAGE = 50
+
+
+@dataclass(frozen=True)
+class Action:
+    """A transition: whether the set's state has it, and why this person cannot make it."""
+
+    offered: bool
+    blocked: str | None
+
+
+def actions_of(row: ParameterSet, actor: Actor, request: Approval | None) -> dict[str, Action]:
+    """Say which transitions a set's state has, and why the actor may not make one."""
+    submitter = request is not None and request.submitted_by == actor.user_id
+    submitted = row.ground_state in {"SUBMITTED", "APPROVED"}
+    return {
+        "submit": Action(
+            row.ground_state in parameter_sets.SUBMITTABLE,
+            None
+            if "analyst" in actor.roles
+            else "Only an analyst may submit a set; ask an administrator for the role.",
+        ),
+        "withdraw": Action(
+            submitted,
+            None
+            if submitter or "administrator" in actor.roles
+            else "Only who submitted the set, or an administrator, may withdraw it.",
+        ),
+        "promote": Action(
+            submitted,
+            _why_not_promote(row, actor),
+        ),
+    }
+
+
+def _why_not_promote(row: ParameterSet, actor: Actor) -> str | None:
+    """Say why a submitted set is not promoted by this person now."""
+    if row.ground_state == "SUBMITTED":
+        return "An approver must sign first; then an operator promotes."
+    if "operator" not in actor.roles:
+        return "Only an operator may promote an approved set; ask an administrator for the role."
+    return None
+
+
+@dataclass(frozen=True)
+class Node:
+    """One station of a set's lineage."""
+
+    kind: str
+    name: str
+    address: str | None = None
+    state: str | None = None
+
+
+def lineage_of(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> list[Node]:
+    """Return the way of a set from telemetry to the spacecraft, as far as it has come."""
+    nodes = []
+    if row.run_id is not None:
+        run = runs.get_run(session, row.run_id)
+        data = telemetry_sets.get_telemetry_set(session, run.telemetry_set_id)
+        nodes = [
+            Node("Telemetry", data.name, f"/telemetry/{data.id}"),
+            Node("Run", f"#{run.id} {run.label}".rstrip(), f"/runs/{run.id}", run.state),
+        ]
+    else:
+        nodes = [Node("Ground calibration", "declared with the sensor", f"/sensors/{row.sensor_id}")]
+    nodes.append(Node("Set", row.name, None, row.ground_state))
+    nodes += [
+        Node("Approval", f"request {known.id}", f"/approvals/{known.id}", known.state) for known in reversed(requests)
+    ]
+    nodes.append(
+        Node(
+            "On board", "no uplink recorded" if row.onboard_state == "NOT SENT" else "recorded", None, row.onboard_state
+        )
+    )
+    return nodes
+
+
+@router.get("/parameter-sets", response_class=HTMLResponse)
+def parameter_sets_page(
+    request: Request, session: Reading, actor: Who, sensor: str = "", state: str = "", before: str = ""
+) -> HTMLResponse:
+    """Show a page of sets, newest first."""
+    sensor_id = int(sensor) if sensor.isdecimal() else None
+    found = parameter_sets.list_parameter_sets(
+        session,
+        sensor_id=sensor_id,
+        ground_state=state if state in GROUND_STATES else None,
+        before_id=int(before) if before.isdecimal() else None,
+        limit=ROWS_A_PAGE + 1,
+    )
+    shown = found[:ROWS_A_PAGE]
+    names = read_names(session)
+    return render(
+        request,
+        "parameter_sets.html",
+        sets=shown,
+        names=names,
+        sensors=sensors.list_sensors(session),
+        states=GROUND_STATES,
+        chosen_sensor=sensor_id,
+        chosen_state=state,
+        next_before=shown[-1].id if len(found) > ROWS_A_PAGE else None,
+        actor=actor,
+    )
+
+
+@router.get("/parameter-sets/{set_id:int}", response_class=HTMLResponse)
+def parameter_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
+    """Show a set."""
+    return _page(request, session, actor, set_id)
+
+
+def _page(
+    request: Request, session: Session, actor: Actor, set_id: int, *, refusal: Refusal | None = None, reason: str = ""
+) -> HTMLResponse:
+    """Render a set, with the refusal of a transition and the reason that was typed."""
+    row = parameter_sets.get_parameter_set(session, set_id)
+    requests = approvals.list_approvals(session, parameter_set_id=set_id)
+    baseline = parameter_sets.baseline_of(session, row.sensor_id)
+    incumbent = baseline if baseline is not None and baseline.id != row.id else None
+    return render(
+        request,
+        "parameter_set.html",
+        status_code=409 if refusal else 200,
+        set=row,
+        sensor=sensors.get_sensor(session, row.sensor_id),
+        names=read_names(session),
+        baseline=baseline,
+        incumbent=incumbent,
+        rows=set_rows(row.document, (incumbent or row).document),
+        requests=requests,
+        signatures=[signature for known in requests for signature in approvals.signatures_of(session, known.id)],
+        uplinks=uplinks.list_uplinks(session, parameter_set_id=set_id),
+        lineage=lineage_of(session, row, requests),
+        actions=actions_of(row, actor, requests[0] if requests else None),
+        refusal=refusal,
+        reason=reason,
+    )
+
+
+async def _form(request: Request) -> dict[str, str]:
+    """Read the form's texts."""
+    return {key: value for key, value in (await request.form()).items() if isinstance(value, str)}
+
+
+def _seen(form: dict[str, str]) -> int:
+    """Return the version that the page showed.
+
+    Raises
+    ------
+    RefusedInputError
+        When the form does not carry it.
+    """
+    if not form.get("version", "").isdecimal():
+        raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
+    return int(form["version"])
+
+
+@router.post("/parameter-sets/{set_id:int}/submit")
+async def submit(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
+    """Ask that a set become baseline."""
+    form = await _form(request)
+    reason = form.get("reason", "")
+
+    def change(session: Session) -> Approval:
+        return parameter_sets.submit(session, actor, set_id, reason, _seen(form))
+
+    outcome = await attempt(request, change)
+    if outcome.value is None:
+        page = partial(_page, request, session, actor, set_id, refusal=outcome.refusal, reason=reason)
+        return await run_in_threadpool(page)
+    return redirect(
+        f"/approvals/{outcome.value.id}", flash="Submitted: another person with the role approver must sign."
+    )
+
+
+@router.post("/parameter-sets/{set_id:int}/withdraw")
+async def withdraw(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
+    """Take a request back."""
+    form = await _form(request)
+
+    def change(session: Session) -> ParameterSet:
+        return parameter_sets.withdraw(session, actor, set_id, _seen(form), form.get("reason", ""))
+
+    return await _changed(request, session, actor, set_id, change, "{} is withdrawn.")
+
+
+@router.post("/parameter-sets/{set_id:int}/promote")
+async def promote(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
+    """Make an approved set the baseline."""
+    form = await _form(request)
+
+    def change(session: Session) -> ParameterSet:
+        return parameter_sets.promote(session, actor, set_id, _seen(form))
+
+    return await _changed(
+        request, session, actor, set_id, change, "{} is the baseline now; nothing on board has changed."
+    )
+
+
+async def _changed(request: Request, session: Session, actor: Actor, set_id: int, change: Any, words: str) -> Response:
+    """Make a transition and show the set, or show why it was refused."""
+    outcome = await attempt(request, change)
+    if outcome.value is None:
+        return await run_in_threadpool(partial(_page, request, session, actor, set_id, refusal=outcome.refusal))
+    return redirect(f"/parameter-sets/{set_id}", flash=words.format(outcome.value.name))

@@ -1,0 +1,148 @@
+"""A calibration's parameters as the pages lay them out: old, new, delta, sigma, and what delta is worth.
+
+`delta / sigma` says whether the change can be seen in the noise, `delta / typical` whether it is a change that such a
+sensor is known to make (the typical sigmas are the unit-to-unit spread). Both are needed: a change of forty sigma that is
+three typical sigmas large is a real and ordinary one; one of forty sigma and ninety typical sigmas is a wrong match.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+UNEXPECTED_TYPICAL_SIGMAS = 5.0  # beyond five unit-to-unit sigmas a change asks for a look at the matches
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One parameter of a result; values are SI, None where nothing was estimated.
+
+    Parameters
+    ----------
+    old, new, delta, sigma
+        In the parameter's SI unit.
+    delta_over_sigma, delta_over_typical, typical_sigma
+        The change in the two measures of its size, and the second measure itself.
+    truth, error_over_sigma
+        The simulated sensor's true value, and (new - truth) / sigma; None on a real sensor.
+    """
+
+    name: str
+    old: float | None
+    new: float | None
+    delta: float | None
+    sigma: float | None
+    typical_sigma: float | None
+    truth: float | None
+
+    @property
+    def estimated(self) -> bool:
+        """Tell whether this run estimated the parameter."""
+        return self.sigma is not None
+
+    @property
+    def delta_over_sigma(self) -> float | None:
+        """Return the change in sigmas."""
+        return _ratio(self.delta, self.sigma)
+
+    @property
+    def delta_over_typical(self) -> float | None:
+        """Return the change in unit-to-unit sigmas."""
+        return _ratio(self.delta, self.typical_sigma)
+
+    @property
+    def error_over_sigma(self) -> float | None:
+        """Return how many sigmas the estimate is off the truth."""
+        return _ratio(_difference(self.new, self.truth), self.sigma)
+
+    @property
+    def unexpected(self) -> bool:
+        """Tell whether the change is larger than such sensors are known to make."""
+        worth = self.delta_over_typical
+        return worth is not None and abs(worth) > UNEXPECTED_TYPICAL_SIGMAS
+
+
+def _difference(a: float | None, b: float | None) -> float | None:
+    return None if a is None or b is None else a - b
+
+
+def _ratio(value: float | None, scale: float | None) -> float | None:
+    return None if value is None or not scale else value / scale
+
+
+def parameter_rows(result: Mapping[str, Any]) -> list[ParameterRow]:
+    """Lay out every parameter of a calibration JSON, in model order."""
+    old, new, sigma = (result.get(key) or {} for key in ("initial", "parameters", "sigma"))
+    typical, truth = (result.get(key) or {} for key in ("typical_sigma", "truth"))
+    return [
+        ParameterRow(
+            name=name,
+            old=old.get(name),
+            new=new[name],
+            delta=_difference(new[name], old.get(name)),
+            sigma=sigma.get(name),
+            typical_sigma=typical.get(name),
+            truth=truth.get(name),
+        )
+        for name in new
+    ]
+
+
+def set_rows(document: Mapping[str, Any], incumbent: Mapping[str, Any] | None) -> list[ParameterRow]:
+    """Lay out a parameter set's values against the set it would replace."""
+    old = (incumbent or {}).get("parameters") or {}
+    return parameter_rows({**document, "initial": old})
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """One parameter in several runs, against the reference run.
+
+    Parameters
+    ----------
+    values, sigmas
+        A number a run, None where that run has none; SI.
+    separations
+        (value - reference) / sqrt(sigma² + sigma_reference²) a run: how surely the two differ. None for the
+        reference itself and where neither run estimated the parameter.
+    """
+
+    name: str
+    values: Sequence[float | None]
+    sigmas: Sequence[float | None]
+    separations: Sequence[float | None]
+
+    @property
+    def differs(self) -> bool:
+        """Tell whether any run's value is another than the rest."""
+        return len(set(self.values)) > 1
+
+
+def _separation(
+    value: float | None, sigma: float | None, reference: float | None, spread: float | None
+) -> float | None:
+    variance = (sigma or 0.0) ** 2 + (spread or 0.0) ** 2
+    return _ratio(_difference(value, reference), variance**0.5)
+
+
+def contrasts(results: Sequence[Mapping[str, Any]], reference: int) -> list[Contrast]:
+    """Set the parameters of several results of one camera model beside each other.
+
+    Parameters
+    ----------
+    results
+        Calibration JSONs.
+    reference
+        Index in `results` of the run that the others are measured against.
+    """
+    found = []
+    for name in results[reference].get("parameters") or {}:
+        values = [(result.get("parameters") or {}).get(name) for result in results]
+        sigmas = [(result.get("sigma") or {}).get(name) for result in results]
+        apart = [
+            None if k == reference else _separation(values[k], sigmas[k], values[reference], sigmas[reference])
+            for k in range(len(results))
+        ]
+        found.append(Contrast(name, values, sigmas, apart))
+    return found

@@ -1,0 +1,231 @@
+"""The run page, the review desk: verdict first, then parameters, the figures, the log, and where it all came from.
+
+While a run computes the page shows what there is so far, marked PARTIAL, and follows the event stream. It never shows a
+parameter without its sigma, and a result that is not to be trusted says so above everything else.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse, Response
+from markupsafe import Markup
+
+from boresight.api.dependencies import Reading, Who, csrf
+from boresight.figures import FIGURES
+from boresight.pages.attempts import attempt
+from boresight.pages.evidence import marks
+from boresight.pages.formats import MISSING, count, duration, short_hash, utc
+from boresight.pages.methods import title_of
+from boresight.pages.parameter_table import parameter_rows
+from boresight.pages.rendering import redirect, render
+from boresight.pages.runs import read_names, seconds_of
+from boresight.services import parameter_sets, runs, sensors, telemetry_sets
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session
+from boresight.store.tables import TERMINAL_RUN_STATES, ParameterSet, Run, TelemetrySet
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+WIDE_FIGURES = frozenset({"convergence"})
+LONGEST_QUEUE = 500
+WHAT_TO_TRY = (
+    "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."
+)
+
+
+@dataclass(frozen=True)
+class Action:
+    """A button: whether it belongs on the page, and why it cannot be pressed."""
+
+    offered: bool
+    blocked: str | None = None
+
+
+def actions_of(run: Run, actor: Actor) -> dict[str, Action]:
+    """Say what may be done with a run, and by whom."""
+    lacking = None if "analyst" in actor.roles else "Only an analyst may {}; ask an administrator for the role."
+    return {
+        "cancel": Action(run.state in {"QUEUED", "RUNNING"}, lacking and lacking.format("cancel runs")),
+        "create": Action(run.state == "SUCCEEDED", lacking and lacking.format("create parameter sets")),
+    }
+
+
+def notices_of(session: Session, run: Run) -> list[tuple[str, str]]:
+    """Say in a sentence each what a state means for whoever looks at the run now."""
+    why = (run.reason or "").strip()
+    telling = {
+        "QUEUED": [("standby", _queue_sentence(session, run))],
+        "CANCELLING": [("caution", f"Stopping: {why} The worker is asked five times a second.")],
+        "FAILED": [
+            ("serious", why or "The run failed and gave no cause; its log has the last lines."),
+            ("off", WHAT_TO_TRY),
+        ],
+        "LOST": [("serious", _lost_sentence(run, why))],
+        "CANCELLED": [("off", why or "This run was cancelled.")],
+    }
+    return telling.get(run.state, [])
+
+
+def _lost_sentence(run: Run, why: str) -> str:
+    since = _clock(run.lease_until_utc or run.ended_utc)
+    return f"The worker stopped reporting at {since}; no result is trusted. {why} Clone this run to compute it again."
+
+
+def _clock(text: str | None) -> str:
+    return text[:19].replace("T", " ") + "Z" if text else "an unknown time"
+
+
+def _queue_sentence(session: Session, run: Run) -> str:
+    """Say how many runs are in front."""
+    waiting = runs.list_runs(session, state="QUEUED", before_id=run.id, limit=LONGEST_QUEUE)
+    if not waiting:
+        return "Next in the queue: it starts when a worker is free."
+    more = "at least " if len(waiting) == LONGEST_QUEUE else ""
+    return f"Position {more}{len(waiting) + 1} in the queue."
+
+
+def header_of(run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None) -> list[tuple[str, Any]]:
+    """Lay out who ran what on which data, and when."""
+    return [
+        ("Data", _set_link(data)),
+        ("Validation", _set_link(validation) if validation else "none"),
+        ("Launched by", by),
+        ("Launched", utc(run.launched_utc)),
+        ("Started", utc(run.started_utc)),
+        ("Ended", utc(run.ended_utc)),
+        ("Duration", duration(seconds_of(run))),
+        ("Attempt", count(run.attempt) if run.attempt else MISSING),
+    ]
+
+
+def _set_link(data: TelemetrySet) -> Markup:
+    link = Markup('<a href="/telemetry/{}">{}</a> ').format(data.id, data.name)
+    return link + short_hash(data.original_sha256)
+
+
+def provenance_of(run: Run, result: Mapping[str, Any] | None) -> list[tuple[str, Any]]:
+    """Lay out the addresses and versions that make the run again what it was."""
+    inputs = (result or {}).get("inputs") or {}
+    hashes = [(f"{name} SHA-256", _hash(value)) for name, value in _flat(inputs.get("sha256s") or {})]
+    versions = ", ".join(f"{name} {value}" for name, value in (inputs.get("versions") or {}).items())
+    timing = ", ".join(f"{name.replace('_', ' ')} {duration(value)}" for name, value in _timing(result))
+    return [
+        *hashes,
+        ("Result SHA-256", short_hash(run.result_sha256) if run.result_sha256 else MISSING),
+        ("Versions", versions or MISSING),
+        ("Time spent", timing or MISSING),
+    ]
+
+
+def _timing(result: Mapping[str, Any] | None) -> list[tuple[str, float]]:
+    return [(name, value) for name, value in ((result or {}).get("timing_s") or {}).items() if value is not None]
+
+
+def _flat(hashes: Mapping[str, Any] | Sequence[str]) -> list[tuple[str, Any]]:
+    return list(hashes.items()) if isinstance(hashes, Mapping) else [("input", value) for value in hashes]
+
+
+def _hash(value: Any) -> Markup | str:
+    return short_hash(str(value)) if value else MISSING
+
+
+def command_of(run: Run, sensor: str, data: TelemetrySet, validation: TelemetrySet | None) -> str:
+    """Write the command line that computes this run again from downloaded files."""
+    settings = run.settings
+    words = [
+        f"boresight calibrate telemetry-{data.id}.parquet",
+        f"--sensor {sensor}.sensor.json",
+        f"--method {run.method}",
+    ]
+    if settings.get("variant") and run.method != "batch":
+        words.append(f"--variant {settings['variant']}")
+    if settings.get("free"):
+        words.append(f"--free {','.join(settings['free'])}")
+    words.append("--match given" if settings.get("match", "given") == "given" else f"--match {settings['match']}")
+    if validation:
+        words.append(f"--validate telemetry-{validation.id}.parquet")
+    return " \\\n  ".join([*words, f"--json run-{run.id}.json"])
+
+
+@router.get("/runs/{run_id:int}", response_class=HTMLResponse)
+def run_page(request: Request, session: Reading, actor: Who, run_id: int) -> HTMLResponse:
+    """Show a run."""
+    run = runs.get_run(session, run_id)
+    sensor = sensors.get_sensor(session, run.sensor_id)
+    data = telemetry_sets.get_telemetry_set(session, run.telemetry_set_id)
+    validation = run.validation_set_id and telemetry_sets.get_telemetry_set(session, run.validation_set_id)
+    result = runs.result(session, request.app.state.blobs, run_id)
+    actions = actions_of(run, actor)
+    has_estimate = bool(result and result.get("parameters"))
+    return render(
+        request,
+        "run.html",
+        run=run,
+        terminal=run.state in TERMINAL_RUN_STATES,
+        sensor=sensor,
+        method=title_of(run.method),
+        actions=actions,
+        blocked=sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
+        parameter_set=parameter_set_of(session, run),
+        notices=notices_of(session, run),
+        fraction=float((run.progress or {}).get("fraction") or 0.0),
+        message=(run.progress or {}).get("message") or "",
+        header=header_of(run, read_names(session).person(run.launched_by), data, validation or None),
+        result=result,
+        partial=run.result_sha256 is None,
+        marks=marks(result) if result and has_estimate else [],
+        advice=list((result or {}).get("advice") or ()),
+        rows=parameter_rows(_with_truth(result, sensor.truth)) if result and has_estimate else [],
+        no_result=_why_nothing(run),
+        figures=list(FIGURES.values()),
+        wide=WIDE_FIGURES,
+        log=runs.log_lines(session, run_id),
+        provenance=provenance_of(run, result),
+        command=command_of(run, sensor.name, data, validation or None),
+        settings_json=json.dumps(run.settings, indent=2, sort_keys=True),
+    )
+
+
+def _with_truth(result: Mapping[str, Any], truth: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Put the simulated sensor's true values beside a result that does not carry them."""
+    return {**result, "truth": result.get("truth") or truth}
+
+
+def _why_nothing(run: Run) -> str:
+    """Say why there is no result, to follow `No verdict yet: `."""
+    return {
+        "QUEUED": "the run has not started.",
+        "RUNNING": "the first frames are being read.",
+    }.get(run.state, f"the run ended as {run.state} before it had an estimate.")
+
+
+def parameter_set_of(session: Session, run: Run) -> ParameterSet | None:
+    """Return the set that was made from a run, if one was."""
+    made = parameter_sets.list_parameter_sets(session, sensor_id=run.sensor_id)
+    return next((known for known in made if known.run_id == run.id), None)
+
+
+@router.post("/runs/{run_id:int}/cancel")
+async def cancel(request: Request, actor: Who, run_id: int) -> Response:
+    """Ask a run to stop."""
+    outcome = await attempt(request, partial(runs.cancel, actor=actor, run_id=run_id))
+    if outcome.refusal:
+        return redirect(f"/runs/{run_id}", flash=outcome.refusal.sentence, level="serious")
+    return redirect(f"/runs/{run_id}", flash=f"Run #{run_id} was asked to stop.")
+
+
+@router.post("/runs/{run_id:int}/parameter-set")
+async def create_parameter_set(request: Request, actor: Who, run_id: int) -> Response:
+    """Make a candidate set from a run's result."""
+    blobs = request.app.state.blobs
+    outcome = await attempt(request, partial(parameter_sets.create_from_run, actor=actor, blobs=blobs, run_id=run_id))
+    if outcome.value is None:
+        sentence = outcome.refusal.sentence if outcome.refusal else "The set was not made."
+        return redirect(f"/runs/{run_id}", flash=sentence, level="serious")
+    return redirect(f"/parameter-sets/{outcome.value.id}", flash=f"{outcome.value.name} is a candidate.")

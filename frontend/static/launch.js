@@ -1,0 +1,82 @@
+/**
+ * The launch form: keeps the choices consistent and shows what would run before it is queued.
+ *
+ * After each change the form is sent to the server as a dry run (`intent=check`), the same checks as queueing, and the
+ * answer's summary replaces the one shown. Sets of another sensor are hidden, and options of another method disabled.
+ */
+import { send } from "./problem.js";
+
+const QUIET_MS = 400;
+const form = document.querySelector("[data-launch]");
+let timer = 0;
+let flight = null;
+
+function showSetsOfSensor() {
+  const sensor = form.elements.sensor_id.value;
+  for (const select of form.querySelectorAll("select[data-sets]")) {
+    for (const option of select.options) {
+      const fits = !option.dataset.sensor || option.dataset.sensor === sensor;
+      option.hidden = !fits;
+      option.disabled = !fits;
+      if (!fits && option.selected) option.selected = false;
+    }
+    if (select.selectedIndex < 0 || select.selectedOptions[0]?.disabled) {
+      select.selectedIndex = [...select.options].findIndex((option) => !option.disabled);
+    }
+  }
+}
+
+function showParametersOfSensor() {
+  const sensor = form.elements.sensor_id.value;
+  for (const part of form.querySelectorAll("[data-parameters-of]")) {
+    const fits = part.dataset.parametersOf === sensor;
+    part.hidden = !fits;
+    part.disabled = !fits;
+  }
+}
+
+function showOptionsOfMethod() {
+  const method = form.elements.method.value;
+  for (const part of form.querySelectorAll("[data-methods]")) {
+    const fits = part.dataset.methods.split(" ").includes(method);
+    part.disabled = !fits;
+    part.classList.toggle("not-of-method", !fits);
+  }
+}
+
+function showOverconfidence() {
+  const warning = form.querySelector("[data-overconfident]");
+  if (warning) warning.hidden = form.elements.linearisations?.value !== "1" || form.elements.method.value === "batch";
+}
+
+async function check() {
+  flight?.abort();
+  flight = new AbortController();
+  const place = document.querySelector("[data-dry-run]");
+  const body = new URLSearchParams(new FormData(form));
+  body.set("intent", "check");
+  place.setAttribute("aria-busy", "true");
+  try {
+    const answer = await fetch(form.action, { method: "POST", body, signal: flight.signal });
+    if (answer.status >= 500) return await send(form.action);
+    const fresh = new DOMParser().parseFromString(await answer.text(), "text/html").querySelector("[data-dry-run]");
+    if (fresh) place.replaceChildren(...fresh.childNodes);
+    place.removeAttribute("aria-busy");
+  } catch (error) {
+    if (error.name !== "AbortError") place.textContent = `The check could not be made: ${error.message}`;
+  }
+}
+
+function changed() {
+  showSetsOfSensor();
+  showParametersOfSensor();
+  showOptionsOfMethod();
+  showOverconfidence();
+  clearTimeout(timer);
+  timer = setTimeout(check, QUIET_MS);
+}
+
+if (form) {
+  form.addEventListener("input", changed);
+  changed();
+}

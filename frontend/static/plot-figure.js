@@ -1,0 +1,151 @@
+/**
+ * <plot-figure src csv name label>: one Plotly figure of a run, fetched as JSON and drawn as SVG.
+ *
+ * States, each in words below the drawing: loading, empty, error (with Retry), stale (the last good drawing stays,
+ * dimmed, with its time). A `figure-refresh` event on the element fetches again. CSV is a link; PNG is always on white.
+ */
+import { fetchJson } from "./problem.js";
+import { onTheme, onWhite } from "./plot-theme.js";
+
+const PLOTLY = "/static/plotly.min.js";
+const SLOW_MS = 10_000;
+const CONFIG = { displaylogo: false, displayModeBar: false, responsive: false, scrollZoom: false };
+let library = null;
+
+/** Load Plotly once for the whole page, when the first figure needs it. */
+function plotly() {
+  library ??= new Promise((resolve, reject) => {
+    if (window.Plotly) return resolve(window.Plotly);
+    const script = Object.assign(document.createElement("script"), { src: PLOTLY, async: true });
+    script.onload = () => resolve(window.Plotly);
+    script.onerror = () => {
+      library = null;
+      script.remove();
+      reject(new Error("The drawing library did not load. Check the connection, then press Retry."));
+    };
+    document.head.append(script);
+  });
+  return library;
+}
+
+const isEmpty = (figure) => !figure.data.some((trace) => ["x", "y", "z"].some((axis) => length(trace[axis]) > 0));
+const length = (values) => values?.length ?? (values?.bdata ? values.bdata.length : 0);
+const reasonOf = (figure) => figure.layout?.annotations?.[0]?.text ?? "Nothing to draw yet: the run has not come this far.";
+const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;
+
+class PlotFigure extends HTMLElement {
+  #figure = null;
+  #busy = false;
+  #again = false;
+  #drawnAt = "";
+  #abort = null;
+
+  connectedCallback() {
+    if (!this.canvas) this.#build();
+    this.#abort = new AbortController();
+    const { signal } = this.#abort;
+    this.addEventListener("figure-refresh", () => this.refresh(), { signal });
+    document.addEventListener("boresight:theme", () => this.#draw(), { signal });
+    this.resizer = new ResizeObserver(() => this.#resize());
+    this.resizer.observe(this.canvas);
+    this.refresh();
+  }
+
+  disconnectedCallback() {
+    this.#abort.abort();
+    this.resizer.disconnect();
+    if (this.canvas._fullLayout) window.Plotly.purge(this.canvas);
+  }
+
+  #build() {
+    this.canvas = document.createElement("div");
+    this.canvas.className = "figure-canvas";
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", `${this.getAttribute("label")}. The table below has the same data.`);
+    this.words = Object.assign(document.createElement("p"), { className: "figure-words" });
+    this.words.setAttribute("role", "status");
+    this.retry = Object.assign(document.createElement("button"), { type: "button", className: "button-small", textContent: "Retry", hidden: true });
+    this.retry.addEventListener("click", () => this.refresh());
+    this.prepend(this.canvas, this.words, this.retry);
+    this.png = this.querySelector("[data-png]");
+    this.png?.addEventListener("click", () => this.#savePng());
+    if (this.png) this.png.disabled = true;
+  }
+
+  /** Fetch and draw; a refresh that arrives in the middle of one is done once, afterwards. */
+  async refresh() {
+    if (this.#busy) {
+      this.#again = true;
+      return;
+    }
+    this.#busy = true;
+    const slow = setTimeout(() => this.#say("loading", "Still working on this figure."), SLOW_MS);
+    if (!this.#figure) this.#say("loading", "Loading the figure.");
+    try {
+      const [figure] = await Promise.all([fetchJson(this.getAttribute("src")), plotly()]);
+      this.#figure = figure;
+      this.#drawnAt = utcTime();
+      await this.#draw();
+    } catch (error) {
+      this.#fail(error);
+    } finally {
+      clearTimeout(slow);
+      this.#busy = false;
+    }
+    if (this.#again && this.isConnected) {
+      this.#again = false;
+      this.refresh();
+    }
+  }
+
+  async #draw() {
+    if (!this.#figure || !window.Plotly || !this.isConnected) return;
+    if (isEmpty(this.#figure)) {
+      this.#say("empty", reasonOf(this.#figure));
+      return;
+    }
+    this.#say("ready", "");
+    const { data, layout } = onTheme(this.#figure);
+    await window.Plotly.react(this.canvas, data, { ...layout, ...this.#size() }, CONFIG);
+    if (this.png) this.png.disabled = false;
+    this.dispatchEvent(new CustomEvent("figure-drawn", { bubbles: true }));
+  }
+
+  #size() {
+    const height = Number(this.getAttribute("height")) || this.#figure.layout?.height || 380;
+    return { width: Math.max(260, this.canvas.clientWidth), height, autosize: false };
+  }
+
+  #resize() {
+    if (!this.canvas._fullLayout || !this.#figure) return;
+    const size = this.#size();
+    if (size.width !== this.canvas._fullLayout.width) window.Plotly.relayout(this.canvas, size);
+  }
+
+  #fail(error) {
+    if (this.#figure && this.canvas._fullLayout) {
+      this.#say("stale", `STALE: drawn at ${this.#drawnAt}; the refresh failed. ${error.message}`);
+    } else {
+      this.#say(error.status === 404 || error.status === 409 ? "empty" : "error", error.message);
+    }
+    this.retry.hidden = false;
+  }
+
+  #say(state, words) {
+    this.dataset.state = state;
+    this.canvas.hidden = state === "empty" || state === "error";
+    this.words.textContent = words;
+    this.words.hidden = !words;
+    this.retry.hidden = state !== "error" && state !== "stale";
+  }
+
+  async #savePng() {
+    const { data, layout } = onWhite(this.#figure);
+    const { height } = this.#size();
+    const url = await window.Plotly.toImage({ data, layout }, { format: "png", width: 1200, height, scale: 2 });
+    Object.assign(document.createElement("a"), { href: url, download: `${this.getAttribute("name")}.png` }).click();
+  }
+}
+
+customElements.define("plot-figure", PlotFigure);
