@@ -56,7 +56,7 @@ def ending(rng):
         "observability": {
             "singular_values": singular.tolist(),
             "condition_number": 150.0,
-            "right_singular_vectors": vectors.tolist(),
+            "right_singular_vectors": vectors.T.tolist(),
             "parameter_names": list(NAMES),
             "sigma_of_direction": (1 / singular).tolist(),
             "weakest": {"direction": named(vectors[:, -1]), "sentence": SENTENCE},

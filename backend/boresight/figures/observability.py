@@ -1,7 +1,8 @@
 """What the data can tell apart: singular values over their directions (E Eqs. 22 to 24).
 
 H' = U S V^T is the whitened Jacobian in typical sigmas. Each column of the chart is one direction: above, its singular
-value s, so that 1/s is its sigma in typical sigmas; below, the parameters it is made of, the column of V.
+value s, so that 1/s is its sigma in typical sigmas; below, the parameters it is made of, the column of V. The result
+holds V^T, one direction a row.
 """
 
 from __future__ import annotations
@@ -65,10 +66,10 @@ def _bars(seen: Result, style: theme.RunStyle, *, labelled: bool) -> go.Bar:
 def _directions(result: Result) -> go.Heatmap:
     """Draw V: rows are parameters, columns are directions from the best known to the weakest."""
     seen = result["observability"]
-    V = np.array(seen.get("right_singular_vectors") or [], dtype=np.float64)
     names = _names(result)
     n_modes = len(seen["singular_values"])
-    if V.shape != (len(names), n_modes):
+    V = _vectors(result)
+    if V is None:
         V = np.full((len(names), n_modes), np.nan)
     return go.Heatmap(
         x=_modes(n_modes),
@@ -84,6 +85,13 @@ def _directions(result: Result) -> go.Heatmap:
         colorbar={"title": {"text": "share"}, "len": 0.55, "y": 0, "yanchor": "bottom", "thickness": 10},
         hovertemplate="%{y}: %{z:+.3f} of direction %{x}<extra></extra>",
     )
+
+
+def _vectors(result: Result) -> FloatArray | None:
+    """Read V (n_parameters, n_modes), or None where the result does not have it."""
+    seen = result["observability"]
+    V = np.array(seen.get("right_singular_vectors") or [], dtype=np.float64).T
+    return V if V.shape == (len(_names(result)), len(seen["singular_values"])) else None
 
 
 def _names(result: Result) -> tuple[str, ...]:
@@ -138,8 +146,8 @@ def table(result: Result) -> Table:
         "singular_value": theme.plain(values),
         "sigma_of_direction": theme.plain(spread),
     }
-    V = np.array(seen.get("right_singular_vectors") or [], dtype=np.float64)
-    if V.ndim == 2 and V.shape == (len(_names(result)), len(values)):
+    V = _vectors(result)
+    if V is not None:
         columns |= {name: theme.plain(row) for name, row in zip(_names(result), V, strict=True)}
     return columns
 

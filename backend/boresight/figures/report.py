@@ -1,0 +1,132 @@
+"""The report: one HTML file that stands alone, on paper as on a screen, years later and without a network.
+
+The drawing library and the figures are inside the file; a content security policy in it forbids every connection.
+Everything that came from outside is escaped: text by the template, data by writing `<` as its JSON escape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import orjson
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from boresight import __version__
+from boresight.errors import RefusedInputError
+from boresight.figures import FIGURES
+from boresight.figures.chart import Result, Trace
+from boresight.figures.parameter_rows import HEADINGS, parameter_rows
+from boresight.figures.theme import LIGHT_TEMPLATE
+from boresight.figures.verdict import verdict
+from boresight.resources import folder
+
+SCHEMA = "boresight.calibration/1"
+
+
+def write_report(result: Result, path: Path) -> None:
+    """Write the report of a calibration.
+
+    Raises
+    ------
+    RefusedInputError
+        When the document is not a calibration, or the file cannot be written.
+    """
+    text = render_report(result)
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RefusedInputError(f"{path} cannot be written: {error.strerror}; choose another place.") from error
+
+
+def render_report(result: Result) -> str:
+    """Render the report as HTML text.
+
+    Raises
+    ------
+    RefusedInputError
+        When the document is not a calibration.
+    """
+    if not isinstance(result, Mapping) or result.get("schema") != SCHEMA:
+        raise RefusedInputError(f"This is no calibration result: its `schema` must be {SCHEMA!r}.")
+    environment = Environment(
+        loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
+    )
+    return environment.get_template("report.html").render(
+        result=result,
+        verdict=verdict(result),
+        summary=list(_summary(result)),
+        headings=HEADINGS,
+        rows=parameter_rows(result),
+        figures=list(FIGURES.values()),
+        figures_json=_inline({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
+        provenance=list(flattened(result.get("inputs") or {})),
+        timing=list(flattened(result.get("timing_s") or {})),
+        command=command(result),
+        plotly=Markup(get_plotlyjs()),  # noqa: S704 - the library's own file, as its writer inlines it
+        version=__version__,
+    )
+
+
+def _trace(result: Result) -> Trace:
+    return Trace(str(result.get("method") or "run"), result)
+
+
+def _inline(figures: Mapping[str, Any]) -> Markup:
+    """Encode the figures, in the light template, so that no text in them can end the script element."""
+    documents = {}
+    for name, figure in figures.items():
+        figure.update_layout(template=LIGHT_TEMPLATE, meta=None)
+        documents[name] = figure.to_plotly_json()
+    text = orjson.dumps(documents, option=orjson.OPT_SERIALIZE_NUMPY).decode()
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped here
+
+
+def _summary(result: Result) -> Iterator[tuple[str, str]]:
+    """List the numbers a reader looks for first."""
+    yield "Method", " ".join(str(result[key]) for key in ("method", "variant") if result.get(key))
+    yield "Camera model", str(result.get("camera_model") or "–")
+    yield "Free parameters", ", ".join(result.get("free") or ()) or "–"
+    for key in ("frames", "exposures", "stars", "pairs", "iterations"):
+        if result.get(key) is not None:
+            yield key.capitalize(), f"{result[key]:,}"
+    yield "RMS arc error", _pair(result.get("rms_arc_rad"))
+    if result.get("chi2_per_dof") is not None:
+        yield "χ² per degree of freedom", f"{result['chi2_per_dof']:.4g}"
+    condition = (result.get("observability") or {}).get("condition_number")
+    yield "Condition number", f"{condition:,.4g}" if condition is not None else "–"
+    validation = result.get("validation")
+    yield "Validation RMS", _pair(validation.get("rms_arc_rad")) if validation else "no validation set was given"
+
+
+def _pair(rms: Mapping[str, float | None] | None) -> str:
+    values = [(rms or {}).get(key) for key in ("initial", "final")]
+    return " → ".join("–" if value is None else f"{value * 1e6:.1f}" for value in values) + " µrad"
+
+
+def flattened(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Walk a document as lines of dotted name and value."""
+    for key, value in document.items():
+        if isinstance(value, Mapping):
+            yield from flattened(value, f"{prefix}{key}.")
+        else:
+            text = f"{value:.6g}" if isinstance(value, float) else str(value)
+            yield f"{prefix}{key}", "–" if value is None else text
+
+
+def command(result: Result) -> str:
+    """Write the command that makes this result again from the same files."""
+    settings = (result.get("inputs") or {}).get("settings") or {}
+    words = ["boresight calibrate TELEMETRY --sensor SENSOR.json", f"--method {result.get('method')}"]
+    if result.get("variant"):
+        words.append(f"--variant {result['variant']}")
+    if result.get("free"):
+        words.append(f"--free {','.join(result['free'])}")
+    if settings.get("linearisations") is not None and result.get("method") != "batch":
+        words.append(f"--linearisations {settings['linearisations']}")
+    if result.get("validation"):
+        words.append("--validate VALIDATION")
+    return " ".join([*words, "--json RESULT.json"])
