@@ -79,7 +79,7 @@ def why_not_sign(session: Session, actor: Actor, approval_id: int) -> str | None
     return None
 
 
-def sign(  # noqa: PLR0913, PLR0917 - what a signature consists of
+def sign(
     session: Session,
     actor: Actor,
     approval_id: int,
@@ -164,7 +164,7 @@ def _refuse_decided(session: Session, approval: Approval, decision: str) -> None
         raise ConflictError(f"Request {approval.id} is {approval.state}: {who_changed(session, approval)}.")
 
 
-def _add_signature(  # noqa: PLR0913, PLR0917 - what a signature consists of
+def _add_signature(
     session: Session, actor: Actor, approval: Approval, decision: str, meaning: str, comment: str
 ) -> Signature:
     """Keep the signature with the hash of what was shown."""

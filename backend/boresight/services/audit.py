@@ -51,7 +51,7 @@ class ChainReport:
     sentence: str
 
 
-def append(  # noqa: PLR0913, PLR0917 - one argument a column of the record
+def append(
     session: Session,
     actor: Actor,
     action: str,

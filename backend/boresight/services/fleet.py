@@ -1,7 +1,7 @@
 """The state of the fleet: for every sensor the worst thing that is known, and why it is said.
 
-Status words, from worst to best: critical, serious, caution, normal, standby, off. Each finding below is a word with its
-sentence; a sensor shows the worst of its findings.
+Status words, from worst to best: critical, serious, caution, normal, standby, off. Each finding below is a word with
+its sentence; a sensor shows the worst of its findings.
 """
 
 from __future__ import annotations

@@ -18,8 +18,9 @@ from typing import Any
 
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.services import audit, staleness
+from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope, require_user
+from boresight.services.staleness import make_others_stale, refuse_moved
 from boresight.services.transitions import bound_hashes, move, require_seen, resting_state, subject_of, who_changed
 from boresight.store import approvals as approval_rows
 from boresight.store import parameter_sets as rows
@@ -31,23 +32,8 @@ from boresight.telemetry.sensors import Sensor as SensorDescription
 
 SCHEMA = "boresight.parameter-set/1"
 USABLE_STATUSES = ("converged", "max_iterations")
-TAKEN_FROM_RESULT = (
-    "sensor",
-    "camera_model",
-    "parameters",
-    "sigma",
-    "covariance",
-    "method",
-    "variant",
-    "free",
-    "status",
-    "advice",
-    "frames",
-    "stars",
-    "rms_arc_rad",
-    "chi2_per_dof",
-    "inputs",
-)
+MEANING = ("camera_model", "parameters", "sigma", "covariance")  # what an estimate is
+EVIDENCE = ("method", "variant", "free", "status", "advice", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "inputs")
 SUBMITTABLE = ("CANDIDATE", "WITHDRAWN", "SUPERSEDED")
 
 
@@ -102,7 +88,7 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
     result = json.loads(blobs.read(str(run.result_sha256), verify=True))
     _refuse_unusable(run_id, result)
     sensor = session.get_one(Sensor, run.sensor_id)
-    document = {key: result.get(key) for key in TAKEN_FROM_RESULT}
+    document = {key: result.get(key) for key in (*MEANING, *EVIDENCE)}
     document |= {"sensor": sensor.name, "run_id": run.id, "result_sha256": run.result_sha256}
     return _add(session, actor, sensor, document, ground_state="CANDIDATE", run_id=run.id)
 
@@ -136,7 +122,7 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, int | float) and math.isfinite(value)
 
 
-def _add(  # noqa: PLR0913 - a row and who makes it
+def _add(
     session: Session,
     actor: Actor,
     sensor: Sensor,
@@ -253,7 +239,8 @@ def withdraw(
         raise ConflictError(f"{row.name} is {row.ground_state}, not submitted; there is nothing to withdraw.")
     if actor.user_id != approval.submitted_by:
         require_role(actor, "administrator")
-    staleness.close(session, actor, approval, "WITHDRAWN", "withdrew", reason=reason.strip() or None)
+    approval.closed_utc = utc_now()
+    move(session, actor, approval, "WITHDRAWN", "withdrew", reason=reason.strip() or None)
     move(session, actor, row, resting_state(row, "WITHDRAWN"), "withdrew", reason=reason.strip() or None)
     return row
 
@@ -275,7 +262,7 @@ def promote(session: Session, actor: Actor, parameter_set_id: int, seen_version:
     approval = approval_rows.latest_of(session, row.id, "APPROVED")
     if row.ground_state != "APPROVED" or approval is None:
         raise ConflictError(f"{row.name} is {row.ground_state}, not APPROVED: {who_changed(session, row)}.")
-    staleness.refuse_moved(session, actor, approval, row)
+    refuse_moved(session, actor, approval, row)
     incumbent = rows.baseline(session, row.sensor_id)
     now = utc_now()
     if incumbent is not None:
@@ -284,7 +271,7 @@ def promote(session: Session, actor: Actor, parameter_set_id: int, seen_version:
     row.baseline_from_utc, row.baseline_to_utc = now, None
     move(session, actor, row, "BASELINE", "promoted", reason=approval.reason)
     _record_promotion(session, actor, row, approval)
-    staleness.make_others_stale(session, actor, row)
+    make_others_stale(session, actor, row)
     return row
 
 

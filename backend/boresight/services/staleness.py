@@ -26,7 +26,8 @@ def make_others_stale(session: Session, actor: Actor, promoted: ParameterSet) ->
 def _make_stale(session: Session, actor: Actor, approval: Approval, reason: str) -> None:
     """Close a request as STALE; its set may be submitted again."""
     row = session.get_one(ParameterSet, approval.parameter_set_id)
-    close(session, actor, approval, "STALE", "made stale", reason=reason)
+    approval.closed_utc = utc_now()
+    move(session, actor, approval, "STALE", "made stale", reason=reason)
     move(session, actor, row, resting_state(row, "CANDIDATE"), "returned", reason=f"its request became stale: {reason}")
 
 
@@ -50,9 +51,3 @@ def refuse_moved(session: Session, actor: Actor, approval: Approval, row: Parame
     _make_stale(session, actor, approval, f"the {' and the '.join(moved)} moved")
     keep_despite_refusal(session)
     raise StaleError(f"The {' and the '.join(moved)} moved since {row.name} was submitted.{since} Submit it again.")
-
-
-def close(session: Session, actor: Actor, approval: Approval, state: str, action: str, *, reason: str | None) -> None:
-    """End a request."""
-    approval.closed_utc = utc_now()
-    move(session, actor, approval, state, action, reason=reason)

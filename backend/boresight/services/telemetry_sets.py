@@ -1,15 +1,19 @@
 """Telemetry sets: what was downlinked, kept as it came and as the table that is worked on.
 
-A file is read and checked whole before anything of it is stored, so a refusal leaves nothing behind.
+A file is read and checked whole before anything of it is stored, so a refusal leaves nothing behind. Reading a large
+file takes seconds, and there is one writer at a time: a door that has others waiting calls `prepared` before it opens
+the transaction and `store_prepared` inside; `add_telemetry_set` does both.
 """
 
 from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePath
+from typing import Any
 
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.services import audit
@@ -30,7 +34,74 @@ MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": 
 PARQUET = "application/vnd.apache.parquet"
 
 
-def add_telemetry_set(  # noqa: PLR0913, PLR0917 - a file, whose it is and where it goes
+@dataclass(frozen=True)
+class Prepared:
+    """An uploaded file that was read, found usable and turned into the table that is worked on; nothing is stored yet.
+
+    Parameters
+    ----------
+    original, table
+        The files: as it came, and as Parquet.
+    name, media_type
+        Of the original.
+    original_sha256
+        Address that the original will have.
+    frames, stars
+        How many the table has.
+    quality
+        The quality report.
+    """
+
+    original: Path
+    table: Path
+    name: str
+    media_type: str
+    original_sha256: str
+    frames: int
+    stars: int
+    quality: dict[str, Any]
+
+
+@contextmanager
+def prepared(
+    sensor_document: Mapping[str, Any], catalogue: Catalogue | None, path: Path, file_name: str
+) -> Iterator[Prepared]:
+    """Read and check an uploaded file, without the database.
+
+    Parameters
+    ----------
+    sensor_document
+        The contract's sensor file, that the quality report compares with.
+    catalogue
+        Tells which star ids exist; None leaves that out of the report.
+    path
+        Where the uploaded bytes are now.
+    file_name
+        As the sender called it; its suffix says what it is.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file cannot be read, with rows and columns.
+    """
+    with _called(path, file_name) as named:
+        telemetry = read_telemetry(named)
+    with tempfile.TemporaryDirectory() as folder:
+        table = Path(folder) / "table.parquet"
+        write_parquet(telemetry, table)
+        yield Prepared(
+            original=path,
+            table=table,
+            name=_base_name(file_name),
+            media_type=MEDIA_TYPES.get(PurePath(file_name).suffix.lower(), PARQUET),
+            original_sha256=_sha256_of_file(path),
+            frames=len(set(telemetry.frame.tolist())),
+            stars=len(telemetry),
+            quality=quality_report(telemetry, parse_sensor(sensor_document), catalogue),
+        )
+
+
+def add_telemetry_set(
     session: Session,
     actor: Actor,
     blobs: BlobStore,
@@ -40,18 +111,7 @@ def add_telemetry_set(  # noqa: PLR0913, PLR0917 - a file, whose it is and where
     file_name: str,
     purpose: str = "calibration",
 ) -> TelemetrySet:
-    """Store an uploaded file of a sensor with its quality report; the same bytes again are the set that is there.
-
-    Parameters
-    ----------
-    catalogue
-        Tells which star ids exist; None leaves that out of the report.
-    path
-        Where the uploaded bytes are now; they are copied.
-    file_name
-        As the sender called it; its suffix says what it is.
-    purpose
-        `calibration`, or `validation` to be held out.
+    """Read, check and store an uploaded file of a sensor; see `prepared` and `store_prepared`.
 
     Raises
     ------
@@ -62,28 +122,54 @@ def add_telemetry_set(  # noqa: PLR0913, PLR0917 - a file, whose it is and where
     RefusedInputError
         When the file cannot be read, with rows and columns; or the purpose does not exist.
     """
-    require_role(actor, "analyst")
-    require_scope(actor, "telemetry-sets")
-    if purpose not in PURPOSES:
-        raise RefusedInputError(f"The purpose is calibration or validation, not {purpose!r}.")
+    _refuse_upload(actor, purpose)
     sensor = get_sensor(session, sensor_id)
     if (existing := rows.set_with_bytes(session, sensor_id, _sha256_of_file(path))) is not None:
         return _in_use_again(session, actor, existing)
-    with _called(path, file_name) as named:
-        telemetry = read_telemetry(named)
-    quality = quality_report(telemetry, parse_sensor(sensor.document), catalogue)
-    original, table = blobs.put(path), _put_table(blobs, telemetry)
-    register_blob(session, blobs, original, MEDIA_TYPES.get(PurePath(file_name).suffix.lower(), PARQUET))
+    with prepared(sensor.document, catalogue, path, file_name) as upload:
+        return store_prepared(session, actor, blobs, sensor_id, upload, purpose)
+
+
+def store_prepared(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    sensor_id: int,
+    upload: Prepared,
+    purpose: str = "calibration",
+) -> TelemetrySet:
+    """Store what was prepared; the same bytes again are the set that is there.
+
+    Parameters
+    ----------
+    purpose
+        `calibration`, or `validation` to be held out.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst.
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the purpose does not exist.
+    """
+    _refuse_upload(actor, purpose)
+    sensor_id = get_sensor(session, sensor_id).id
+    if (existing := rows.set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
+        return _in_use_again(session, actor, existing)
+    original, table = blobs.put(upload.original), blobs.put(upload.table)
+    register_blob(session, blobs, original, upload.media_type)
     register_blob(session, blobs, table, PARQUET)
     row = TelemetrySet(
         sensor_id=sensor_id,
-        name=_base_name(file_name),
+        name=upload.name,
         purpose=purpose,
         original_sha256=original,
         table_sha256=table,
-        frames=len(set(telemetry.frame.tolist())),
-        stars=len(telemetry),
-        quality=quality,
+        frames=upload.frames,
+        stars=upload.stars,
+        quality=upload.quality,
         uploaded_utc=utc_now(),
         uploaded_by=actor.user_id,
     )
@@ -92,6 +178,14 @@ def add_telemetry_set(  # noqa: PLR0913, PLR0917 - a file, whose it is and where
     after = {"name": row.name, "sensor_id": sensor_id, "purpose": purpose, "original_sha256": original}
     audit.append(session, actor, "uploaded", _subject(row), None, after)
     return row
+
+
+def _refuse_upload(actor: Actor, purpose: str) -> None:
+    """Refuse who may not upload, and a purpose that does not exist."""
+    require_role(actor, "analyst")
+    require_scope(actor, "telemetry-sets")
+    if purpose not in PURPOSES:
+        raise RefusedInputError(f"The purpose is calibration or validation, not {purpose!r}.")
 
 
 def _sha256_of_file(path: Path) -> str:
@@ -126,14 +220,6 @@ def _called(path: Path, file_name: str) -> Iterator[Path]:
         yield named
 
 
-def _put_table(blobs: BlobStore, telemetry: Telemetry) -> str:
-    """Store the Parquet form."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "table.parquet"
-        write_parquet(telemetry, path)
-        return blobs.put(path)
-
-
 def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
     """Return a set.
 
@@ -148,7 +234,7 @@ def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
     return row
 
 
-def list_telemetry_sets(  # noqa: PLR0913 - one argument a filter
+def list_telemetry_sets(
     session: Session,
     *,
     sensor_id: int | None = None,

@@ -50,7 +50,7 @@ def who_changed(session: Session, row: Versioned) -> str:
     return f"{record.actor} {record.action} it at {record.at_utc}" if record else "nobody is on record for it"
 
 
-def move(  # noqa: PLR0913 - a row, its new state and the record of it
+def move(
     session: Session, actor: Actor, row: Approval | ParameterSet, state: str, action: str, *, reason: str | None = None
 ) -> None:
     """Bring a row into a state, one version further, with its audit record."""

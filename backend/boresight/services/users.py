@@ -28,7 +28,7 @@ _HASHER = PasswordHasher()
 _UNKNOWN = _HASHER.hash("nobody has this password")
 
 
-def create_user(  # noqa: PLR0913 - a person and who makes them
+def create_user(
     session: Session, actor: Actor, *, name: str, printed_name: str, password: str, roles: Collection[str]
 ) -> User:
     """Add a person.

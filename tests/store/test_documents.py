@@ -1,0 +1,40 @@
+"""Documents: one spelling each."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from boresight.store.documents import canonical, sha256_of
+
+NUMBERS = st.integers(-(2**63), 2**63) | st.floats(allow_nan=False, allow_infinity=False)
+JSON = st.recursive(
+    st.none() | st.booleans() | NUMBERS | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=20,
+)
+
+
+@given(document=JSON)
+def test_a_document_read_back_has_the_same_spelling(document: object) -> None:
+    assert canonical(json.loads(canonical(document))) == canonical(document)
+
+
+@given(document=st.dictionaries(st.text(max_size=8), JSON, min_size=2))
+def test_the_order_of_keys_does_not_matter(document: dict[str, object]) -> None:
+    backwards = dict(reversed(document.items()))
+    assert sha256_of(backwards) == sha256_of(document)
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), float("-inf")])
+def test_what_json_cannot_say_is_refused(number: float) -> None:
+    with pytest.raises(ValueError, match="JSON compliant"):
+        canonical({"f_m": number})
+
+
+def test_the_spelling_is_fixed() -> None:
+    document = {"b": [1.0, 1e22, -0.0, 0.1], "a": {"ψ": None, "n": 3}}
+    assert canonical(document) == '{"a":{"n":3,"ψ":null},"b":[1.0,1e+22,-0.0,0.1]}'

@@ -1,0 +1,245 @@
+"""Migrations: the way up and down, on data, ends in the tables the models say; the database guards its own rules."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+
+from boresight.errors import ConflictError
+from boresight.store.sessions import (
+    Engine,
+    current_revision,
+    downgrade,
+    head_revision,
+    migrate,
+    open_engine,
+    reading,
+    writing,
+)
+from boresight.store.tables import (
+    Approval,
+    AuditRecord,
+    Base,
+    ParameterSet,
+    Promotion,
+    Run,
+    Sensor,
+    Signature,
+    Uplink,
+    User,
+)
+from boresight.store.tables import Blob as BlobRow
+from boresight.store.tables import TelemetrySet as TelemetrySetRow
+
+NOW = "2026-11-21T00:00:00.000000Z"
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def store(request: pytest.FixtureRequest) -> Engine:
+    """Each engine in turn, migrated."""
+    store: Engine = request.getfixturevalue("engine" if request.param == "sqlite" else "postgresql")
+    return store
+
+
+def _set(number: int, ground_state: str) -> ParameterSet:
+    return ParameterSet(
+        name=f"PS-ST1-{number}",
+        sensor_id=1,
+        number=number,
+        sha256="5" * 64,
+        document={"f_m": 0.016},
+        ground_state=ground_state,
+        created_utc=NOW,
+    )
+
+
+def _rows() -> list[Any]:
+    """One row of nearly every table, what is referred to first."""
+    blob = BlobRow(sha256="b" * 64, size_bytes=3_000_000_000, media_type="text/csv", created_utc=NOW)
+    telemetry = TelemetrySetRow(
+        sensor_id=1,
+        name="a.csv",
+        purpose="calibration",
+        original_sha256="b" * 64,
+        table_sha256="b" * 64,
+        frames=2,
+        stars=20,
+        quality={"frames": 2},
+        uploaded_utc=NOW,
+    )
+    run = Run(
+        sensor_id=1,
+        telemetry_set_id=1,
+        method="batch",
+        settings={},
+        sensor_document={},
+        state="SUCCEEDED",
+        launched_utc=NOW,
+        result_sha256="b" * 64,
+    )
+    audit = AuditRecord(
+        at_utc=NOW, actor="Ana", credential="session", action="x", object="y", previous_hash="0", hash="1"
+    )
+    return [
+        User(name="ana", printed_name="Ana", password_hash="x", roles=["analyst"], created_utc=NOW),
+        Sensor(name="ST1", document={"name": "ST1", "f_m": 1e22}, created_utc=NOW, created_by=1),
+        blob,
+        telemetry,
+        run,
+        _set(0, "BASELINE"),
+        Approval(parameter_set_id=1, state="OPEN", reason="r", submitted_utc=NOW, submitted_by=1, bound={}),
+        Signature(
+            approval_id=1,
+            user_id=1,
+            printed_name="Ana",
+            decision="APPROVE",
+            meaning="m",
+            comment="",
+            shown_sha256="s",
+            signed_utc=NOW,
+        ),
+        Uplink(parameter_set_id=1, onboard_state="SENT", source="pass 1", recorded_utc=NOW, recorded_by=1),
+        Promotion(sensor_id=1, parameter_set_id=1, at_utc=NOW),
+        audit,
+    ]
+
+
+def _fill(store: Engine) -> None:
+    with writing(store) as session:
+        for row in _rows():
+            session.add(row)
+            session.flush()
+
+
+def test_the_migrated_schema_is_the_one_of_the_models(store: Engine) -> None:
+    with store.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+
+
+def test_every_table_and_index_is_spelled_as_the_models_spell_it(engine: Engine, tmp_path: Any) -> None:
+    direct = open_engine(f"sqlite:///{tmp_path}/direct.sqlite3")
+    with direct.begin() as connection:
+        Base.metadata.create_all(connection)
+    assert _spelling(engine) == _spelling(direct)
+    direct.dispose()
+
+
+def _spelling(engine: Engine) -> dict[str, str]:
+    query = "SELECT name, sql FROM sqlite_master WHERE type IN ('table', 'index') AND sql IS NOT NULL"
+    with engine.connect() as connection:
+        rows = connection.exec_driver_sql(query)
+        return {name: " ".join(sql.split()) for name, sql in rows if name != "alembic_version"}
+
+
+def test_every_table_is_strict(engine: Engine) -> None:
+    tables = {name: sql for name, sql in _spelling(engine).items() if sql.startswith("CREATE TABLE")}
+    assert len(tables) == len(Base.metadata.tables)
+    assert all(sql.endswith("STRICT") for sql in tables.values())
+
+
+def test_data_survive_a_migration_that_has_nothing_to_do(store: Engine) -> None:
+    _fill(store)
+    migrate(store)
+    with reading(store) as session:
+        sensor = session.get_one(Sensor, 1)
+        assert sensor.document == {"name": "ST1", "f_m": 1e22}
+        assert isinstance(sensor.document["f_m"], float)
+        assert session.get_one(BlobRow, "b" * 64).size_bytes == 3_000_000_000
+
+
+def test_a_full_store_goes_down_and_up_again(store: Engine) -> None:
+    _fill(store)
+    assert current_revision(store) == head_revision()
+    downgrade(store, "base")
+    assert current_revision(store) is None
+    with store.connect() as connection:
+        assert sa.inspect(connection).get_table_names() == ["alembic_version"]
+    migrate(store)
+    assert current_revision(store) == head_revision()
+    _fill(store)
+
+
+def test_a_migration_leaves_foreign_keys_on(engine: Engine) -> None:
+    migrate(engine)
+    with pytest.raises(sa.exc.IntegrityError, match="FOREIGN KEY"), writing(engine) as session:
+        session.add(Promotion(sensor_id=9, parameter_set_id=9, at_utc=NOW))
+
+
+def test_a_database_of_a_newer_version_is_refused_and_left_alone(store: Engine) -> None:
+    with store.begin() as connection:
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
+    with pytest.raises(ConflictError, match="newer version"):
+        migrate(store)
+    assert current_revision(store) == "9999"
+
+
+@pytest.mark.parametrize("table", ["audit", "signatures", "uplinks", "promotions", "parameter_sets"])
+def test_what_is_on_record_cannot_be_removed(store: Engine, table: str) -> None:
+    _fill(store)
+    with pytest.raises(sa.exc.DBAPIError, match="is never removed"):
+        _execute(store, f"DELETE FROM {table}")  # noqa: S608 - names of our own
+
+
+@pytest.mark.parametrize(
+    ("table", "change"),
+    [
+        ("audit", "reason = 'another'"),
+        ("signatures", "decision = 'REFUSE'"),
+        ("uplinks", "onboard_state = 'ACTIVE'"),
+        ("promotions", "at_utc = '2020'"),
+        ("parameter_sets", "document = '{}'"),
+        ("parameter_sets", "sha256 = 'x'"),
+        ("parameter_sets", "run_id = 1"),
+        ("runs", "state = 'FAILED'"),
+        ("runs", "result_sha256 = NULL"),
+    ],
+)
+def test_what_is_on_record_cannot_be_changed(store: Engine, table: str, change: str) -> None:
+    _fill(store)
+    with pytest.raises(sa.exc.DBAPIError, match="is never changed"):
+        _execute(store, f"UPDATE {table} SET {change}")  # noqa: S608 - names of our own
+
+
+def test_what_may_change_does(store: Engine) -> None:
+    _fill(store)
+    _execute(store, "UPDATE parameter_sets SET ground_state = 'SUPERSEDED', version = 2")
+    _execute(store, "UPDATE runs SET label = 'best'")
+    with reading(store) as session:
+        assert session.get_one(ParameterSet, 1).ground_state == "SUPERSEDED"
+        assert session.get_one(Run, 1).label == "best"
+
+
+def test_postgresql_does_not_truncate_the_record_either(postgresql: Engine) -> None:
+    _fill(postgresql)
+    with pytest.raises(sa.exc.DBAPIError, match="is never removed"):
+        _execute(postgresql, "TRUNCATE audit")
+
+
+@pytest.mark.parametrize("row", [_set(1, "BASELINE"), _set(0, "CANDIDATE"), _set(2, "ELSEWHERE")])
+def test_a_second_baseline_or_number_or_an_unknown_state_is_refused(store: Engine, row: ParameterSet) -> None:
+    _fill(store)
+    copy = _set(row.number, row.ground_state)
+    with pytest.raises(sa.exc.IntegrityError), writing(store) as session:
+        session.add(copy)
+
+
+def test_a_second_open_request_for_a_set_is_refused(store: Engine) -> None:
+    _fill(store)
+    row = Approval(parameter_set_id=1, state="OPEN", reason="r", submitted_utc=NOW, submitted_by=1, bound={})
+    with pytest.raises(sa.exc.IntegrityError), writing(store) as session:
+        session.add(row)
+
+
+def test_text_in_a_number_is_refused(engine: Engine) -> None:
+    _fill(engine)
+    with pytest.raises(sa.exc.IntegrityError, match="cannot store TEXT"):
+        _execute(engine, "UPDATE runs SET attempt = 'twice'")
+
+
+def _execute(store: Engine, statement: str) -> None:
+    with writing(store) as session:
+        session.connection().exec_driver_sql(statement)
