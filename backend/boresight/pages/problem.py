@@ -1,0 +1,60 @@
+"""A refusal as a page: what happened, what to do, and the request id to quote; a log-in where that is what is missing."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from urllib.parse import quote
+
+from fastapi import Request
+from fastapi.responses import Response
+
+from boresight.api.dependencies import current_actor
+from boresight.api.problems import problem_of
+from boresight.errors import BoresightError, UnauthenticatedError
+from boresight.pages.rendering import redirect, render
+
+ADVICE = {
+    403: "An administrator can give roles, on the page Users and keys.",
+    404: "It may have another number, or the address was copied incompletely.",
+    409: "Read the thing again to see its state now, then decide anew.",
+    412: "Somebody changed it after you opened the page. Go back, reload, and look at what is there now.",
+    413: "Split the file, or ask an administrator to raise the limit.",
+    422: "Nothing was stored. Go back, correct what is named here, and send it again.",
+    428: "Go back, reload the page and do it from there.",
+    500: "Nothing of this request was stored. Try again; if it fails again, report the request id below.",
+}
+
+
+def is_page(request: Request) -> bool:
+    """Tell whether a person's browser asks, and not a program."""
+    return not request.url.path.startswith("/api/") and "text/html" in request.headers.get("accept", "")
+
+
+def problem_page(request: Request, error: Exception) -> Response:
+    """Answer an error as a page; who is not logged in is sent to the log-in and back.
+
+    Parameters
+    ----------
+    error
+        Any exception; one that is not a refusal is told without its words.
+    """
+    if isinstance(error, UnauthenticatedError):
+        return redirect(f"/login?next={quote(_way_back(request), safe='')}")
+    with suppress(BoresightError):
+        current_actor(request)  # an address that does not exist asked nobody who acts
+    problem = problem_of(error)
+    return render(
+        request,
+        "problem.html",
+        status_code=problem.status,
+        problem=problem,
+        advice=ADVICE.get(problem.status, ""),
+        request_id=getattr(request.state, "request_id", None),
+    )
+
+
+def _way_back(request: Request) -> str:
+    """Return the address to open after the log-in: the one asked for, or the start after a form."""
+    if request.method != "GET":
+        return "/"
+    return request.url.path + (f"?{request.url.query}" if request.url.query else "")

@@ -1,0 +1,186 @@
+"""People and API keys: administrators manage people; everyone manages their own keys and password."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.api.dependencies import Reading, Who, csrf, log_out_person
+from boresight.errors import RefusedInputError
+from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.rendering import redirect, render
+from boresight.services import api_keys, users
+from boresight.services.actors import SCOPES, Actor
+from boresight.services.users import MINIMUM_PASSWORD_LENGTH
+from boresight.store.sessions import Session, reading, utc_now
+from boresight.store.tables import ROLES
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+WHAT_A_ROLE_MAY = {
+    "viewer": "look at everything",
+    "analyst": "upload telemetry, launch runs, submit parameter sets",
+    "operator": "promote approved sets, record what is on board",
+    "approver": "sign requests for approval",
+    "administrator": "manage people and keys; cannot sign",
+}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a form left behind on the page: its refusal, what was typed, a key's secret that is shown once."""
+
+    form: str = ""
+    refusal: Refusal | None = None
+    typed: Mapping[str, Any] = field(default_factory=dict)
+    secret: str = ""
+
+
+def _page(request: Request, actor: Actor, session: Session, shown: Shown) -> HTMLResponse:
+    """Render people and keys."""
+    administrator = "administrator" in actor.roles
+    people = users.list_users(session)
+    return render(
+        request,
+        "users.html",
+        status_code=422 if shown.refusal else 200,
+        people=people if administrator else [],
+        names={person.id: person.printed_name for person in people},
+        administrators=[p.printed_name for p in people if "administrator" in p.roles and p.disabled_utc is None],
+        keys=api_keys.list_keys(session, None if administrator else actor.user_id),
+        last_changes=api_keys.last_changes(session),
+        roles=WHAT_A_ROLE_MAY,
+        scopes=SCOPES,
+        minimum_length=MINIMUM_PASSWORD_LENGTH,
+        administrator=administrator,
+        now=utc_now(),
+        shown=shown,
+    )
+
+
+def _again(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
+    """Render the page after a form was refused, or with a secret."""
+    with reading(request.app.state.engine) as session:
+        return _page(request, actor, session, shown)
+
+
+@router.get("/users", response_class=HTMLResponse)
+def users_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show people and keys."""
+    return _page(request, actor, session, Shown())
+
+
+@router.post("/users", response_class=HTMLResponse)
+async def create(
+    request: Request,
+    actor: Who,
+    name: Annotated[str, Form()] = "",
+    printed_name: Annotated[str, Form()] = "",
+    password: Annotated[str, Form()] = "",
+    roles: Annotated[list[str] | None, Form()] = None,
+) -> Response:
+    """Add a person."""
+    chosen = roles or []
+    change = partial(
+        users.create_user, actor=actor, name=name, printed_name=printed_name, password=password, roles=chosen
+    )
+    outcome = await attempt(request, change)
+    if outcome.value is not None:
+        return redirect("/users", flash=f"{outcome.value.printed_name} may log in as {outcome.value.name}.")
+    typed = {"name": name, "printed_name": printed_name, "roles": chosen}
+    return await run_in_threadpool(_again, request, actor, Shown("person", outcome.refusal, typed))
+
+
+@router.post("/users/{user_id}/roles", response_class=HTMLResponse)
+async def change_roles(
+    request: Request, actor: Who, user_id: int, roles: Annotated[list[str] | None, Form()] = None
+) -> Response:
+    """Give a person other roles."""
+    change = partial(users.change_roles, actor=actor, user_id=user_id, roles=roles or [])
+    outcome = await attempt(request, change)
+    if outcome.value is not None:
+        held = ", ".join(outcome.value.roles) or "no role"
+        return redirect("/users", flash=f"{outcome.value.printed_name} now has: {held}.")
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+@router.post("/users/{user_id}/disable", response_class=HTMLResponse)
+async def disable(request: Request, actor: Who, user_id: int) -> Response:
+    """Keep a person out."""
+    outcome = await attempt(request, partial(users.disable_user, actor=actor, user_id=user_id))
+    if outcome.value is not None:
+        return redirect("/users", flash=f"{outcome.value.printed_name} can no longer log in.")
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+@router.post("/users/{user_id}/enable", response_class=HTMLResponse)
+async def enable(request: Request, actor: Who, user_id: int) -> Response:
+    """Let a disabled person in again."""
+    outcome = await attempt(request, partial(users.enable_user, actor=actor, user_id=user_id))
+    if outcome.value is not None:
+        return redirect("/users", flash=f"{outcome.value.printed_name} can log in again.")
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+@router.post("/users/password", response_class=HTMLResponse)
+async def change_password(
+    request: Request,
+    actor: Who,
+    current: Annotated[str, Form()] = "",
+    password: Annotated[str, Form()] = "",
+    repeated: Annotated[str, Form()] = "",
+) -> Response:
+    """Set one's own password; every log-in then ends, this one too."""
+    outcome = await attempt(request, partial(_set_password, actor, current, password, repeated))
+    if outcome.refusal is None:
+        response = redirect("/login", flash="Your password is changed; log in with the new one.")
+        log_out_person(request, response)
+        return response
+    return await run_in_threadpool(_again, request, actor, Shown("password", outcome.refusal))
+
+
+def _set_password(actor: Actor, current: str, password: str, repeated: str, session: Session) -> None:
+    """Change the password of who acts, typed twice alike."""
+    if password != repeated:
+        raise RefusedInputError("The two new passwords differ; type the same one twice.")
+    if actor.user_id is not None:
+        users.change_password(session, actor, actor.user_id, password, current)
+
+
+@router.post("/users/keys", response_class=HTMLResponse)
+async def create_key(
+    request: Request,
+    actor: Who,
+    label: Annotated[str, Form()] = "",
+    days: Annotated[str, Form()] = "90",
+    scopes: Annotated[list[str] | None, Form()] = None,
+) -> Response:
+    """Make a key and show its secret, this once."""
+    outcome = await attempt(request, partial(_make_key, actor, label, days, scopes or []))
+    if outcome.value is not None:
+        return await run_in_threadpool(_again, request, actor, Shown("key", secret=outcome.value))
+    typed = {"label": label, "days": days, "scopes": scopes or []}
+    return await run_in_threadpool(_again, request, actor, Shown("key", outcome.refusal, typed))
+
+
+def _make_key(actor: Actor, label: str, days: str, scopes: list[str], session: Session) -> str:
+    """Return the secret of a new key."""
+    if not days.strip().isdecimal():
+        raise RefusedInputError(f"{days.strip()!r} is not a number of days; type one, such as 90.")
+    _, secret = api_keys.create_key(session, actor, label=label, scopes=scopes, expires_days=int(days))
+    return secret
+
+
+@router.post("/users/keys/{key_id}/revoke", response_class=HTMLResponse)
+async def revoke_key(request: Request, actor: Who, key_id: int) -> Response:
+    """End a key."""
+    outcome = await attempt(request, partial(api_keys.revoke_key, actor=actor, key_id=key_id))
+    if outcome.value is not None:
+        return redirect("/users", flash=f"The key {outcome.value.label!r} is revoked.")
+    return await run_in_threadpool(_again, request, actor, Shown("keys", outcome.refusal))
