@@ -1,0 +1,204 @@
+"""A real store on a real file with a telemetry set, and engines with real worker processes on it."""
+
+import contextlib
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from boresight.settings import Settings, read_settings
+from boresight.simulation.sensors import st16_sensor
+from boresight.sky.catalogue import load_catalogue
+from boresight.store import runs
+from boresight.store.blobs import BlobStore, register_blob
+from boresight.store.run_events import events_of_run
+from boresight.store.sessions import migrate, open_engine, reading, utc_now, writing
+from boresight.store.tables import TERMINAL_RUN_STATES, Run, Sensor, TelemetrySet
+from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import sensor_document
+from boresight.workers.engine import Engine
+
+sys.path.insert(0, str(Path(__file__).parent))  # where worker processes, which inherit the path, find the stand-in
+CALCULATION = "standin:calculate"
+
+
+class Store:
+    """The database of a data folder with one sensor and one telemetry set."""
+
+    def __init__(self, folder: Path, catalogue: Path, **settings: str) -> None:
+        shutil.copytree(catalogue, folder / "catalogue")
+        environment = {"workers": "2", "lease_s": "3", "max_attempts": "3", "data_folder": str(folder)} | settings
+        self.environment = {f"BORESIGHT_{name.upper()}": value for name, value in environment.items()}
+        self.settings: Settings = read_settings(self.environment)
+        self.database = open_engine(self.settings.database_url)
+        self.blobs = BlobStore(self.settings.blob_folder)
+        self.marks = folder / "marks"
+        self.marks.mkdir()
+        migrate(self.database)
+        self.sensor_id, self.set_id = self._furnish(folder)
+
+    def _furnish(self, folder: Path) -> tuple[int, int]:
+        table = folder / "table.parquet"
+        write_parquet(four_stars(), table)
+        sha256 = self.blobs.put(table)
+        with writing(self.database) as session:
+            register_blob(session, self.blobs, sha256, "application/vnd.apache.parquet")
+            document = sensor_document(st16_sensor(1))
+            sensor = Sensor(name="ST-1", document=document, created_utc=utc_now(), version=1, simulated=1)
+            session.add(sensor)
+            session.flush()
+            telemetry = TelemetrySet(
+                sensor_id=sensor.id,
+                name="set",
+                purpose="calibration",
+                original_sha256=sha256,
+                table_sha256=sha256,
+                frames=1,
+                stars=4,
+                quality={},
+                uploaded_utc=utc_now(),
+            )
+            session.add(telemetry)
+            session.flush()
+            return sensor.id, telemetry.id
+
+    def launch(self, behaviour: str, count: int = 1) -> list[int]:
+        """Queue runs whose sensor's name says what the stand-in does."""
+        with writing(self.database) as session:
+            return [self._add(session, behaviour) for _ in range(count)]
+
+    def _add(self, session, behaviour: str) -> int:
+        document = sensor_document(st16_sensor(1))
+        run = runs.add_run(
+            session,
+            sensor_id=self.sensor_id,
+            telemetry_set_id=self.set_id,
+            method="batch",
+            settings={"method": "batch"},
+            sensor_document=document,
+            label=behaviour,
+        )
+        run.sensor_document = document | {"name": f"{behaviour}-{run.id}"}
+        session.flush()
+        return run.id
+
+    def cancel(self, run_id: int) -> str:
+        """Ask for a run to be stopped; return the state it is in then."""
+        with writing(self.database) as session:
+            return runs.request_cancel(session, run_id, "Cancelled in a test.").state
+
+    def run(self, run_id: int) -> Run:
+        """Return a run's row."""
+        with reading(self.database) as session:
+            return runs.find_run(session, run_id)
+
+    def states(self, run_ids) -> list[str]:
+        """Return the states of runs, in the order asked."""
+        with reading(self.database) as session:
+            found = runs.states_of(session, run_ids)
+        by_id = {run_id: state for (run_id, _), state in found.items()}
+        return [by_id[run_id] for run_id in run_ids]
+
+    def log(self, run_id: int, kind: str) -> list[str]:
+        """Return the messages of one kind from a run's log."""
+        with reading(self.database) as session:
+            return [event.message for event in events_of_run(session, run_id) if event.kind == kind]
+
+    def ends(self, run_id: int) -> list[str]:
+        """Return the terminal states that were written for a run."""
+        words = [message.partition(":")[0] for message in self.log(run_id, "state")]
+        return [word for word in words if word in TERMINAL_RUN_STATES]
+
+    def processes(self) -> list[int]:
+        """Return the processes that computed anything, in order of time."""
+        names = sorted((path.name for path in self.marks.iterdir()), key=lambda name: int(name.split("-")[-1]))
+        return [int(name.split("-")[2]) for name in names]
+
+    def alive(self) -> set[int]:
+        """Return those of these processes that still work; one that ended and waits to be collected does not."""
+        return {pid for pid in self.processes() if is_alive(pid)}
+
+    def begun(self, run_id: int) -> list[int]:
+        """Return the processes that began to compute a run, in order of time."""
+        paths = sorted(self.marks.glob(f"*-{run_id}-*-*"), key=lambda path: int(path.name.split("-")[-1]))
+        return [int(path.name.split("-")[2]) for path in paths]
+
+    def wait_for(self, condition, seconds: float) -> None:
+        """Wait until `condition()` holds."""
+        until_s = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < until_s, "waited in vain"
+            time.sleep(0.05)
+
+    def wait_until_ended(self, run_ids, seconds: float) -> list[str]:
+        """Wait until every run is in a terminal state; return the states."""
+        self.wait_for(lambda: all(state in TERMINAL_RUN_STATES for state in self.states(run_ids)), seconds)
+        return self.states(run_ids)
+
+
+def is_alive(pid: int) -> bool:
+    """Say whether a process still works."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    return False
+
+
+def four_stars() -> Telemetry:
+    """Make the smallest telemetry a reader accepts."""
+    return Telemetry(
+        frame=np.zeros(4, np.int64),
+        exposure=np.zeros(4, np.int64),
+        row_px=np.array([100.0, 200.0, 900.0, 1500.0]),
+        col_px=np.array([100.0, 2000.0, 300.0, 1500.0]),
+        star_id=np.array([1, 2, 3, 4]),
+    )
+
+
+@pytest.fixture(scope="session")
+def catalogue_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sky") / "catalogue"
+    load_catalogue(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def kernel_folder(pytestconfig):
+    """Keep compiled kernels from one test session to the next."""
+    return pytestconfig.cache.mkdir("kernels")
+
+
+@pytest.fixture(scope="module")
+def make_store(tmp_path_factory, catalogue_folder, kernel_folder):
+    """Make stores with changed settings, the newest of which the stand-in marks; they are closed at the end."""
+    made = []
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("NUMBA_CACHE_DIR", str(kernel_folder))
+
+        def make(**settings):
+            made.append(Store(tmp_path_factory.mktemp("data"), catalogue_folder, **settings))
+            environment.setenv("BORESIGHT_TEST_MARKS", str(made[-1].marks))
+            return made[-1]
+
+        yield make
+    for store in made:
+        store.database.dispose()
+
+
+@pytest.fixture(scope="module")
+def start_engine():
+    """Start engines with the stand-in calculation; stop them at the end."""
+    started = []
+
+    def start(store, broadcast=None, **options):
+        engine = Engine(store.database, store.settings, broadcast, calculation=CALCULATION, **options)
+        engine.start()
+        started.append(engine)
+        return engine
+
+    yield start
+    for engine in started:
+        engine.stop()

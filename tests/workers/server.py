@@ -1,0 +1,25 @@
+"""A server in the smallest form, for tests to kill: an engine on the store that the environment names."""
+
+import signal
+import threading
+
+from boresight.settings import read_settings, use_kernel_folder
+from boresight.store.sessions import open_engine
+
+
+def main() -> None:
+    """Run an engine until asked to end."""
+    settings = read_settings()
+    use_kernel_folder(settings)
+    from boresight.workers.engine import Engine  # noqa: PLC0415 - after the kernel folder is set
+
+    asked = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: asked.set())
+    engine = Engine(open_engine(settings.database_url), settings, calculation="standin:calculate")
+    engine.start()
+    asked.wait()
+    engine.stop()
+
+
+if __name__ == "__main__":
+    main()

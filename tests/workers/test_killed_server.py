@@ -1,0 +1,54 @@
+"""The server is killed with -9 while runs compute, and started again: none is lost, none is doubled."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SERVER = Path(__file__).parent / "server.py"
+
+
+@pytest.fixture
+def start_server():
+    """Start server processes; end them in order at the end."""
+    started = []
+
+    def start(store):
+        environment = os.environ | store.environment
+        started.append(subprocess.Popen([sys.executable, str(SERVER)], env=environment))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.terminate()
+    for process in started:
+        process.wait(30)
+
+
+def test_two_hundred_runs_survive_a_killed_worker_and_then_a_killed_server(make_store, start_server):
+    store = make_store(lease_s="2")
+    run_ids = store.launch("brief", 200)
+    server = start_server(store)
+    store.wait_for(lambda: store.states(run_ids).count("SUCCEEDED") >= 10, 30)
+    os.kill(store.processes()[-1], signal.SIGKILL)
+    store.wait_for(lambda: store.states(run_ids).count("SUCCEEDED") >= 60, 30)
+    server.send_signal(signal.SIGKILL)
+    server.wait()
+    store.wait_for(lambda: not store.alive(), 10)  # no orphans
+    assert "QUEUED" in store.states(run_ids)  # it was killed in the middle
+    start_server(store)
+    assert store.wait_until_ended(run_ids, 60) == ["SUCCEEDED"] * 200
+    assert all(store.ends(run_id) == ["SUCCEEDED"] for run_id in run_ids)
+    assert any(store.run(run_id).attempt > 1 for run_id in run_ids)
+
+
+def test_servers_that_share_a_store_compute_each_run_once(make_store, start_server):
+    store = make_store(workers="1")
+    run_ids = store.launch("quick", 60)
+    start_server(store)
+    start_server(store)
+    assert store.wait_until_ended(run_ids, 60) == ["SUCCEEDED"] * 60
+    assert all(len(store.begun(run_id)) == 1 for run_id in run_ids)
