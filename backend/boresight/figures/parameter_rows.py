@@ -48,7 +48,7 @@ def _row(result: Result, name: str) -> ParameterRow:
     change = None if initial is None or final is None else final - initial
     known = _scaled(sigma, item.factor)
     return ParameterRow(
-        symbol=item.symbol.replace("_", ""),
+        symbol=item.symbol,
         unit=item.unit,
         initial=digits(_scaled(initial, item.factor), known),
         final=digits(_scaled(final, item.factor), known),

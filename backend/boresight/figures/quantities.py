@@ -36,20 +36,20 @@ class Quantity:
     @property
     def markup(self) -> str:
         """The symbol with its index set low, in the few tags Plotly knows."""
-        letter, _, index = self.symbol.partition("_")
+        letter, index = self.symbol[0], self.symbol[1:].lstrip("_")
         return f"<i>{letter}</i><sub>{index}</sub>" if index else f"<i>{letter}</i>"
 
 
 QUANTITIES = {
     "f_m": Quantity("f", "mm", 1e3, "µm", 1e6),
-    "m0_px": Quantity("m_0", "px", 1.0, "px", 1.0),
-    "n0_px": Quantity("n_0", "px", 1.0, "px", 1.0),
-    "u0_px": Quantity("u_0", "px", 1.0, "px", 1.0),
-    "v0_px": Quantity("v_0", "px", 1.0, "px", 1.0),
-    "b4_per_m4": Quantity("b_4", "m⁻⁴", 1.0, "m⁻⁴", 1.0),
-    "b2_per_m2": Quantity("b_2", "m⁻²", 1.0, "m⁻²", 1.0),
-    "a1_rad": Quantity("a_1", "mrad", 1e3, "mrad", 1e3),
-    "a2_rad": Quantity("a_2", "mrad", 1e3, "mrad", 1e3),
+    "m0_px": Quantity("m0", "px", 1.0, "px", 1.0),
+    "n0_px": Quantity("n0", "px", 1.0, "px", 1.0),
+    "u0_px": Quantity("u0", "px", 1.0, "px", 1.0),
+    "v0_px": Quantity("v0", "px", 1.0, "px", 1.0),
+    "b4_per_m4": Quantity("b4", "m⁻⁴", 1.0, "m⁻⁴", 1.0),
+    "b2_per_m2": Quantity("b2", "m⁻²", 1.0, "m⁻²", 1.0),
+    "a1_rad": Quantity("a1", "mrad", 1e3, "mrad", 1e3),
+    "a2_rad": Quantity("a2", "mrad", 1e3, "mrad", 1e3),
     "g_y": Quantity("g_y", "", 1.0, "ppm", 1e6),
     "s": Quantity("s", "", 1.0, "ppm", 1e6),
 }

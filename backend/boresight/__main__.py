@@ -1,0 +1,6 @@
+"""`python -m boresight` is the command `boresight`."""
+
+from boresight.cli import main
+
+if __name__ == "__main__":
+    main(prog_name="boresight")

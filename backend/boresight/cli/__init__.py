@@ -1,0 +1,35 @@
+"""The command line: one file a group of commands, registered here.
+
+Exit codes: 0 done, 1 refused with one clear line, 2 wrong usage, 130 stopped by Ctrl-C. Results go to standard output,
+everything else to standard error. Heavy libraries are imported inside the commands, so that help comes at once.
+"""
+
+from __future__ import annotations
+
+import click
+
+import boresight
+from boresight.cli.audit import audit
+from boresight.cli.bench import bench
+from boresight.cli.calibrate import calibrate
+from boresight.cli.check import check
+from boresight.cli.migrate import migrate
+from boresight.cli.refusals import RefusingGroup
+from boresight.cli.report import report
+from boresight.cli.serve import demo, serve
+from boresight.cli.simulate import simulate
+from boresight.cli.users import user
+
+
+@click.group(cls=RefusingGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(boresight.__version__, prog_name="boresight")
+@click.option("--debug", is_flag=True, help="Show the traceback of an unexpected error.")
+def main(*, debug: bool) -> None:
+    """Recalibrate star trackers on orbit from downlinked star centroids.
+
+    Every setting is an environment variable BORESIGHT_<NAME>; the README lists them.
+    """
+
+
+for command in (calibrate, check, simulate, report, bench, serve, demo, migrate, user, audit):
+    main.add_command(command)

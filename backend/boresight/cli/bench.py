@@ -1,0 +1,36 @@
+"""`boresight bench`: how fast this machine calibrates, beside peers in the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import click
+
+from boresight.cli.output import aligned, check_writable, json_option, write_json
+from boresight.cli.progress import progress
+from boresight.settings import read_settings, use_kernel_folder
+
+
+@click.command()
+@click.option("--frames", type=click.IntRange(10, 200_000), default=2000, show_default=True, help="Synthetic frames.")
+@json_option
+def bench(frames: int, json_file: str | None) -> None:
+    """Time the estimators on synthetic frames of 12 stars in two exposures."""
+    check_writable(json_file)
+    use_kernel_folder(read_settings())
+    with progress("compiling") as report:
+        from boresight.studies.speed import measure  # noqa: PLC0415 - loads Numba
+
+        measured = measure(frames, report)
+    write_json(measured, json_file)
+    if json_file != "-":
+        click.echo(aligned(list(_rows(measured))))
+
+
+def _rows(measured: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in measured.items():
+        if isinstance(value, Mapping):
+            yield from _rows(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", f"{value:,.4g}" if isinstance(value, float) else str(value)

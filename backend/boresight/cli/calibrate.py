@@ -1,0 +1,126 @@
+"""`boresight calibrate`: a telemetry file and a sensor file in, a calibration out; no server, no store."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from boresight.cli.output import aligned, check_writable, json_option, write_json
+from boresight.cli.progress import progress
+from boresight.errors import RefusedInputError
+from boresight.settings import read_settings, use_kernel_folder
+
+
+@click.command()
+@click.argument("telemetry", type=click.Path(path_type=Path))
+@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.option("--method", default="batch", show_default=True, help="Estimator: batch, sqrf or ekf.")
+@click.option("--variant", default="no-q", show_default=True, help="Of a filter: no-q holds still, q follows drift.")
+@click.option(
+    "--free", metavar="NAMES", help="Parameters to estimate, as f_m,b2_per_m2; the sensor's own list if left out."
+)
+@click.option("--match", default="given", show_default=True, help="Star identities: those given in the file.")
+@click.option(
+    "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
+)
+@click.option(
+    "--linearisations", type=int, default=6, show_default=True, help="Most a frame; 1 is the filter as printed."
+)
+@json_option
+def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_file: str | None, **choices: Any) -> None:
+    """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet).
+
+    Prints the parameters with their sigmas, what the fit is worth, and advice.
+    """
+    check_writable(json_file)
+    use_kernel_folder(read_settings())
+    settings = _settings(choices)
+    with progress("reading the telemetry") as report:
+        result = _calibrate(telemetry, sensor_file, validate, settings, report)
+    write_json(result, json_file)
+    if json_file != "-":
+        click.echo("\n".join(_lines(result)))
+
+
+def _settings(choices: dict[str, Any]) -> Any:
+    """Read the choices; one that does not exist is wrong usage."""
+    from boresight.calibration.settings import CalibrationSettings  # noqa: PLC0415 - loads the estimators
+
+    free = choices.pop("free")
+    if free is not None:
+        choices["free"] = [name.strip() for name in free.split(",") if name.strip()]
+    try:
+        return CalibrationSettings.parse(choices)
+    except RefusedInputError as error:
+        raise click.UsageError(str(error)) from error
+
+
+def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settings: Any, report: Any) -> dict[str, Any]:
+    """Read the files and run the estimator."""
+    from boresight.calibration import calibrate as estimator  # noqa: PLC0415 - loads Numba
+    from boresight.sky.catalogue import load_catalogue  # noqa: PLC0415 - loads NumPy
+    from boresight.telemetry.readers import read_telemetry  # noqa: PLC0415 - loads pyarrow
+    from boresight.telemetry.sensors import read_sensor  # noqa: PLC0415 - loads NumPy
+
+    sensor = read_sensor(sensor_file)
+    stars = read_telemetry(telemetry)
+    held_out = None if validate is None else read_telemetry(validate)
+    report("loading the star catalogue")
+    catalogue = load_catalogue(read_settings().catalogue_folder)
+    report("building arcs and loading the compiled loops")
+    files = {"telemetry": telemetry, "sensor": sensor_file} | ({"validation": validate} if validate else {})
+    return estimator.calibrate(
+        stars,
+        sensor,
+        catalogue,
+        settings,
+        validation=held_out,
+        sha256s={role: hashlib.sha256(path.read_bytes()).hexdigest() for role, path in files.items()},
+        report=lambda step: report(step.message, step.fraction),
+    )
+
+
+def _lines(result: dict[str, Any]) -> Iterator[str]:
+    """Lay a result out for a terminal."""
+    from boresight.figures.parameter_rows import HEADINGS, parameter_rows  # noqa: PLC0415 - loads Plotly
+
+    words = [result["method"], result["variant"], result["status"].replace("_", " ")]
+    counts = ", ".join(f"{result[key]:,} {key}" for key in ("frames", "exposures", "stars", "pairs"))
+    yield f"{result['sensor']}: {', '.join(word for word in words if word)}; {counts}"
+    yield ""
+    yield aligned([HEADINGS, *(row.cells for row in parameter_rows(result))], left=(0, 1, 6))
+    yield ""
+    yield aligned(list(_judgements(result)), left=(0, 1))
+    for sentence in result["advice"]:
+        yield f"\n{sentence}"
+
+
+def _judgements(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """List what the fit is worth."""
+    yield "RMS arc error", _pair(result["rms_arc_rad"])
+    if (fit := result["chi2"]) is not None:
+        yield "chi2 per degree of freedom", _test(result["chi2_per_dof"], fit)
+    if (nis := result["nis"]) is not None and result["method"] != "batch":
+        yield "innovations (NIS)", _test(nis["mean"], nis)
+    if (seen := result["observability"]) is not None:
+        number = seen["condition_number"]
+        yield "condition number", "infinite" if number is None else f"{number:,.4g}"
+        yield "weakest direction", seen["weakest"]["sentence"]
+    if (validation := result["validation"]) is not None:
+        yield "validation RMS", _pair(validation["rms_arc_rad"])
+        availability = validation["availability"]
+        yield "validation availability", f"{availability['initial']:.3g} -> {availability['final']:.3g}"
+
+
+def _pair(rms: dict[str, float | None]) -> str:
+    before, after = ("-" if value is None else f"{value * 1e6:.2f}" for value in (rms["initial"], rms["final"]))
+    return f"{before} -> {after} µrad"
+
+
+def _test(value: float, test: dict[str, Any]) -> str:
+    word = "consistent" if test["consistent"] else "NOT consistent"
+    return f"{value:.4g}, 95 % bounds {test['lower']:.4g} to {test['upper']:.4g}: {word}"

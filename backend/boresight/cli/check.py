@@ -1,0 +1,55 @@
+"""`boresight check`: what a telemetry file is worth, before any run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from boresight.cli.output import aligned, check_writable, json_option, write_json
+from boresight.cli.progress import progress
+from boresight.settings import read_settings
+
+
+@click.command()
+@click.argument("telemetry", type=click.Path(path_type=Path))
+@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@json_option
+def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
+    """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
+    from boresight.sky.catalogue import load_catalogue  # noqa: PLC0415 - loads NumPy
+    from boresight.telemetry.quality import quality_report  # noqa: PLC0415 - loads NumPy
+    from boresight.telemetry.readers import read_telemetry  # noqa: PLC0415 - loads pyarrow
+    from boresight.telemetry.sensors import read_sensor  # noqa: PLC0415 - loads NumPy
+
+    check_writable(json_file)
+    with progress("reading the telemetry") as report:
+        sensor = read_sensor(sensor_file)
+        stars = read_telemetry(telemetry)
+        report("loading the star catalogue")
+        quality = quality_report(stars, sensor, load_catalogue(read_settings().catalogue_folder))
+    write_json(quality, json_file)
+    if json_file != "-":
+        click.echo(aligned(list(_rows(quality)), left=(0, 1)))
+
+
+def _rows(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Walk the report as lines of name and value; long tables of numbers stay in the JSON."""
+    for key, value in document.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _rows(value, f"{name}.")
+        elif isinstance(value, list) and value and isinstance(value[0], str):
+            yield from ((name if i == 0 else "", line) for i, line in enumerate(value))
+        elif not isinstance(value, list):
+            yield name, _text(value)
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:,.6g}" if isinstance(value, float) else f"{value:,}" if isinstance(value, int) else str(value)

@@ -1,0 +1,58 @@
+"""`boresight report`: one self-contained HTML file of a stored run or of a calibration JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import orjson
+
+from boresight.cli.output import check_writable
+from boresight.errors import RefusedInputError
+from boresight.settings import read_settings
+
+
+@click.command()
+@click.argument("source", metavar="RUN|JSON")
+@click.option("--out", "out_file", required=True, metavar="FILE.html", help="The report to write.")
+def report(source: str, out_file: str) -> None:
+    """Write the report of a stored run, by its number, or of a calibration JSON file."""
+    from boresight.figures.report import write_report  # noqa: PLC0415 - loads Plotly
+
+    check_writable(out_file)
+    write_report(_document(source), Path(out_file))
+    click.echo(f"Wrote {out_file}")
+
+
+def _document(source: str) -> dict[str, Any]:
+    """Read the calibration: a number is a run of the store, anything else a file."""
+    if source.isdecimal() and not Path(source).exists():
+        return _stored(int(source))
+    try:
+        document: dict[str, Any] = orjson.loads(Path(source).read_bytes())
+    except FileNotFoundError as error:
+        raise RefusedInputError(f"{source} does not exist: give a run's number or a calibration JSON.") from error
+    except orjson.JSONDecodeError as error:
+        raise RefusedInputError(
+            f"{source} is no JSON ({error}): give the file that `calibrate --json` wrote."
+        ) from error
+    except OSError as error:
+        raise RefusedInputError(f"{source} cannot be read: {error.strerror}.") from error
+    return document
+
+
+def _stored(run_id: int) -> dict[str, Any]:
+    """Read a run's calibration from the store."""
+    from boresight.services import runs  # noqa: PLC0415 - loads SQLAlchemy
+    from boresight.store.blobs import BlobStore  # noqa: PLC0415 - loads SQLAlchemy
+    from boresight.store.sessions import migrate, open_engine, reading  # noqa: PLC0415 - loads SQLAlchemy
+
+    settings = read_settings()
+    engine = open_engine(settings.database_url)
+    migrate(engine)
+    with reading(engine) as session:
+        document = runs.result(session, BlobStore(settings.blob_folder), run_id)
+    if document is None:
+        raise RefusedInputError(f"Run {run_id} has no result yet: wait until it has ended.")
+    return document

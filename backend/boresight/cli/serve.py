@@ -1,0 +1,119 @@
+"""`boresight serve` and `boresight demo`: the console, empty or with a simulated fleet."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from boresight.errors import RefusedInputError
+from boresight.settings import Settings, read_settings, use_kernel_folder
+
+DEMO_FOLDER = ".demo"
+POLL_S = 0.1
+
+host_option = click.option("--host", help="Address to listen on, instead of the setting.")
+port_option = click.option("--port", type=click.IntRange(1, 65535), help="Port to listen on, instead of the setting.")
+data_option = click.option("--data", type=click.Path(path_type=Path), help="Data folder, instead of the setting.")
+
+
+@click.command()
+@host_option
+@port_option
+@data_option
+def serve(host: str | None, port: int | None, data: Path | None) -> None:
+    """Serve the console until Ctrl-C."""
+    settings = _settings(host, port, data)
+    _claim_port(settings)
+    click.echo(f"Boresight on {_address(settings)}, data in {settings.data_folder}. Stop it with Ctrl-C.")
+    _serve(settings)
+
+
+@click.command()
+@host_option
+@port_option
+@data_option
+def demo(host: str | None, port: int | None, data: Path | None) -> None:
+    """Serve the console with a simulated fleet, made and calibrated before your eyes.
+
+    The data folder is .demo unless --data or BORESIGHT_DATA_FOLDER names another.
+    """
+    if data is None and not os.environ.get("BORESIGHT_DATA_FOLDER"):
+        data = Path(DEMO_FOLDER)
+    settings = replace(_settings(host, port, data), mode="SIM")
+    _claim_port(settings)
+    threading.Thread(target=_populate, args=(settings,), name="boresight-demonstration", daemon=True).start()
+    _serve(settings)
+
+
+def _settings(host: str | None, port: int | None, data: Path | None) -> Settings:
+    """Read the settings with what the command line says instead."""
+    given = {"HOST": host, "PORT": port, "DATA_FOLDER": data}
+    named = {f"BORESIGHT_{name}": str(value) for name, value in given.items() if value is not None}
+    return read_settings({**os.environ, **named})
+
+
+def _address(settings: Settings) -> str:
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    return f"http://{host}:{settings.port}"
+
+
+def _claim_port(settings: Settings) -> None:
+    """Refuse an address that cannot be listened on, before anything is started."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    try:
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((settings.host, settings.port))
+    except OSError as error:
+        raise RefusedInputError(
+            f"{settings.host}:{settings.port} cannot be listened on ({error.strerror}): stop the program that uses it, "
+            "or choose another with --port."
+        ) from error
+
+
+def _serve(settings: Settings) -> None:
+    """Run the server; Ctrl-C is its ordinary end."""
+    use_kernel_folder(settings)
+    from boresight.server import serve as run  # noqa: PLC0415 - loads everything
+
+    try:
+        run(settings)
+    except KeyboardInterrupt:
+        click.echo("boresight: stopped.", err=True)
+
+
+def _populate(settings: Settings) -> None:
+    """Make the demonstration as soon as the server answers, so that its first page does not wait for it."""
+    _wait_until_served(settings)
+    from boresight.services.demonstration import LOG_INS, create_demonstration  # noqa: PLC0415 - the server loaded it
+    from boresight.sky.catalogue import load_catalogue  # noqa: PLC0415 - the server loaded it
+    from boresight.store.blobs import BlobStore  # noqa: PLC0415 - the server loaded it
+    from boresight.store.sessions import open_engine  # noqa: PLC0415 - the server loaded it
+
+    click.echo(f"\n  Boresight demonstration: {_address(settings)}\n\n  Log in as")
+    for person in LOG_INS:
+        click.echo(f"    {person.name:<14} {person.password:<28} {person.printed_name}")
+    click.echo("\n  The fleet is being made and calibrated now. Stop with Ctrl-C.\n")
+    engine = open_engine(settings.database_url)
+    try:
+        catalogue = load_catalogue(settings.catalogue_folder)
+        create_demonstration(engine, BlobStore(settings.blob_folder), catalogue, lambda step: click.echo(f"  {step}"))
+    except Exception as error:  # noqa: BLE001 - a thread's last words; the server goes on
+        click.echo(f"boresight: the demonstration could not be completed: {error}", err=True)
+    finally:
+        engine.dispose()
+
+
+def _wait_until_served(settings: Settings) -> None:
+    while True:
+        try:
+            with socket.create_connection((settings.host, settings.port), timeout=1):
+                return
+        except OSError:
+            time.sleep(POLL_S)
