@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import click
 
 from boresight.errors import RefusedInputError
@@ -41,7 +43,7 @@ def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin:
 def _password(*, from_stdin: bool) -> str:
     if not from_stdin:
         return str(click.prompt("Password", hide_input=True, confirmation_prompt=True, err=True))
-    password = str(click.get_text_stream("stdin").readline()).rstrip("\r\n")
+    password = sys.stdin.readline().rstrip("\r\n")
     if not password:
         raise RefusedInputError("Standard input holds no password: pipe one line to --password-stdin.")
     return password
