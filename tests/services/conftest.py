@@ -1,0 +1,191 @@
+"""A store with people in it: a real SQLite file, copied for each test from one that was filled once."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pytest
+
+from boresight.services import sensors, users
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.services.parameter_sets import create_from_run
+from boresight.store.blobs import BlobStore, register_blob
+from boresight.store.sessions import Engine, Session, migrate, open_engine, utc_now, writing
+from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
+
+PASSWORD = "correct horse battery"
+PEOPLE: Mapping[str, tuple[str, ...]] = {
+    "ana": ("analyst",),
+    "bo": ("analyst", "approver"),
+    "cy": ("approver",),
+    "dee": ("operator",),
+    "eve": ("viewer",),
+    "root": ("administrator", "approver"),
+}
+SENSOR: dict[str, Any] = {
+    "name": "ST16-1",
+    "detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6},
+    "camera_model": "inverted_wang",
+    "parity": 1,
+    "centroid_sigma_px": 0.1,
+    "initial": {
+        "f_m": 0.016,
+        "m0_px": 971.5,
+        "n0_px": 1295.5,
+        "b4_per_m4": 0.0,
+        "b2_per_m2": 0.0,
+        "a1_rad": 0.0,
+        "a2_rad": 0.0,
+        "g_y": 1.0,
+    },
+    "typical_sigma": {
+        "f_m": 5e-5,
+        "m0_px": 50.0,
+        "n0_px": 50.0,
+        "b4_per_m4": 1e6,
+        "b2_per_m2": 50.0,
+        "a1_rad": 0.01,
+        "a2_rad": 0.01,
+        "g_y": 0.001,
+    },
+}
+
+
+@pytest.fixture(scope="session")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file that every test starts from."""
+    path = tmp_path_factory.mktemp("filled") / "store.sqlite3"
+    engine = open_engine(f"sqlite:///{path}")
+    migrate(engine)
+    with writing(engine) as session:
+        for name, roles in PEOPLE.items():
+            users.create_user(
+                session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
+            )
+        sensors.register_sensor(session, COMMAND_LINE, SENSOR)
+    engine.dispose()  # the last connection folds the write-ahead log into the file
+    return path
+
+
+@pytest.fixture
+def engine(filled: Path, tmp_path: Path) -> Iterator[Engine]:
+    shutil.copy(filled, tmp_path / "store.sqlite3")
+    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
+    yield engine
+    engine.dispose()
+
+
+@pytest.fixture
+def session(engine: Engine) -> Iterator[Session]:
+    with writing(engine) as session:
+        yield session
+
+
+@pytest.fixture
+def blobs(tmp_path: Path) -> BlobStore:
+    return BlobStore(tmp_path / "blobs")
+
+
+@pytest.fixture
+def people(engine: Engine) -> Mapping[str, Actor]:
+    """Everyone, as they act under a log-in."""
+    with writing(engine) as session:
+        rows = {row.name: row for row in users.list_users(session)}
+        return {name: users.actor_of_session(session, row.id, row.session_epoch) for name, row in rows.items()}
+
+
+@pytest.fixture
+def finished_run(blobs: BlobStore) -> Callable[..., Run]:
+    """Make a run of the sensor that ended with a result; what the test is about can be given."""
+
+    def make(session: Session, launched_by: int | None = None, state: str = "SUCCEEDED", **result: Any) -> Run:
+        sensor = session.get_one(Sensor, 1)
+        document = _result() | result
+        run = Run(
+            sensor_id=sensor.id,
+            telemetry_set_id=_telemetry(session, blobs).id,
+            method="batch",
+            settings={},
+            sensor_document=sensor.document,
+            state=state,
+            launched_utc=utc_now(),
+            launched_by=launched_by,
+            result_sha256=_stored(session, blobs, orjson.dumps(document)),
+            summary={"status": document["status"]},
+        )
+        session.add(run)
+        session.flush()
+        return run
+
+    return make
+
+
+@pytest.fixture
+def candidate(
+    engine: Engine, blobs: BlobStore, people: Mapping[str, Actor], finished_run: Callable[..., Run]
+) -> Callable[..., ParameterSet]:
+    """Make a candidate of a run that Ana launched, each with another focal length."""
+    made = []
+
+    def make(launched_by: str = "ana") -> ParameterSet:
+        with writing(engine) as session:
+            made.append(launched_by)
+            parameters = SENSOR["initial"] | {"f_m": 0.016 + 1e-6 * len(made)}
+            run = finished_run(session, people[launched_by].user_id, parameters=parameters)
+            return create_from_run(session, people["ana"], blobs, run.id)
+
+    return make
+
+
+def _telemetry(session: Session, blobs: BlobStore) -> TelemetrySet:
+    """The one set of telemetry that all these runs are said to have used."""
+    if (row := session.get(TelemetrySet, 1)) is not None:
+        return row
+    sha256 = _stored(session, blobs, b"telemetry")
+    row = TelemetrySet(
+        sensor_id=1,
+        name="stars.csv",
+        purpose="calibration",
+        original_sha256=sha256,
+        table_sha256=sha256,
+        frames=10,
+        stars=100,
+        quality={},
+        uploaded_utc=utc_now(),
+    )
+    session.add(row)
+    session.flush()
+    return row
+
+
+def _stored(session: Session, blobs: BlobStore, content: bytes) -> str:
+    return register_blob(session, blobs, blobs.put(content), "application/json").sha256
+
+
+def _result() -> dict[str, Any]:
+    """A calibration's JSON, as far as a parameter set takes from it."""
+    names = list(SENSOR["initial"])
+    sigma = dict.fromkeys(names, 1e-6)
+    matrix = [[1e-12 if row == column else 0.0 for column in range(8)] for row in range(8)]
+    return {
+        "schema": "boresight.calibration/1",
+        "sensor": "ST16-1",
+        "camera_model": "inverted_wang",
+        "method": "batch",
+        "variant": "no-q",
+        "free": names,
+        "parameters": SENSOR["initial"],
+        "sigma": sigma,
+        "covariance": {"names": names, "matrix": matrix},
+        "status": "converged",
+        "advice": [],
+        "frames": 10,
+        "stars": 100,
+        "rms_arc_rad": {"initial": 1e-4, "final": 1e-5},
+        "chi2_per_dof": 1.0,
+        "inputs": {"telemetry_sha256": "a" * 64},
+    }

@@ -1,0 +1,129 @@
+"""The audit log: one chain whoever writes, and a change by hand is found where it was made."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import sqlalchemy as sa
+
+from boresight.services import audit
+from boresight.services.actors import SYSTEM
+from boresight.store.sessions import Engine, Session, reading, writing
+from boresight.store.tables import AuditRecord
+
+
+@pytest.fixture
+def log(engine: Engine) -> Engine:
+    """A store with ten records more than it began with."""
+    with writing(engine) as session:
+        for number in range(10):
+            audit.append(session, SYSTEM, "counted", f"numbers/{number}", None, {"ψ": number / 7}, "because")
+    return engine
+
+
+def _by_hand(engine: Engine, statement: str) -> None:
+    """Change the database as somebody who owns the file could."""
+    with writing(engine) as session:
+        connection = session.connection()
+        connection.exec_driver_sql("DROP TRIGGER IF EXISTS audit_no_change")
+        connection.exec_driver_sql("DROP TRIGGER IF EXISTS audit_no_removal")
+        connection.exec_driver_sql(statement)
+
+
+def _verify(engine: Engine, head: str | None = None) -> audit.ChainReport:
+    with reading(engine) as session:
+        return audit.verify(session, head)
+
+
+def _count(session: Session) -> int:
+    return session.scalar(sa.select(sa.func.count()).select_from(AuditRecord)) or 0
+
+
+def test_an_untouched_chain_verifies_and_counts(log: Engine) -> None:
+    with reading(log) as session:
+        count, head = _count(session), audit.head(session)
+    report = _verify(log)
+    assert (report.ok, report.records, report.head, report.first_broken_id) == (True, count, head, None)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE audit SET reason = 'another' WHERE id = 5",
+        "UPDATE audit SET after = '{}' WHERE id = 5",
+        "UPDATE audit SET actor = 'Mallory' WHERE id = 5",
+        "UPDATE audit SET request_id = 'x' WHERE id = 5",
+        "UPDATE audit SET hash = 'x' WHERE id = 5",
+        "UPDATE audit SET previous_hash = 'x' WHERE id = 5",
+    ],
+)
+def test_a_record_edited_by_hand_is_named(log: Engine, change: str) -> None:
+    _by_hand(log, change)
+    report = _verify(log)
+    assert (report.ok, report.first_broken_id, report.records) == (False, 5, 4)
+    assert "Record 5" in report.sentence
+
+
+def test_a_record_removed_by_hand_is_missed_at_the_next(log: Engine) -> None:
+    _by_hand(log, "DELETE FROM audit WHERE id = 5")
+    assert _verify(log).first_broken_id == 6
+
+
+def test_two_records_exchanged_are_found(log: Engine) -> None:
+    _by_hand(log, "UPDATE audit SET id = CASE id WHEN 5 THEN -6 ELSE -5 END WHERE id IN (5, 6)")
+    _by_hand(log, "UPDATE audit SET id = -id WHERE id < 0")
+    assert _verify(log).first_broken_id == 5
+
+
+def test_a_tail_cut_off_is_found_only_with_a_head_from_outside(log: Engine) -> None:
+    with reading(log) as session:
+        head = audit.head(session)
+    _by_hand(log, "DELETE FROM audit WHERE id > 8")
+    assert _verify(log).ok
+    report = _verify(log, head)
+    assert not report.ok
+    assert "rewritten" in report.sentence
+
+
+def test_a_head_of_before_is_still_in_the_chain(log: Engine) -> None:
+    with writing(log) as session:
+        head = audit.head(session)
+        audit.append(session, SYSTEM, "counted", "numbers/10")
+    assert _verify(log, head).ok
+
+
+def test_many_writers_at_once_keep_one_chain(log: Engine) -> None:
+    def write(number: int) -> None:
+        with writing(log) as session:
+            audit.append(session, SYSTEM, "raced", f"numbers/{number}")
+
+    with ThreadPoolExecutor(6) as pool:
+        list(pool.map(write, range(60)))
+    report = _verify(log)
+    assert report.ok
+    with reading(log) as session:
+        assert _count(session) == report.records
+        assert len(audit.list_records(session, limit=1000)) == report.records
+
+
+def test_the_database_itself_refuses_to_change_a_record(log: Engine) -> None:
+    for statement in ("UPDATE audit SET reason = 'x'", "DELETE FROM audit"):
+        with pytest.raises(sa.exc.IntegrityError, match="a record of audit"), writing(log) as session:
+            session.connection().exec_driver_sql(statement)
+    assert _verify(log).ok
+
+
+def test_pages_are_newest_first_and_do_not_overlap(log: Engine) -> None:
+    with reading(log) as session:
+        first = audit.list_records(session, limit=4)
+        second = audit.list_records(session, limit=4, before_id=first[-1].id)
+    ids = [record.id for record in (*first, *second)]
+    assert ids == sorted(ids, reverse=True)
+    assert len(set(ids)) == 8
+
+
+def test_the_log_of_one_object_is_its_own(log: Engine) -> None:
+    with reading(log) as session:
+        records = audit.list_records(session, subject="numbers/3")
+    assert [record.object for record in records] == ["numbers/3"]
