@@ -1,0 +1,131 @@
+"""Findings about stars: matches, numbers, magnitudes, directions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from boresight.telemetry.evidence import MINIMUM_STARS, Evidence
+from boresight.telemetry.findings.finding import Finding, Severity, counted, row_numbers
+
+_MANY_UNMATCHED = 0.5
+_MANY_EXPOSURES = 0.2
+_MAGNITUDES = (-2.0, 20.0)
+_MAGNITUDE_MISMATCH = 2.0
+_ENOUGH_MAGNITUDES = 20
+
+
+def nothing_matched(evidence: Evidence) -> Finding | None:
+    """Find a set in which no row names a star."""
+    if evidence.matched.any():
+        return None
+    sentence = "No row names a star: give star_id (Hipparcos numbers), or ra_deg and dec_deg."
+    return Finding("NO_MATCHES", "SERIOUS", sentence, len(evidence.telemetry))
+
+
+def few_stars(evidence: Evidence) -> Finding | None:
+    """Find exposures with fewer usable stars than an exposure needs."""
+    few = evidence.usable_per_exposure < MINIMUM_STARS
+    count, exposures = int(few.sum()), len(few)
+    if not count:
+        return None
+    severity: Severity = "CAUTION" if count > _MANY_EXPOSURES * exposures else "NORMAL"
+    of_all = f"{count:,} of {counted(exposures, 'exposure')}"
+    sentence = f"{of_all} have fewer than {MINIMUM_STARS} usable stars and are left out of use."
+    if count == exposures:
+        severity = "SERIOUS"
+        sentence = (
+            f"Every exposure has fewer than {MINIMUM_STARS} usable stars: nothing can be calibrated from this set, match more "
+            "stars or choose another."
+        )
+    marked = np.zeros(len(evidence.telemetry), dtype=np.bool_)
+    marked[evidence.exposures.start[few]] = True
+    return Finding("FEW_STARS", severity, sentence, count, row_numbers(evidence, marked))
+
+
+def many_unmatched(evidence: Evidence) -> Finding | None:
+    """Find a set of which most rows are unmatched."""
+    unmatched = ~evidence.matched
+    count, rows = int(unmatched.sum()), len(unmatched)
+    if count <= _MANY_UNMATCHED * rows or count == rows:
+        return None
+    sentence = (
+        f"{count:,} of {rows:,} detections ({count / rows:.0%}) are unmatched and left out of use: check the matching."
+    )
+    return Finding("UNMATCHED", "CAUTION", sentence, count, row_numbers(evidence, unmatched))
+
+
+def unknown_numbers(evidence: Evidence) -> Finding | None:
+    """Find stars that neither the catalogue knows nor the file gives a direction for."""
+    unknown = evidence.unknown & ~evidence.directed
+    if not unknown.any():
+        return None
+    sentence = (
+        f"{counted(int(unknown.sum()), 'row')} name stars that the catalogue does not have and are left out of use: "
+        "correct star_id, or give ra_deg and dec_deg."
+    )
+    return Finding("UNKNOWN_STARS", "CAUTION", sentence, int(unknown.sum()), row_numbers(evidence, unknown))
+
+
+def unknown_but_directed(evidence: Evidence) -> Finding | None:
+    """Find stars that the catalogue does not have but whose direction the file gives."""
+    unknown = evidence.unknown & evidence.directed
+    if not unknown.any():
+        return None
+    sentence = f"{counted(int(unknown.sum()), 'row')} name stars unknown to the catalogue; their directions in the file are used."
+    return Finding(
+        "UNKNOWN_STARS_WITH_DIRECTION", "NORMAL", sentence, int(unknown.sum()), row_numbers(evidence, unknown)
+    )
+
+
+def absurd_magnitudes(evidence: Evidence) -> Finding | None:
+    """Find magnitudes that no detected star has, as written for want of a measurement."""
+    magnitude = evidence.telemetry.magnitude
+    if magnitude is None:
+        return None
+    absurd = (magnitude < _MAGNITUDES[0]) | (magnitude > _MAGNITUDES[1])
+    if not absurd.any():
+        return None
+    sentence = (
+        f"{counted(int(absurd.sum()), 'magnitude')} lie outside {_MAGNITUDES[0]:g} to {_MAGNITUDES[1]:g}: leave the cell empty "
+        "where there is no measurement."
+    )
+    return Finding("MAGNITUDE_RANGE", "CAUTION", sentence, int(absurd.sum()), row_numbers(evidence, absurd))
+
+
+def mismatched_magnitudes(evidence: Evidence) -> Finding | None:
+    """Find matches to a star much brighter or fainter than what was seen, the usual sign of a false match."""
+    magnitude, index = evidence.telemetry.magnitude, evidence.index
+    if magnitude is None or index is None or evidence.catalogue is None:
+        return None
+    known = (index >= 0) & (magnitude >= _MAGNITUDES[0]) & (magnitude <= _MAGNITUDES[1])
+    if known.sum() < _ENOUGH_MAGNITUDES:
+        return None
+    difference = np.full(len(magnitude), np.nan)
+    difference[known] = magnitude[known] - evidence.catalogue.magnitude[index[known]]
+    suspect = np.abs(difference - np.nanmedian(difference)) > _MAGNITUDE_MISMATCH
+    if not suspect.any():
+        return None
+    sentence = (
+        f"{counted(int(suspect.sum()), 'match', 'matches')} differ by more than {_MAGNITUDE_MISMATCH:g} magnitudes from the star "
+        "they name, as false matches do: check them."
+    )
+    return Finding("MAGNITUDE_MISMATCH", "CAUTION", sentence, int(suspect.sum()), row_numbers(evidence, suspect))
+
+
+def velocity_missing(evidence: Evidence) -> Finding | None:
+    """Find directions from the catalogue that lack the satellite's aberration."""
+    needed = evidence.from_catalogue
+    if not needed.any():
+        return None
+    if evidence.telemetry.velocity_m_s is None:
+        sentence = (
+            "The file gives no satellite velocity: up to 5 arcsec of aberration in a low orbit stay in the star directions, "
+            "and stretch a 20 degree field by up to 2 arcsec; give vx_km_s, vy_km_s and vz_km_s."
+        )
+        return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(needed.sum()))
+    missing = needed & evidence.unmoving
+    if not missing.any():
+        return None
+    stars = counted(int(missing.sum()), "matched star")
+    sentence = f"{stars} have no satellite velocity and are left out of use: give it in every row."
+    return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(missing.sum()), row_numbers(evidence, missing))

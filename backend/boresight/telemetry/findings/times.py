@@ -1,0 +1,95 @@
+"""Findings about order and time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.telemetry.evidence import Evidence
+from boresight.telemetry.findings.finding import Finding, Severity, counted, row_numbers
+from boresight.telemetry.sampling import GAP_FACTOR, sampling_of
+
+_CLOCK_SET = np.datetime64("1990-01-01", "us")
+
+
+def frames_descend(evidence: Evidence) -> Finding | None:
+    """Find frames that do not ascend."""
+    frame = evidence.telemetry.frame
+    descends = np.diff(frame, prepend=frame[:1]) < 0
+    if not descends.any():
+        return None
+    sentence = f"{counted(int(descends.sum()), 'row')} step back to an earlier frame: sort the rows by frame."
+    return Finding("FRAME_ORDER", "SERIOUS", sentence, int(descends.sum()), row_numbers(evidence, descends))
+
+
+def times_descend(evidence: Evidence) -> Finding | None:
+    """Find times that run backwards."""
+    time_utc = evidence.telemetry.time_utc
+    if time_utc is None:
+        return None
+    timed = np.flatnonzero(~evidence.untimed)
+    back = np.zeros(len(time_utc), dtype=np.bool_)
+    back[timed[1:]] = np.diff(time_utc[timed]) < np.timedelta64(0, "us")
+    if not back.any():
+        return None
+    sentence = f"Time runs backwards at {counted(int(back.sum()), 'row')}: check time_utc, or the order of the frames."
+    return Finding("TIME_ORDER", "CAUTION", sentence, int(back.sum()), row_numbers(evidence, back))
+
+
+def times_vary_in_exposure(evidence: Evidence) -> Finding | None:
+    """Find rows whose time is not that of their exposure's first row."""
+    time_utc = evidence.telemetry.time_utc
+    if time_utc is None:
+        return None
+    first = time_utc[evidence.exposures.start][evidence.exposures.of_entry]
+    varies: NDArray[np.bool_] = (time_utc != first) & ~evidence.untimed & ~np.isnat(first)
+    if not varies.any():
+        return None
+    sentence = (
+        f"{counted(int(varies.sum()), 'row')} of an exposure have another time than its first row: an exposure is one "
+        "image, check exposure numbers and times."
+    )
+    return Finding("TIME_VARIES", "CAUTION", sentence, int(varies.sum()), row_numbers(evidence, varies))
+
+
+def times_missing(evidence: Evidence) -> Finding | None:
+    """Find rows that need a time for their catalogue direction and have none."""
+    needed = evidence.from_catalogue
+    missing = needed & evidence.untimed
+    if not missing.any():
+        return None
+    severity: Severity = "SERIOUS" if missing.sum() == needed.sum() else "CAUTION"
+    sentence = (
+        f"{counted(int(missing.sum()), 'matched star')} without time_utc cannot take a direction from the catalogue and "
+        "are left out of use: give the time, or ra_deg and dec_deg."
+    )
+    return Finding("TIME_MISSING", severity, sentence, int(missing.sum()), row_numbers(evidence, missing))
+
+
+def clock_unset(evidence: Evidence) -> Finding | None:
+    """Find times before 1990, as a clock shows that was never set."""
+    time_utc = evidence.telemetry.time_utc
+    early = np.zeros(0, dtype=np.bool_) if time_utc is None else time_utc < _CLOCK_SET
+    if not early.any():
+        return None
+    severity: Severity = "SERIOUS" if (early & evidence.from_catalogue).any() else "CAUTION"
+    sentence = (
+        f"{counted(int(early.sum()), 'row')} are dated before 1990, as by a clock that was not set: star directions for "
+        "that time would be wrong, correct time_utc."
+    )
+    return Finding("CLOCK_UNSET", severity, sentence, int(early.sum()), row_numbers(evidence, early))
+
+
+def sampling_gaps(evidence: Evidence) -> Finding | None:
+    """Find gaps in time between frames."""
+    sampling = sampling_of(evidence)
+    if sampling is None or not len(sampling.gaps):
+        return None
+    longest = float(sampling.interval_s[sampling.gaps].max())
+    sentence = (
+        f"{counted(len(sampling.gaps), 'gap')} between frames exceed {GAP_FACTOR:g} times the median interval of "
+        f"{sampling.median_s:g} s; the longest is {longest:g} s: check that the downlink is complete."
+    )
+    after = np.zeros(len(evidence.telemetry), dtype=np.bool_)
+    after[sampling.entry[sampling.gaps + 1]] = True
+    return Finding("GAPS", "CAUTION", sentence, len(sampling.gaps), row_numbers(evidence, after))
