@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.pages.formats import count, number, percent
+from boresight.pages.methods import is_sequential
+from boresight.pages.states import level_of
 
 URAD_PER_RAD = 1e6
 UNSEEN_TYPICAL_SIGMAS = 1.0  # a direction known no better than unit-to-unit spread was not calibrated
@@ -52,33 +54,35 @@ def _fit(result: Mapping[str, Any]) -> Mark:
         f"{count(result.get('frames'))} frames, {count(result.get('stars'))} stars, {count(result.get('pairs'))} pairs"
     )
     steps = result.get("iterations")
-    return Mark("Fit", status, status.replace("_", " "), f"{count(steps)} iterations" if steps else "", used)
+    level = "standby" if status == "running" else level_of(status)
+    return Mark("Fit", level, status.replace("_", " "), f"{count(steps)} iterations" if steps else "", used)
 
 
 def _chi_square(result: Mapping[str, Any]) -> Mark:
     chi2, per_dof = result.get("chi2") or {}, result.get("chi2_per_dof")
     if per_dof is None or not chi2.get("dof"):
         return _unknown("χ² per degree of freedom", "No chi-square was computed.")
-    low, high = (_per_dof(chi2.get(edge), chi2) for edge in ("lower", "upper"))
     consistent = bool(chi2.get("consistent"))
-    detail = f"95 % bounds {number(low, 3)} to {number(high, 3)}, {count(chi2['dof'])} degrees of freedom"
+    detail = f"95 % bounds {_bounds(chi2)}, {count(chi2['dof'])} degrees of freedom"
     word = "consistent" if consistent else ("noise above model" if per_dof > 1 else "noise below model")
     return Mark("χ² per degree of freedom", "normal" if consistent else "caution", word, number(per_dof, 4), detail)
 
 
-def _per_dof(bound: float | None, chi2: Mapping[str, Any]) -> float | None:
-    return None if bound is None else bound / chi2["dof"]
+def _bounds(test: Mapping[str, Any]) -> str:
+    return f"{number(test.get('lower'), 4)} to {number(test.get('upper'), 4)}"
 
 
 def _nis(result: Mapping[str, Any]) -> Mark:
     nis = result.get("nis") or {}
+    if not is_sequential(str(result.get("method"))):
+        return Mark("Innovations (NIS)", "off", "not applicable", "", "A batch has no innovations; a filter has.")
     if nis.get("mean") is None:
-        return _unknown("Innovations (NIS)", "A batch has no innovations; a sequential run shows them.")
+        return _unknown("Innovations (NIS)", "No innovations yet.")
     consistent = bool(nis.get("consistent"))
     word = (
         "consistent" if consistent else ("over-confident" if nis["mean"] > (nis.get("upper") or 0) else "pessimistic")
     )
-    detail = f"95 % bounds {number(nis.get('lower'), 4)} to {number(nis.get('upper'), 4)}"
+    detail = f"95 % bounds {_bounds(nis)}, a degree of freedom"
     return Mark("Innovations (NIS)", "normal" if consistent else "caution", word, number(nis["mean"], 4), detail)
 
 

@@ -115,8 +115,12 @@ def provenance_of(run: Run, result: Mapping[str, Any] | None) -> list[tuple[str,
     hashes = [(f"{name} SHA-256", _hash(value)) for name, value in _flat(inputs.get("sha256s") or {})]
     versions = ", ".join(f"{name} {value}" for name, value in (inputs.get("versions") or {}).items())
     timing = ", ".join(f"{name.replace('_', ' ')} {duration(value)}" for name, value in _timing(result))
+    left_out = ", ".join(
+        f"{count(part['count'])} {part['what']}: {part['reason']}" for part in (result or {}).get("left_out") or ()
+    )
     return [
         *hashes,
+        ("Left out", left_out or MISSING),
         ("Result SHA-256", short_hash(run.result_sha256) if run.result_sha256 else MISSING),
         ("Versions", versions or MISSING),
         ("Time spent", timing or MISSING),

@@ -1,0 +1,244 @@
+"""A store with one simulated sensor, its people and two real calibrations, and visitors who open the pages."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import re
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import numpy as np
+import orjson
+import pytest
+from fastapi import Response
+
+from boresight.api.cookies import SESSION_COOKIE
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.settings import CalibrationSettings
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.server import create_app
+from boresight.services import parameter_sets, users
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.settings import Settings, read_settings
+from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
+from boresight.simulation.sensors import st16_truth
+from boresight.sky.catalogue import load_catalogue
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import migrate, open_engine, utc_now, writing
+from boresight.store.tables import Blob, Run, Sensor, TelemetrySet
+from boresight.telemetry.sensors import sensor_document
+from boresight.workers.summary import summary_of
+
+PASSWORD = "correct horse battery"
+PEOPLE = {
+    "ada": ("Ada Analyst", ("analyst",)),
+    "alan": ("Alan Approver", ("approver",)),
+    "olga": ("Olga Operator", ("operator",)),
+    "adele": ("Adele Administrator", ("administrator", "approver")),
+    "victor": ("Victor Viewer", ("viewer",)),
+    "both": ("Bo Both", ("analyst", "approver")),
+}
+
+
+@pytest.fixture(scope="session")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """Calibrate the first simulated sensor by batch and by filter; `sqrf-partial` is the filter on its way."""
+    catalogue = load_catalogue(tmp_path_factory.mktemp("catalogue"))
+    scenario = dataclasses.replace(calibration_scenario(1), frames=40)
+    held_out = dataclasses.replace(validation_scenario(1), frames=20)
+    telemetry = simulate(scenario, np.random.default_rng(1), catalogue)
+    validation = simulate(held_out, np.random.default_rng(2), catalogue)
+    sensor, found, partials = scenario.sensor, {}, []
+    for method in ("batch", "sqrf"):
+        settings = CalibrationSettings(method=method)
+        found[method] = calibrate(
+            telemetry,
+            sensor,
+            catalogue,
+            settings,
+            validation=validation,
+            sha256s={"telemetry": "ab" * 32},
+            report=partials.append,
+        )
+    found["sqrf-partial"] = partials[-1].partial
+    return found
+
+
+def _settings(folder: Path) -> Settings:
+    return read_settings({"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_MODE": "SIM", "BORESIGHT_WORKERS": "0"})
+
+
+@pytest.fixture(scope="session")
+def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any]) -> Path:
+    """Make the store once: people, sensor 1, a calibration and a validation set, runs 1 (batch) and 2 (filter)."""
+    settings = _settings(tmp_path_factory.mktemp("furnished"))
+    engine, blobs = open_engine(settings.database_url), BlobStore(settings.blob_folder)
+    migrate(engine)
+    with writing(engine) as session:
+        for name, (printed_name, roles) in PEOPLE.items():
+            users.create_user(
+                session, COMMAND_LINE, name=name, printed_name=printed_name, password=PASSWORD, roles=roles
+            )
+        description = calibration_scenario(1).sensor
+        names = CAMERA_MODELS[description.camera_model].parameter_names
+        sensor = Sensor(
+            name=description.name,
+            document=sensor_document(description),
+            created_utc=utc_now(),
+            simulated=1,
+            truth=dict(zip(names, st16_truth(1).tolist(), strict=True)),
+        )
+        session.add(sensor)
+        session.flush()
+        parameter_sets.create_ground_calibration(session, COMMAND_LINE, sensor, description)
+        for purpose in ("calibration", "validation"):
+            sha256 = blobs.put(purpose.encode())
+            session.add(Blob(sha256=sha256, size_bytes=11, media_type="text/csv", created_utc=utc_now()))
+            session.flush()
+            session.add(
+                TelemetrySet(
+                    sensor_id=sensor.id,
+                    name=f"TS-{purpose}",
+                    purpose=purpose,
+                    original_sha256=sha256,
+                    table_sha256=sha256,
+                    frames=40,
+                    stars=760,
+                    quality={"exposures": 80, "warnings": ["One gap of 400 s."]},
+                    uploaded_utc=utc_now(),
+                )
+            )
+        session.flush()
+    engine.dispose()
+    house = House(settings)
+    house.add_run("batch", state="SUCCEEDED", result=results["batch"], label="reference")
+    house.add_run("sqrf", state="SUCCEEDED", result=results["sqrf"], label="filter")
+    house.engine.dispose()
+    return settings.data_folder
+
+
+@dataclass
+class House:
+    """A store that tests write into, and the application on top of it."""
+
+    settings: Settings
+    app: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.app = create_app(self.settings)
+        self.app.state.write_lock = asyncio.Lock()
+        self.app.state.workers = SimpleNamespace(notify=lambda: None)  # nothing computes behind the pages' tests
+        self.engine = self.app.state.engine
+        self.blobs = self.app.state.blobs
+
+    def add_run(self, method: str = "batch", *, state: str = "QUEUED", result: Any = None, **columns: Any) -> int:
+        """Store a run in a state, with its result where it has one."""
+        with writing(self.engine) as session:
+            sensor = session.get_one(Sensor, columns.pop("sensor_id", 1))
+            values = {
+                "sensor_id": sensor.id,
+                "telemetry_set_id": 1,
+                "validation_set_id": 2,
+                "method": method,
+                "settings": CalibrationSettings(method=method).document(),
+                "sensor_document": sensor.document,
+                "state": state,
+                "launched_utc": utc_now(),
+                "launched_by": 1,
+            }
+            if result is not None:
+                values["result_sha256"] = self.blobs.put(orjson.dumps(result))
+                values["summary"] = summary_of(result)
+                if session.get(Blob, values["result_sha256"]) is None:
+                    session.add(
+                        Blob(
+                            sha256=values["result_sha256"],
+                            size_bytes=1,
+                            media_type="application/json",
+                            created_utc=utc_now(),
+                        )
+                    )
+                    session.flush()
+            run = Run(**{**values, **columns})
+            session.add(run)
+            session.flush()
+            return run.id
+
+    def actor(self, name: str) -> Actor:
+        """Return a person as a log-in makes them."""
+        number = list(PEOPLE).index(name) + 1
+        return Actor(number, name, PEOPLE[name][0], frozenset(PEOPLE[name][1]), "session")
+
+    def visitor(self, name: str) -> Visitor:
+        """Let a person of PEOPLE in."""
+        carrier = Response()
+        log_in = self.app.state.log_in_cookie.open(carrier, list(PEOPLE).index(name) + 1, 0)
+        value = re.search(f"{SESSION_COOKIE}=([^;]+)", carrier.headers["set-cookie"])[1]
+        return Visitor(self.app, log_in.csrf_token, httpx.Cookies({SESSION_COOKIE: value}))
+
+
+@dataclass
+class Visitor:
+    """A person at a browser without scripts; the cookies are kept from page to page."""
+
+    app: Any
+    csrf_token: str
+    cookies: httpx.Cookies
+
+    def send(self, method: str, path: str, **options: Any) -> httpx.Response:
+        """Send a request and wait for the answer."""
+
+        async def exchange() -> httpx.Response:
+            transport = httpx.ASGITransport(self.app)
+            async with httpx.AsyncClient(transport=transport, base_url="http://test", cookies=self.cookies) as client:
+                answer = await client.request(method, path, **options)
+                self.cookies = client.cookies
+                return answer
+
+        return asyncio.run(exchange())
+
+    def get(self, path: str, *, status: int = 200) -> str:
+        """Open a page and return it."""
+        answer = self.send("GET", path)
+        assert answer.status_code == status, answer.text
+        return answer.text
+
+    def post(self, path: str, **form: Any) -> httpx.Response:
+        """Send a form with the log-in's token."""
+        return self.send("POST", path, data={"csrf_token": self.csrf_token, **form})
+
+
+@pytest.fixture
+def house(furnished: Path, tmp_path: Path) -> Any:
+    """Give a test its own copy of the furnished store."""
+    shutil.copytree(furnished, tmp_path / "data")
+    house = House(_settings(tmp_path / "data"))
+    yield house
+    house.engine.dispose()
+
+
+def words(page: str) -> str:
+    """Return a page's words as a reader meets them, spaces made one."""
+    main = page[page.index("<main") : page.index("</main>")]
+    text = re.sub(r"<[^>]+>", " ", main)
+    for entity, letter in (
+        ("&#39;", "'"),
+        ("&#34;", '"'),
+        ("&amp;", "&"),
+        ("&lt;", "<"),
+        ("&gt;", ">"),
+        ("&nbsp;", " "),
+    ):
+        text = text.replace(entity, letter)
+    return re.sub(r"\s+", " ", text)
+
+
+@pytest.fixture
+def read() -> Any:
+    """Return the function that reads a page's words."""
+    return words

@@ -1,0 +1,149 @@
+"""The run page."""
+
+from __future__ import annotations
+
+import pytest
+
+from boresight.figures import FIGURES
+from boresight.pages.evidence import marks
+from boresight.pages.parameter_table import parameter_rows
+from boresight.store.sessions import utc_now, writing
+from boresight.store.tables import RunEvent
+
+
+def test_the_review_page_shows_verdict_parameters_and_every_figure_with_its_guide(house, read, results):
+    page = house.visitor("victor").get("/runs/2")
+    text = read(page)
+    assert "consistent" in text
+    assert results["sqrf"]["observability"]["weakest"]["sentence"] in text
+    for name, figure in FIGURES.items():
+        assert f'src="/api/v1/runs/2/figures/{name}"' in page
+        assert f'href="/api/v1/runs/2/figures/{name}/data"' in page
+        assert figure.guide.split(".")[0][:40] in text
+    assert "boresight calibrate" in text
+    assert "--method sqrf" in text
+
+
+def test_a_simulated_sensor_shows_the_truth_and_how_many_sigmas_off_it_is(house, read):
+    text = read(house.visitor("victor").get("/runs/1"))
+    assert "(new − truth) / σ" in text
+    assert "16.0267" in text
+
+
+def test_a_parameter_that_was_not_free_is_said_to_be_not_estimated(house, read, results):
+    result = {**results["batch"], "sigma": {**results["batch"]["sigma"], "a1_rad": None}}
+    run_id = house.add_run("batch", state="SUCCEEDED", result=result)
+    page = house.visitor("victor").get(f"/runs/{run_id}")
+    row = page[page.index("a1_rad</code></th>") :].split("</tr>")[0]
+    assert "not estimated" in row
+    assert "—" in row
+
+
+def test_advice_stands_above_the_parameters(house, results):
+    result = {**results["batch"], "advice": ["Do not use this."]}
+    page = house.visitor("victor").get(f"/runs/{house.add_run('batch', state='SUCCEEDED', result=result)}")
+    assert page.index("Do not use this.") < page.index('id="parameters"')
+
+
+def test_a_queued_run_says_its_position(house, read):
+    house.add_run()
+    second = house.add_run()
+    assert "Position 2 in the queue." in read(house.visitor("victor").get(f"/runs/{second}"))
+
+
+def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the_stream(house, read, results):
+    progress = {"fraction": 0.4, "message": "frame 16 of 40", "partial": results["sqrf-partial"]}
+    run_id = house.add_run("sqrf", state="RUNNING", progress=progress, started_utc=utc_now(), attempt=1)
+    page = house.visitor("victor").get(f"/runs/{run_id}")
+    assert "PARTIAL" in read(page)
+    assert "frame 16 of 40" in read(page)
+    assert "live-run.js" in page
+    assert "data-follows" in page
+
+
+@pytest.mark.parametrize(
+    ("state", "columns", "said"),
+    [
+        (
+            "FAILED",
+            {"reason": "Every exposure has fewer than four stars."},
+            "Every exposure has fewer than four stars.",
+        ),
+        (
+            "LOST",
+            {"lease_until_utc": "2026-11-21T03:04:05.000000Z"},
+            "The worker stopped reporting at 2026-11-21 03:04:05Z",
+        ),
+        ("CANCELLED", {"reason": "Cancelled by Ada Analyst."}, "Cancelled by Ada Analyst."),
+        ("CANCELLING", {"reason": "Cancelled by Ada Analyst."}, "Stopping: Cancelled by Ada Analyst."),
+    ],
+)
+def test_a_run_without_a_result_says_what_happened_and_offers_no_parameter_set(house, read, state, columns, said):
+    page = house.visitor("ada").get(f"/runs/{house.add_run(state=state, **columns)}")
+    assert said in read(page)
+    assert "No verdict yet" in read(page)
+    assert "Create parameter set" not in page
+
+
+def test_the_log_is_shown_in_order_with_later_attempts_named(house, read):
+    with writing(house.engine) as session:
+        session.add(RunEvent(run_id=1, attempt=1, at_utc=utc_now(), kind="log", message="first words"))
+        session.add(RunEvent(run_id=1, attempt=2, at_utc=utc_now(), kind="log", message="second words"))
+    text = read(house.visitor("victor").get("/runs/1"))
+    assert text.index("first words") < text.index("attempt 2") < text.index("second words")
+
+
+def test_an_analyst_cancels_a_queued_run_and_it_says_who_did(house, read):
+    run_id = house.add_run()
+    ada = house.visitor("ada")
+    assert ada.post(f"/runs/{run_id}/cancel").headers["location"] == f"/runs/{run_id}"
+    text = read(ada.get(f"/runs/{run_id}"))
+    assert "Cancelled by Ada Analyst." in text
+    assert "asked to stop" in text
+
+
+def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused(house, read):
+    run_id = house.add_run()
+    victor = house.visitor("victor")
+    assert "Only an analyst may cancel runs" in read(victor.get(f"/runs/{run_id}"))
+    victor.post(f"/runs/{run_id}/cancel")
+    assert "This needs the role analyst" in read(victor.get(f"/runs/{run_id}"))
+
+
+def test_a_parameter_set_made_from_a_run_is_opened_instead_of_made_again(house):
+    ada = house.visitor("ada")
+    address = ada.post("/runs/1/parameter-set").headers["location"]
+    assert f'href="{address}"' in ada.get("/runs/1")
+    assert ada.post("/runs/1/parameter-set").headers["location"] == address
+
+
+def test_a_form_without_the_token_changes_nothing(house):
+    ada = house.visitor("ada")
+    assert ada.send("POST", "/runs/1/parameter-set").status_code == 403
+
+
+def test_a_run_that_does_not_exist_is_not_found(house):
+    house.visitor("victor").get("/runs/999", status=404)
+
+
+def test_a_filter_is_judged_by_its_innovations_and_a_batch_is_not(results):
+    by_question = {mark.question: mark for mark in marks(results["sqrf"])}
+    assert by_question["Innovations (NIS)"].word == "consistent"
+    assert {mark.question: mark for mark in marks(results["batch"])}["Innovations (NIS)"].word == "not applicable"
+
+
+def test_no_validation_is_no_data_and_never_passes(results):
+    mark = next(mark for mark in marks({**results["batch"], "validation": None}) if mark.question == "Validation RMS")
+    assert mark.word == "NO DATA"
+    assert mark.level != "normal"
+
+
+def test_noise_above_the_model_is_a_caution(results):
+    result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
+    mark = next(mark for mark in marks(result) if mark.question.startswith("χ²"))
+    assert (mark.level, mark.word) == ("caution", "noise above model")
+
+
+def test_delta_over_sigma_is_the_result_s_own(results):
+    for row in parameter_rows(results["batch"]):
+        assert row.delta_over_sigma == pytest.approx(results["batch"]["delta_over_sigma"][row.name])

@@ -1,0 +1,69 @@
+"""The list of runs."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import pytest
+
+from boresight.pages.runs import Filters, read_filters
+
+
+def test_a_row_says_how_much_the_rms_fell_in_microradians(house, read, results):
+    house_page = read(house.visitor("victor").get("/runs"))
+    rms = results["batch"]["rms_arc_rad"]
+    assert f"{rms['initial'] * 1e6:.1f} → {rms['final'] * 1e6:.2f}" in house_page
+    assert f"{100 * (rms['final'] / rms['initial'] - 1):.1f}".lstrip("-") in house_page
+    assert "SUCCEEDED" in house_page
+    assert "converged" in house_page
+
+
+def test_filters_leave_out_the_runs_that_do_not_fit(house, read):
+    house.add_run("sqrf", state="FAILED", reason="No stars.", label="the poor one")
+    page = house.visitor("victor").get("/runs?state=FAILED&method=sqrf")
+    assert "the poor one" in read(page)
+    assert "reference" not in read(page)
+    assert "<option selected>FAILED" in page
+
+
+def test_filters_that_fit_nothing_offer_to_show_everything(house, read):
+    assert "No run fits these filters." in read(house.visitor("victor").get("/runs?state=LOST"))
+
+
+@pytest.mark.parametrize("query", ["sensor=abc", "state=NONSENSE", "method=", "before=x"])
+def test_an_address_with_nonsense_shows_the_whole_list(house, query, read):
+    assert "#1" in read(house.visitor("victor").get(f"/runs?{query}"))
+
+
+def test_a_second_page_begins_where_the_first_ended(house, read):
+    for number in range(55):
+        house.add_run(label=f"many-{number}")
+    page = house.visitor("victor").get("/runs")
+    assert "many-54" in page
+    assert "many-0<" not in page
+    address = page.split('rel="next"')[0].rsplit('href="', 1)[1].split('"')[0].replace("&amp;", "&")
+    older = house.visitor("victor").get(address)
+    assert "many-0<" in older
+    assert "many-54" not in older
+
+
+def test_the_csv_has_every_run_in_si_and_no_formula(house, results):
+    house.add_run(label="=cmd()")
+    answer = house.visitor("victor").send("GET", "/runs.csv")
+    rows = list(csv.DictReader(io.StringIO(answer.text)))
+    assert answer.headers["content-type"].startswith("text/csv")
+    assert [row["run"] for row in rows] == ["3", "2", "1"]
+    assert rows[0]["label"] == "'=cmd()"
+    assert float(rows[2]["rms_final_arc_rad"]) == results["batch"]["rms_arc_rad"]["final"]
+
+
+def test_the_list_is_not_shown_to_who_is_not_logged_in(house):
+    stranger = house.visitor("victor")
+    stranger.cookies = {}
+    assert stranger.send("GET", "/runs").status_code in {303, 401}
+
+
+def test_a_filter_keeps_itself_in_the_address_of_the_next_page():
+    assert read_filters(sensor="3", state="FAILED").query(before=812) == "sensor=3&state=FAILED&before=812"
+    assert not Filters(None, None, None).any
