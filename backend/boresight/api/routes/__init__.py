@@ -1,0 +1,59 @@
+"""The REST routes: one file a noun, each with a `router`; a new noun is one file and one line here."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Depends, Security
+from fastapi.security import APIKeyCookie, HTTPBearer
+
+from boresight.api.cookies import SESSION_COOKIE
+from boresight.api.dependencies import csrf
+from boresight.api.openapi import refusals
+from boresight.api.routes import (
+    api_keys,
+    approvals,
+    audit,
+    documentation,
+    events,
+    parameter_sets,
+    runs,
+    sensors,
+    server,
+    sessions,
+    telemetry_sets,
+    uplinks,
+    users,
+)
+
+PREFIX = "/api/v1"
+NOUNS = (
+    sensors,
+    telemetry_sets,
+    runs,
+    parameter_sets,
+    approvals,
+    uplinks,
+    events,
+    audit,
+    users,
+    api_keys,
+    sessions,
+)
+CREDENTIALS = (
+    Security(HTTPBearer(scheme_name="API key", description="`bs_...`, from POST /api/v1/api-keys", auto_error=False)),
+    Security(APIKeyCookie(name=SESSION_COOKIE, scheme_name="Log-in cookie", auto_error=False)),
+)
+
+
+def _assemble() -> APIRouter:
+    """Join the nouns under the version, guarded, with the servers' own routes beside them."""
+    nouns = APIRouter(prefix=PREFIX, dependencies=[*CREDENTIALS, Depends(csrf)], responses=refusals(401, 403, 422))
+    for noun in NOUNS:
+        nouns.include_router(noun.router)
+    joined = APIRouter()
+    joined.include_router(nouns)
+    joined.include_router(server.router)
+    joined.include_router(documentation.router)
+    return joined
+
+
+router = _assemble()

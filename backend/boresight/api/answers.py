@@ -1,0 +1,114 @@
+"""What a POST answers, and doing it once however often it is sent.
+
+With `Idempotency-Key` the answer is stored under (key, actor) in the transaction of the effect, together with the SHA-256
+of the request: method, address and body. The same request again within a day is answered from the store, with
+`Idempotent-Replayed: true`; another request under the same key is refused. A refusal is not stored, for it had no effect.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Any
+
+import orjson
+from fastapi import Depends, Header
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.errors import RefusedInputError
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import IdempotentResponse
+
+KEPT_FOR = timedelta(hours=24)
+LONGEST_KEY = 200
+NUMBERS = orjson.OPT_SERIALIZE_NUMPY
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A JSON answer; `kept` is what a replay shows instead, where the body holds a secret that is shown once."""
+
+    body: Mapping[str, Any]
+    status: int = 200
+    headers: Mapping[str, str] = field(default_factory=dict)
+    kept: Mapping[str, Any] | None = None
+
+    def response(self) -> Response:
+        """Write the answer."""
+        return json_response(self.body, self.status, self.headers)
+
+
+def json_response(body: Any, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+    """Write a document as JSON; numbers in full, NaN and infinity as null."""
+    return Response(orjson.dumps(body, option=NUMBERS), status, headers, "application/json")
+
+
+@dataclass
+class Once:
+    """The idempotency of one request: its key, if it has one, and its digest."""
+
+    key: str | None
+    request_sha256: str
+
+    def answer(self, session: Session, actor: Actor, act: Callable[[], Answer]) -> Response:
+        """Act and remember the answer, or give the answer that was remembered.
+
+        Raises
+        ------
+        RefusedInputError
+            When the key was used for another request.
+        """
+        if self.key is None:
+            return act().response()
+        owner = f"{actor.name} {actor.credential}"
+        known = session.get(IdempotentResponse, (self.key, owner))
+        if known is not None and known.created_utc > _oldest_kept():
+            return self._replay(known)
+        answer = act()
+        row = known or IdempotentResponse(key=self.key, actor=owner)
+        row.request_sha256 = self.request_sha256
+        row.status = answer.status
+        row.headers = dict(answer.headers)
+        row.body = dict(answer.body if answer.kept is None else answer.kept)
+        row.created_utc = utc_now()
+        session.add(row)
+        return answer.response()
+
+    def _replay(self, known: IdempotentResponse) -> Response:
+        """Give the remembered answer to the same request."""
+        if known.request_sha256 != self.request_sha256:
+            raise RefusedInputError(
+                "This Idempotency-Key was used for another request; use a new key for a new request."
+            )
+        return json_response(known.body, known.status, {**known.headers, "Idempotent-Replayed": "true"})
+
+
+def _oldest_kept() -> str:
+    """Return the time before which answers no longer count."""
+    return (datetime.now(UTC) - KEPT_FOR).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def digest(request: Request, content: bytes) -> str:
+    """Return the SHA-256 of a request: method, address and what it carries."""
+    address = f"{request.method} {request.url.path}?{request.url.query}\n"
+    return hashlib.sha256(address.encode() + content).hexdigest()
+
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        max_length=LONGEST_KEY, description="Send the same key again to get the same answer without a second effect."
+    ),
+]
+
+
+async def once(request: Request, idempotency_key: IdempotencyKey = None) -> Once:
+    """Read the key, and digest the request if there is one."""
+    return Once(idempotency_key, digest(request, await request.body()) if idempotency_key else "")
+
+
+Idempotent = Annotated[Once, Depends(once)]

@@ -1,0 +1,97 @@
+"""The log-in cookie: a signed value that names the person, the generation of their log-ins and a CSRF token.
+
+The value is `{user, epoch, csrf}` signed with the installation's secret key, so it can be read by its holder and altered
+by nobody. It ends when `session_hours` have passed, when the person is disabled, or when their `session_epoch` in the
+store has moved on (a changed password, "log out everywhere"). HttpOnly keeps it from scripts, SameSite=Lax from other
+sites' forms; the CSRF token it carries must come back in every unsafe request that the cookie authenticates.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from itsdangerous import BadData, URLSafeTimedSerializer
+from starlette.responses import Response
+
+from boresight.errors import UnauthenticatedError
+from boresight.settings import Settings
+
+SESSION_COOKIE = "boresight_session"
+SECRET_FILE = "secret.key"  # noqa: S105 - the name of a file
+SECRET_BYTES = 32
+
+
+@dataclass(frozen=True)
+class LogIn:
+    """What the cookie says: whose it is, of which generation, and the token that unsafe requests repeat."""
+
+    user_id: int
+    epoch: int
+    csrf_token: str
+
+
+def read_secret(folder: Path) -> bytes:
+    """Return the secret key of this installation, made on first use and readable by its owner only.
+
+    The file appears under its name complete or not at all, and an existing one is never replaced: two servers that
+    start at once on one folder end with the same key.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    place = folder / SECRET_FILE
+    if not place.exists():
+        handle, written = tempfile.mkstemp(prefix=".secret-", dir=folder)  # 0600 from the start
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(secrets.token_bytes(SECRET_BYTES))
+            os.link(written, place)
+        except FileExistsError:
+            pass  # the other server was first: its key is the key
+        finally:
+            Path(written).unlink()
+    return place.read_bytes()
+
+
+class LogInCookie:
+    """Writes and reads the cookie of one installation."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._max_age_s = round(settings.session_hours * 3600)
+        self._secure = bool(settings.secure_cookies)
+        self._serializer = URLSafeTimedSerializer(read_secret(settings.data_folder), salt=SESSION_COOKIE)
+
+    def open(self, response: Response, user_id: int, epoch: int) -> LogIn:
+        """Give the browser a new log-in, with a CSRF token that no earlier one had."""
+        log_in = LogIn(user_id, epoch, secrets.token_urlsafe(24))
+        value = self._serializer.dumps([log_in.user_id, log_in.epoch, log_in.csrf_token])
+        response.set_cookie(
+            SESSION_COOKIE,
+            value if isinstance(value, str) else value.decode(),
+            max_age=self._max_age_s,
+            path="/",
+            secure=self._secure,
+            httponly=True,
+            samesite="lax",
+        )
+        return log_in
+
+    def close(self, response: Response) -> None:
+        """Take the log-in away from the browser."""
+        response.delete_cookie(SESSION_COOKIE, path="/", secure=self._secure, httponly=True, samesite="lax")
+
+    def read(self, value: str) -> LogIn:
+        """Return what a cookie says.
+
+        Raises
+        ------
+        UnauthenticatedError
+            When it is too old, altered, or signed by another installation.
+        """
+        try:
+            user_id, epoch, csrf_token = self._serializer.loads(value, max_age=self._max_age_s)
+        except (BadData, ValueError, TypeError) as error:
+            raise UnauthenticatedError("Your log-in has expired; log in again.") from error
+        return LogIn(int(user_id), int(epoch), str(csrf_token))

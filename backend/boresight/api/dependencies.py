@@ -1,0 +1,175 @@
+"""What every endpoint asks for: who acts, a transaction, proof that the request was meant.
+
+One request is one transaction. It ends before the answer is sent (`scope="function"`), so an answer that says "done"
+tells of something that is committed. Writers of this process queue on a lock of the event loop and not in the thread
+pool: were they to wait for the database inside it, they could take every thread from the one who holds the database.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Annotated
+
+from fastapi import Depends
+from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.api.cookies import SESSION_COOKIE, LogIn
+from boresight.errors import ForbiddenError, PreconditionRequiredError, StaleError, UnauthenticatedError
+from boresight.services import api_keys, users
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session, reading, writing
+
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
+CSRF_HEADER = "X-CSRF-Token"
+CSRF_FIELD = "csrf_token"
+
+
+def _bearer(headers: Headers) -> str | None:
+    """Return the API key that the request carries, if any."""
+    scheme, _, secret = headers.get("authorization", "").partition(" ")
+    return secret.strip() if scheme.lower() == "bearer" else None
+
+
+def current_actor(request: Request) -> Actor:
+    """Return who acts: the owner of the API key if one is given, else the person whose log-in cookie it is.
+
+    Raises
+    ------
+    UnauthenticatedError
+        When nobody is logged in, the log-in has ended, or the key is not valid.
+    """
+    known = getattr(request.state, "actor", None)
+    if known is None:
+        known = request.state.actor = replace(_identify(request), request_id=request.state.request_id)
+    return known
+
+
+def _identify(request: Request) -> Actor:
+    """Look up the credential in the store."""
+    secret = _bearer(request.headers)
+    if secret is not None:
+        with reading(request.app.state.engine) as session:
+            return api_keys.actor_of_key(session, secret)
+    if SESSION_COOKIE not in request.cookies:
+        raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
+    log_in: LogIn = request.app.state.log_in_cookie.read(request.cookies[SESSION_COOKIE])
+    request.state.csrf_token = log_in.csrf_token
+    with reading(request.app.state.engine) as session:
+        return users.actor_of_session(session, log_in.user_id, log_in.epoch)
+
+
+def still_known(request: Request) -> bool:
+    """Whether the credential of a long request still holds: not logged out everywhere, revoked, expired or disabled."""
+    try:
+        _identify(request)
+    except UnauthenticatedError:
+        return False
+    return True
+
+
+async def read_session(request: Request) -> AsyncIterator[Session]:
+    """Open the request's transaction for reading: one state of the database."""
+    async with contextmanager_in_threadpool(reading(request.app.state.engine)) as session:
+        yield session
+
+
+async def write_session(request: Request) -> AsyncIterator[Session]:
+    """Open the request's transaction for writing; commits when the endpoint returns, before the answer is sent.
+
+    Whoever follows the store is then told to look at once: the event feed, and the engine that waits for runs.
+    """
+    state = request.app.state
+    async with state.write_lock, contextmanager_in_threadpool(writing(state.engine)) as session:
+        yield session
+    state.broadcast.nudge()
+    state.workers.notify()
+
+
+async def csrf(request: Request) -> None:
+    """Refuse an unsafe request that a cookie authenticates unless it repeats the log-in's CSRF token.
+
+    The token comes as the header `X-CSRF-Token` or, from a plain form, as the field `csrf_token`. Requests with an API
+    key need none: no other site can make a browser send that header.
+
+    Raises
+    ------
+    ForbiddenError
+        When the token is missing or another, or when the browser says that another site made the request.
+    """
+    if request.method in SAFE_METHODS or _bearer(request.headers) is not None:
+        return
+    if request.headers.get("sec-fetch-site") == "cross-site":
+        raise ForbiddenError("This request was made by another site; make it from Boresight's own pages.")
+    if SESSION_COOKIE not in request.cookies:
+        return  # nothing to abuse; whoever needs an actor refuses it
+    await run_in_threadpool(current_actor, request)
+    given = request.headers.get(CSRF_HEADER) or await _form_token(request)
+    if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
+        raise ForbiddenError(f"The {CSRF_HEADER} of this log-in is missing or another's; reload the page, do it again.")
+
+
+async def _form_token(request: Request) -> str:
+    """Return the token of a plain form; empty where there is none."""
+    if not request.headers.get("content-type", "").startswith(FORM_TYPES):
+        return ""
+    value = (await request.form()).get(CSRF_FIELD, "")
+    return value if isinstance(value, str) else ""
+
+
+def seen_version(request: Request) -> int:
+    """Return the version in `If-Match`, which every transition must state.
+
+    Raises
+    ------
+    PreconditionRequiredError
+        When the header is absent.
+    StaleError
+        When it cannot be the tag of any version.
+    """
+    given = request.headers.get("if-match")
+    if given is None:
+        raise PreconditionRequiredError('Say which version you saw: send its ETag in If-Match, as in If-Match: "v3".')
+    digits = given.strip().removeprefix('"v').removesuffix('"')
+    if given.strip() != f'"v{digits}"' or not digits.isdecimal():
+        raise StaleError(f"No version has the tag {given}; read it again and send its ETag in If-Match.")
+    return int(digits)
+
+
+def etag(version: int) -> str:
+    """Return the entity tag of a version."""
+    return f'"v{version}"'
+
+
+def log_in_person(
+    request: Request, response: Response, session: Session, name: str, password: str
+) -> tuple[Actor, LogIn]:
+    """Check a name and a password and give the browser its log-in.
+
+    Raises
+    ------
+    UnauthenticatedError
+        When they do not belong together, or too many attempts were made.
+    """
+    attempts = request.app.state.settings.login_attempts
+    actor = users.authenticate(
+        session, name, password, attempts_per_minute=attempts, request_id=request.state.request_id
+    )
+    epoch = users.session_epoch(session, actor)
+    return actor, request.app.state.log_in_cookie.open(response, actor.user_id, epoch)
+
+
+def log_out_person(request: Request, response: Response) -> None:
+    """Take the log-in away from the browser."""
+    request.app.state.log_in_cookie.close(response)
+
+
+Who = Annotated[Actor, Depends(current_actor)]
+Reading = Annotated[Session, Depends(read_session, scope="function")]
+Writing = Annotated[Session, Depends(write_session, scope="function")]
+SeenVersion = Annotated[int, Depends(seen_version)]

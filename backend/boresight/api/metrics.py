@@ -1,0 +1,58 @@
+"""What a monitoring system scrapes: requests by route, time they took, runs by state, open event streams.
+
+Routes are counted by their template (`/api/v1/runs/{run_id}`), so that no address adds a series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.registry import Collector
+from starlette.types import Scope
+
+UNROUTED = "none"
+
+
+class _RunsByState(Collector):
+    """Counts the runs when asked."""
+
+    def __init__(self, count: Callable[[], dict[str, int]]) -> None:
+        self._count = count
+
+    def collect(self) -> Iterator[GaugeMetricFamily]:
+        """Yield the number of runs in every state."""
+        family = GaugeMetricFamily("boresight_runs", "Runs in the store by state", labels=["state"])
+        for state, count in self._count().items():
+            family.add_metric([state], count)
+        yield family
+
+    def describe(self) -> list[Any]:
+        """Describe nothing at registration: the store may not be migrated yet."""
+        return []
+
+
+class Metrics:
+    """The series of one server."""
+
+    def __init__(self, count_runs: Callable[[], dict[str, int]], count_listeners: Callable[[], int]) -> None:
+        self._registry = CollectorRegistry()
+        labels = ("method", "route", "status")
+        self._requests = Counter("boresight_http_requests", "Requests answered", labels, registry=self._registry)
+        self._seconds = Histogram("boresight_http_seconds", "Time to answer", labels[:2], registry=self._registry)
+        listeners = Gauge("boresight_event_streams", "Open event streams", registry=self._registry)
+        listeners.set_function(count_listeners)
+        self._registry.register(_RunsByState(count_runs))
+
+    def observe(self, scope: Scope, status: int, seconds: float) -> None:
+        """Count one answered request."""
+        route = getattr(scope.get("route"), "path", UNROUTED)
+        method = scope["method"] if route != UNROUTED else "any"
+        self._requests.labels(method, route, str(status)).inc()
+        self._seconds.labels(method, route).observe(seconds)
+
+    def text(self) -> bytes:
+        """Return all series in the exposition format."""
+        return generate_latest(self._registry)

@@ -1,0 +1,156 @@
+"""What holds for every answer: a request id, security headers, a limit on the body, a count, and no bare failure.
+
+The policy allows nothing but what this server sends: no inline script, no other host, no framing. Styles are the one
+thing with an exception, and a narrow one: Plotly makes empty `<style>` elements and fills them through the CSSOM, which
+the hash of the empty text admits; it also sets `style` attributes on the SVG it draws, which `style-src-attr` admits.
+An attribute cannot load anything here, for `default-src` is this server.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+import uuid
+from collections.abc import Awaitable, Callable, MutableMapping
+from http import HTTPStatus
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+log = logging.getLogger(__name__)
+
+EMPTY_STYLE = "'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='"
+SECURITY_POLICY = "; ".join(
+    (
+        "default-src 'self'",
+        "script-src 'self'",
+        f"style-src 'self' {EMPTY_STYLE}",
+        f"style-src-elem 'self' {EMPTY_STYLE}",
+        "style-src-attr 'unsafe-inline'",
+        "img-src 'self' data: blob:",
+        "connect-src 'self'",
+        "object-src 'none'",
+        "base-uri 'none'",
+        "form-action 'self'",
+        "frame-ancestors 'none'",
+    )
+)
+SECURITY_HEADERS = {
+    "Content-Security-Policy": SECURITY_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
+}
+REQUEST_ID = "X-Request-ID"
+USABLE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+BODY_LIMIT_BYTES = 1_000_000  # JSON and plain forms, and what a multipart form says around its file
+UPLOADED = ("/telemetry-sets", "/telemetry")  # paths that take a file
+
+Observe = Callable[[Scope, int, float], None]
+Refuse = Callable[[Request, Exception], Awaitable[Response]]
+
+
+def request_id_of(headers: Headers) -> str:
+    """Return the caller's request id when it can stand in a log line, else a new one."""
+    given = headers.get(REQUEST_ID, "")
+    return given if USABLE_ID.fullmatch(given) else uuid.uuid4().hex
+
+
+class Border:
+    """The outermost layer.
+
+    Parameters
+    ----------
+    observe
+        Told scope, status and seconds of every request.
+    refuse
+        Makes the answer to an error.
+    upload_limit_mb
+        Largest telemetry file.
+    """
+
+    def __init__(self, app: ASGIApp, observe: Observe, refuse: Refuse, upload_limit_mb: float) -> None:
+        self.app = app
+        self.observe = observe
+        self.refuse = refuse
+        self.upload_limit_mb = upload_limit_mb
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request in and its answer out."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        answer = _Answer(scope, send)
+        try:
+            await self.app(scope, self._limited(scope, receive), answer.send)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is logged whole and answered without its words
+            await answer.fail(error, self.refuse)
+        finally:
+            self.observe(scope, answer.status, time.perf_counter() - answer.began_s)
+
+    def _limited(self, scope: Scope, receive: Receive) -> Receive:
+        """Count what is received and refuse what is over the limit, whether or not its length was announced."""
+        headers = Headers(scope=scope)
+        limit, sentence = BODY_LIMIT_BYTES, f"The request is over {BODY_LIMIT_BYTES:,} bytes; send less at once."
+        multipart = headers.get("content-type", "").startswith("multipart/form-data")
+        if multipart and scope["path"].rstrip("/").endswith(UPLOADED):
+            limit += round(self.upload_limit_mb * 1e6)
+            sentence = (
+                f"The file is over the limit of {self.upload_limit_mb:g} MB; split it by frames, or ask to raise it."
+            )
+        announced = headers.get("content-length", "0")
+        received = int(announced) if announced.isdecimal() and int(announced) > limit else 0
+
+        async def counted() -> Message:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > limit:
+                # in the framework's words: it takes any other exception of a body for a body it cannot parse
+                raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, sentence)
+            return message
+
+        return counted
+
+
+class _Answer:
+    """One answer on its way out."""
+
+    def __init__(self, scope: Scope, send: Send) -> None:
+        self.began_s = time.perf_counter()
+        self.status = 0
+        self._scope = scope
+        self._send = send
+        self._state: MutableMapping[str, Any] = scope.setdefault("state", {})
+        self._state["request_id"] = request_id_of(Headers(scope=scope))
+
+    async def send(self, message: Message) -> None:
+        """Add the headers to the start of the answer."""
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            headers = MutableHeaders(scope=message)
+            for name, value in SECURITY_HEADERS.items():
+                headers.setdefault(name, value)
+            headers[REQUEST_ID] = self._state["request_id"]
+        await self._send(message)
+
+    async def fail(self, error: Exception, refuse: Refuse) -> None:
+        """Log what nobody foresaw and answer with a problem, unless an answer is already on its way."""
+        log.error("Request %s failed", self._state["request_id"], exc_info=error)
+        if self.status:
+            raise error
+        response = await refuse(Request(self._scope), error)
+        await response(self._scope, _nothing, self.send)
+
+
+async def _nothing() -> Message:
+    """Receive nothing more: the answer needs no body."""
+    return {"type": "http.disconnect"}

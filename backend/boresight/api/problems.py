@@ -1,0 +1,124 @@
+"""Errors as `application/problem+json` (RFC 9457): one table from kind to status, one shape of body.
+
+`type` is a stable word for programs, `title` names the kind, `detail` is the sentence for people, `instance` the address
+asked, `request_id` what to quote, and `errors` the places: `row` and `column` for a file, `pointer` for a JSON body.
+A body never holds a stack trace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Any
+
+import orjson
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight import errors
+
+MEDIA_TYPE = "application/problem+json"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How one kind of error is told over HTTP."""
+
+    status: int
+    title: str
+
+    @property
+    def address(self) -> str:
+        """The `type` of the problem."""
+        return "urn:boresight:problem:" + self.title.lower().replace(" ", "-")
+
+
+KINDS: Mapping[type[Exception], Kind] = {
+    errors.RefusedInputError: Kind(422, "Refused input"),
+    errors.NotFoundError: Kind(404, "Not found"),
+    errors.ConflictError: Kind(409, "Conflict"),
+    errors.StaleError: Kind(412, "Stale"),
+    errors.PreconditionRequiredError: Kind(428, "Precondition required"),
+    errors.ForbiddenError: Kind(403, "Forbidden"),
+    errors.UnauthenticatedError: Kind(401, "Unauthenticated"),
+    errors.TooLargeError: Kind(413, "Too large"),
+    errors.CancelledError: Kind(409, "Cancelled"),
+}
+UNFORESEEN = Kind(500, "Unforeseen error")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One refusal, ready to be told as JSON or as a page."""
+
+    kind: Kind
+    detail: str
+    errors: Sequence[Mapping[str, Any]] = ()
+    headers: Mapping[str, str] | None = None
+
+    @property
+    def status(self) -> int:
+        """The HTTP status."""
+        return self.kind.status
+
+
+def problem_of(error: Exception) -> Problem:
+    """Tell any exception as a problem; one that is not a refusal keeps its words to the server's log."""
+    if isinstance(error, RequestValidationError):
+        return _malformed(error)
+    if isinstance(error, HTTPException):
+        return Problem(_kind_of_status(error.status_code), str(error.detail), headers=error.headers)
+    for kind in type(error).__mro__:
+        if kind in KINDS:
+            return Problem(KINDS[kind], str(error), _faults(error), _headers(KINDS[kind].status))
+    return Problem(UNFORESEEN, "The server failed in a way nobody foresaw; report the request id with what you did.")
+
+
+def _kind_of_status(status: int) -> Kind:
+    """Name a status that the framework chose: no such address, no such method, an unreadable body."""
+    return next((kind for kind in KINDS.values() if kind.status == status), Kind(status, HTTPStatus(status).phrase))
+
+
+def _malformed(error: RequestValidationError) -> Problem:
+    """Say which members of the request are wrong, each by its JSON pointer."""
+    places = [
+        {
+            "pointer": "".join(f"/{part}" for part in found["loc"][1:]),
+            "where": str(found["loc"][0]) if found["loc"] else "body",
+            "row": None,
+            "column": None,
+            "detail": str(found["msg"]),
+        }
+        for found in error.errors()
+    ]
+    first = places[0] if places else {"pointer": "", "where": "body", "detail": "it cannot be read"}
+    place = first["pointer"] or first["where"]
+    return Problem(Kind(422, "Malformed request"), f"The request is malformed at {place}: {first['detail']}.", places)
+
+
+def _faults(error: Exception) -> list[dict[str, Any]]:
+    """List the places that a refused input names."""
+    faults = getattr(error, "faults", ())
+    return [{"row": fault.row, "column": fault.column, "detail": fault.detail} for fault in faults]
+
+
+def _headers(status: int) -> dict[str, str] | None:
+    """Say how to authenticate where that is what is missing."""
+    return {"WWW-Authenticate": "Bearer"} if status == HTTPStatus.UNAUTHORIZED else None
+
+
+def problem_response(request: Request, problem: Problem) -> Response:
+    """Write a problem as the answer to a request."""
+    body = {
+        "type": problem.kind.address,
+        "title": problem.kind.title,
+        "status": problem.status,
+        "detail": problem.detail,
+        "instance": request.url.path,
+        "request_id": getattr(request.state, "request_id", None),
+        "errors": list(problem.errors),
+    }
+    return Response(orjson.dumps(body), problem.status, problem.headers, MEDIA_TYPE)

@@ -1,0 +1,101 @@
+"""Requests for approval: read, sign, refuse. Only people sign, each with the password given again."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict, Field, SecretStr
+from starlette.responses import Response
+
+from boresight.api import schemas
+from boresight.api.answers import Answer, json_response
+from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.openapi import refusals
+from boresight.api.paging import Page, Paged
+from boresight.services import approvals
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session
+
+router = APIRouter(prefix="/approvals", tags=["approvals"])
+
+TRANSITION = refusals(404, 409, 412, 428)
+
+
+class Signing(BaseModel):
+    """A signature: what it means, and the password again."""
+
+    model_config = ConfigDict(extra="forbid")
+    meaning: str = Field(examples=["I reviewed the evidence and approve this set for baseline."])
+    password: SecretStr = Field(description="The signer's own, given again.")
+    comment: str = Field("", description="Needed to refuse.")
+
+
+def _shown(session: Session, row: Any) -> schemas.Document:
+    """Write a request with its signatures."""
+    signatures = [
+        schemas.written(schemas.Signature, signature) for signature in approvals.signatures_of(session, row.id)
+    ]
+    return {**schemas.written(schemas.Approval, row), "signatures": signatures}
+
+
+def _answer(session: Session, row: Any) -> Response:
+    return Answer(_shown(session, row), headers={"ETag": etag(row.version)}).response()
+
+
+@router.get("", name="list_approvals", summary="List requests", response_model=Page[schemas.Approval])
+def list_approvals(
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    page: Paged,
+    state: Annotated[str | None, Query(examples=["OPEN"])] = None,
+    parameter_set_id: int | None = None,
+) -> Response:
+    """List requests for approval, newest first."""
+    found = approvals.list_approvals(
+        session, state=state, parameter_set_id=parameter_set_id, before_id=page.last_id, limit=page.limit + 1
+    )
+    return json_response(page.cut(found, lambda row: _shown(session, row)))
+
+
+@router.get(
+    "/{approval_id}",
+    name="get_approval",
+    summary="Read a request",
+    response_model=schemas.Approval,
+    responses=refusals(404),
+)
+def get_approval(approval_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Read a request with its signatures; the ETag is for signing."""
+    return _answer(session, approvals.get_approval(session, approval_id))
+
+
+@router.post(
+    "/{approval_id}:approve",
+    name="approve",
+    summary="Sign for it",
+    response_model=schemas.Approval,
+    responses=TRANSITION,
+)
+def approve(approval_id: int, signing: Signing, actor: Who, seen: SeenVersion, session: Writing) -> Response:
+    """Approve, as a second person: not the submitter, not who launched the run, no administrator, no API key."""
+    return _signed(session, actor, approval_id, "APPROVE", signing, seen)
+
+
+@router.post(
+    "/{approval_id}:refuse",
+    name="refuse",
+    summary="Sign against it",
+    response_model=schemas.Approval,
+    responses=TRANSITION,
+)
+def refuse(approval_id: int, signing: Signing, actor: Who, seen: SeenVersion, session: Writing) -> Response:
+    """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
+    return _signed(session, actor, approval_id, "REFUSE", signing, seen)
+
+
+def _signed(session: Session, actor: Actor, approval_id: int, decision: str, signing: Signing, seen: int) -> Response:
+    """Sign; a signature is not replayed from an Idempotency-Key, for its version makes a second one impossible."""
+    password = signing.password.get_secret_value()
+    approvals.sign(session, actor, approval_id, decision, signing.meaning, signing.comment, password, seen)
+    return _answer(session, approvals.get_approval(session, approval_id))

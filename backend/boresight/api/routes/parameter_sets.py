@@ -1,0 +1,150 @@
+"""Parameter sets: make one of a run, submit, withdraw, promote."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.api import schemas
+from boresight.api.answers import Answer, Idempotent, json_response
+from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.openapi import refusals
+from boresight.api.paging import Page, Paged
+from boresight.services import parameter_sets
+
+router = APIRouter(prefix="/parameter-sets", tags=["parameter sets"])
+
+
+class FromRun(BaseModel):
+    """Which run's result becomes a candidate."""
+
+    model_config = ConfigDict(extra="forbid")
+    run_id: int
+
+
+class Submission(BaseModel):
+    """Why this set should become the baseline."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(examples=["Focal length moved by 4 sigma since launch; held-out RMS is 12 % lower."])
+
+
+class Withdrawal(BaseModel):
+    """Why a request is taken back."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = ""
+
+
+def _answer(row: Any, status: int = 200, **headers: str) -> Answer:
+    return Answer(schemas.written(schemas.ParameterSet, row), status, {"ETag": etag(row.version), **headers})
+
+
+@router.get("", name="list_parameter_sets", summary="List parameter sets", response_model=Page[schemas.ParameterSet])
+def list_parameter_sets(
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    page: Paged,
+    sensor_id: int | None = None,
+    ground_state: Annotated[str | None, Query(examples=["BASELINE"])] = None,
+) -> Response:
+    """List parameter sets, newest first."""
+    found = parameter_sets.list_parameter_sets(
+        session, sensor_id=sensor_id, ground_state=ground_state, before_id=page.last_id, limit=page.limit + 1
+    )
+    return json_response(page.cut(found, lambda row: schemas.written(schemas.ParameterSet, row)))
+
+
+@router.post(
+    "",
+    name="create_parameter_set",
+    summary="Make a candidate of a run",
+    status_code=201,
+    response_model=schemas.ParameterSet,
+    responses=refusals(404, 409),
+)
+def create_parameter_set(source: FromRun, actor: Who, once: Idempotent, session: Writing, request: Request) -> Response:
+    """Make an immutable candidate of a finished run; asked again for that run, the same one comes back."""
+
+    def act() -> Answer:
+        row = parameter_sets.create_from_run(session, actor, request.app.state.blobs, source.run_id)
+        return _answer(row, 201, Location=f"/api/v1/parameter-sets/{row.id}")
+
+    return once.answer(session, actor, act)
+
+
+@router.get(
+    "/{parameter_set_id}",
+    name="get_parameter_set",
+    summary="Read a parameter set",
+    response_model=schemas.ParameterSet,
+    responses=refusals(404),
+)
+def get_parameter_set(
+    parameter_set_id: int,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+) -> Response:
+    """Read a parameter set; the ETag is for its transitions."""
+    return _answer(parameter_sets.get_parameter_set(session, parameter_set_id)).response()
+
+
+@router.post(
+    "/{parameter_set_id}:submit",
+    name="submit_parameter_set",
+    summary="Submit for approval",
+    status_code=201,
+    response_model=schemas.Approval,
+    responses=refusals(404, 409, 412, 428),
+)
+def submit_parameter_set(
+    parameter_set_id: int, submission: Submission, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+) -> Response:
+    """Ask that this set become the baseline. The request binds the hashes of set, run and incumbent."""
+
+    def act() -> Answer:
+        row = parameter_sets.submit(session, actor, parameter_set_id, submission.reason, seen)
+        headers = {"ETag": etag(row.version), "Location": f"/api/v1/approvals/{row.id}"}
+        return Answer(schemas.written(schemas.Approval, row), 201, headers)
+
+    return once.answer(session, actor, act)
+
+
+@router.post(
+    "/{parameter_set_id}:withdraw",
+    name="withdraw_parameter_set",
+    summary="Take the request back",
+    response_model=schemas.ParameterSet,
+    responses=refusals(404, 409, 412, 428),
+)
+def withdraw_parameter_set(
+    parameter_set_id: int,
+    actor: Who,
+    seen: SeenVersion,
+    once: Idempotent,
+    session: Writing,
+    withdrawal: Withdrawal | None = None,
+) -> Response:
+    """Take the request for a submitted or approved set back."""
+    reason = withdrawal.reason if withdrawal else ""
+    return once.answer(
+        session, actor, lambda: _answer(parameter_sets.withdraw(session, actor, parameter_set_id, seen, reason))
+    )
+
+
+@router.post(
+    "/{parameter_set_id}:promote",
+    name="promote_parameter_set",
+    summary="Make it the baseline",
+    response_model=schemas.ParameterSet,
+    responses=refusals(404, 409, 412, 428),
+)
+def promote_parameter_set(
+    parameter_set_id: int, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+) -> Response:
+    """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
+    return once.answer(session, actor, lambda: _answer(parameter_sets.promote(session, actor, parameter_set_id, seen)))

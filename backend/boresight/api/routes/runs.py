@@ -1,0 +1,261 @@
+"""Runs: launch, follow, stop; the calibration, its log, its figures and their data."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.api import schemas
+from boresight.api.answers import Answer, Idempotent, json_response
+from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.openapi import refusals
+from boresight.api.paging import Page, Paged
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.figures import FIGURES, Figure, Trace, figure_json
+from boresight.services import runs, sensors
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Session
+
+router = APIRouter(prefix="/runs", tags=["runs"])
+
+MOST_OVERLAID = 20
+FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
+
+
+class Launch(BaseModel):
+    """A calibration to be made."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {"sensor_id": 1, "telemetry_set_id": 1, "settings": {"method": "batch"}, "label": "first look"}
+            ]
+        },
+    )
+    sensor_id: int
+    telemetry_set_id: int
+    settings: schemas.Document = Field(default_factory=dict, description="Method, variant, free parameters and so on.")
+    validation_set_id: int | None = Field(None, description="A set that is held out and only judged with.")
+    label: str = ""
+    validate_only: bool = Field(
+        default=False, description="Check everything, change nothing, and say what it would be."
+    )
+
+
+class Cancellation(BaseModel):
+    """Why a run is stopped."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = ""
+
+
+def _shown(row: Any) -> schemas.Document:
+    return schemas.written(schemas.Run, row)
+
+
+@router.get("", name="list_runs", summary="List runs", response_model=Page[schemas.Run])
+def list_runs(
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    page: Paged,
+    sensor_id: int | None = None,
+    telemetry_set_id: int | None = None,
+    method: str | None = None,
+    state: Annotated[list[schemas.RunState] | None, Query(description="Repeat for several.")] = None,
+) -> Response:
+    """List runs, newest first."""
+    found = runs.list_runs(
+        session,
+        sensor_id=sensor_id,
+        telemetry_set_id=telemetry_set_id,
+        method=method,
+        state=state,
+        before_id=page.last_id,
+        limit=page.limit + 1,
+    )
+    return json_response(page.cut(found, _shown))
+
+
+@router.post(
+    "",
+    name="launch_run",
+    summary="Launch a run",
+    status_code=202,
+    response_model=schemas.Run,
+    responses={**refusals(404, 409), 200: {"model": schemas.DryRun, "description": "The dry run of `validate_only`."}},
+)
+def launch_run(
+    order: Launch, actor: Who, once: Idempotent, session: Writing, *, validate_only: bool = False
+) -> Response:
+    """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be."""
+    dry = validate_only or order.validate_only
+
+    def act() -> Answer:
+        made = runs.launch(
+            session,
+            actor,
+            order.sensor_id,
+            order.telemetry_set_id,
+            order.settings,
+            validation_set_id=order.validation_set_id,
+            label=order.label,
+            validate_only=dry,
+        )
+        if isinstance(made, dict):
+            return Answer(made)
+        return Answer(_shown(made), 202, {"Location": f"/api/v1/runs/{made.id}"})
+
+    return act().response() if dry else once.answer(session, actor, act)
+
+
+@router.get("/{run_id}", name="get_run", summary="Read a run", response_model=schemas.Run, responses=refusals(404))
+def get_run(run_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Read a run: its state, its progress, and when it has ended its summary."""
+    return json_response(_shown(runs.get_run(session, run_id)))
+
+
+@router.post(
+    "/{run_id}:cancel",
+    name="cancel_run",
+    summary="Stop a run",
+    response_model=schemas.Run,
+    responses=refusals(404, 409),
+)
+def cancel_run(
+    run_id: int, actor: Who, once: Idempotent, session: Writing, cancellation: Cancellation | None = None
+) -> Response:
+    """Stop a run: one that waits ends at once, one that computes as soon as it notices. No version is needed."""
+    reason = cancellation.reason if cancellation else ""
+    return once.answer(session, actor, lambda: Answer(_shown(runs.cancel(session, actor, run_id, reason))))
+
+
+@router.get("/{run_id}/result", name="get_run_result", summary="Read the calibration", responses=refusals(404))
+def get_run_result(
+    run_id: int,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    request: Request,
+) -> Response:
+    """Read the calibration JSON; while the run computes, what there is so far with status `running`."""
+    return json_response(_result(session, request.app.state.blobs, run_id))
+
+
+@router.get(
+    "/{run_id}/log",
+    name="get_run_log",
+    summary="Read the log",
+    response_model=Page[schemas.LogLine],
+    responses=refusals(404),
+)
+def get_run_log(
+    run_id: int,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    page: Paged,
+) -> Response:
+    """Read a run's log in the order it happened."""
+    lines = runs.log_lines(session, run_id, after_id=page.last_id or 0)
+    return json_response(page.cut(lines[: page.limit + 1], lambda line: schemas.written(schemas.LogLine, line)))
+
+
+@router.get("/{run_id}/figures", name="list_figures", summary="List the figures", responses=refusals(404))
+def list_figures(run_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+    """List the figures of a run with how to read each."""
+    runs.get_run(session, run_id)
+    items = [
+        {
+            "name": figure.name,
+            "title": figure.title,
+            "guide": figure.guide,
+            "href": f"/api/v1/runs/{run_id}/figures/{name}",
+        }
+        for name, figure in FIGURES.items()
+    ]
+    return json_response({"items": items, "next": None})
+
+
+@router.get("/{run_id}/figures/{name}", name="get_figure", summary="Read a figure", responses=refusals(404))
+def get_figure(
+    run_id: int,
+    name: FigureName,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    request: Request,
+    compare: Annotated[str, Query(description="Other runs to draw over it: `2,3`.", examples=["2,3"])] = "",
+) -> Response:
+    """Read a figure as Plotly JSON, of one run or of several over one another."""
+    figure, blobs = _figure(name), request.app.state.blobs
+    ids = [run_id, *(other for other in _numbers(compare) if other != run_id)]
+    traces = [Trace(_label(session, number), _result(session, blobs, number)) for number in ids]
+    return Response(figure_json(figure.draw(traces)), media_type="application/json")
+
+
+@router.get(
+    "/{run_id}/figures/{name}/data",
+    name="get_figure_data",
+    summary="Read a figure's numbers",
+    response_class=Response,
+    responses={**refusals(404), 200: {"content": {"text/csv": {}}, "description": "The columns in SI, never thinned."}},
+)
+def get_figure_data(
+    run_id: int,
+    name: FigureName,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    request: Request,
+) -> Response:
+    """Read the numbers behind a figure as CSV."""
+    table = _figure(name).table(_result(session, request.app.state.blobs, run_id))
+    headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-{name}.csv"'}
+    return Response(_csv(table), headers=headers, media_type="text/csv; charset=utf-8")
+
+
+def _figure(name: str) -> Figure:
+    """Find a figure of the registry."""
+    if name not in FIGURES:
+        raise NotFoundError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
+    return FIGURES[name]
+
+
+def _numbers(text: str) -> list[int]:
+    """Read the numbers of the runs to compare with."""
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    if len(words) >= MOST_OVERLAID or not all(word.isdecimal() for word in words):
+        raise RefusedInputError(f"Write the runs to compare as 2,3 and so on, {MOST_OVERLAID - 1} at most.")
+    return [int(word) for word in words]
+
+
+def _label(session: Session, run_id: int) -> str:
+    """Name a run in a legend."""
+    run = runs.get_run(session, run_id)
+    return f"Run {run_id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
+
+
+def _result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
+    """Return a run's calibration, complete or so far; with nothing yet, one that only says that it runs."""
+    found = runs.result(session, blobs, run_id)
+    return found if found is not None else _nothing_yet(runs.get_run(session, run_id).state)
+
+
+def _nothing_yet(state: str) -> dict[str, Any]:
+    """Say as a calibration that there is none."""
+    status: Literal["running", "none"] = "running" if state in {"QUEUED", "RUNNING", "CANCELLING"} else "none"
+    return {"schema": "boresight.calibration/1", "status": status, "run_state": state}
+
+
+def _csv(table: dict[str, list[Any]]) -> str:
+    """Write columns as CSV; what is null is empty, columns of unequal length end early."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    length = max((len(column) for column in table.values()), default=0)
+    for k in range(length):
+        writer.writerow([column[k] if k < len(column) and column[k] is not None else "" for column in table.values()])
+    return text.getvalue()

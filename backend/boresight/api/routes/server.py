@@ -1,0 +1,53 @@
+"""Is it alive, is it ready, how is it doing: for load balancers and monitoring; no log-in, nothing secret."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.api.answers import json_response
+from boresight.api.openapi import refusals
+from boresight.errors import BoresightError
+from boresight.store.sessions import current_revision, head_revision
+
+router = APIRouter(tags=["server"])
+
+
+@router.get("/healthz", name="health", summary="Is the process alive")
+def health() -> dict[str, str]:
+    """Say that the process answers; nothing else is looked at."""
+    return {"status": "ok"}
+
+
+@router.get("/readyz", name="readiness", summary="Can it do its work", responses=refusals(503))
+def readiness(request: Request) -> Response:
+    """Say whether the store answers with the right schema and whether the workers are there: 200, or 503 with what is not."""
+    checks = {"store": _store(request), "workers": _workers(request)}
+    ready = all(check["ready"] for check in checks.values())
+    return json_response({"status": "ready" if ready else "not ready", "checks": checks}, 200 if ready else 503)
+
+
+def _store(request: Request) -> dict[str, Any]:
+    """Look at the schema."""
+    try:
+        found, expected = current_revision(request.app.state.engine), head_revision()
+    except (BoresightError, OSError) as error:
+        return {"ready": False, "detail": str(error)}
+    return {"ready": found == expected, "revision": found, "expected": expected}
+
+
+def _workers(request: Request) -> dict[str, Any]:
+    """Look at the workers; a server that has none by its settings does not wait for them."""
+    settings = request.app.state.settings
+    expected = bool(settings.scheduler) or settings.workers > 0
+    state = request.app.state.workers.state()
+    return {"ready": not expected or state["connected"], "expected": expected, **state}
+
+
+@router.get("/metrics", name="metrics", summary="Prometheus metrics", response_class=Response)
+def metrics(request: Request) -> Response:
+    """Return the series of this server in the Prometheus exposition format."""
+    return Response(request.app.state.metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")

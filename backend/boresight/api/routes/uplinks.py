@@ -1,0 +1,60 @@
+"""Uplinks: what people recorded of a parameter set on board."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.responses import Response
+
+from boresight.api import schemas
+from boresight.api.answers import Answer, Idempotent, json_response
+from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.openapi import refusals
+from boresight.api.paging import Page, Paged
+from boresight.services import uplinks
+
+router = APIRouter(prefix="/uplinks", tags=["uplinks"])
+
+
+class Record(BaseModel):
+    """A step on board, and where it is known from."""
+
+    model_config = ConfigDict(extra="forbid")
+    parameter_set_id: int
+    onboard_state: str = Field(examples=["SENT"])
+    source: str = Field(
+        description="The pass, the procedure or the read-back file.", examples=["Pass 4711, TC log line 88"]
+    )
+
+
+@router.get("", name="list_uplinks", summary="List records", response_model=Page[schemas.Uplink])
+def list_uplinks(
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    page: Paged,
+    parameter_set_id: int | None = None,
+    sensor_id: int | None = None,
+) -> Response:
+    """List what was recorded, newest first."""
+    found = uplinks.list_uplinks(
+        session, parameter_set_id=parameter_set_id, sensor_id=sensor_id, before_id=page.last_id, limit=page.limit + 1
+    )
+    return json_response(page.cut(found, lambda row: schemas.written(schemas.Uplink, row)))
+
+
+@router.post(
+    "",
+    name="record_uplink",
+    summary="Record a step on board",
+    status_code=201,
+    response_model=schemas.Uplink,
+    responses=refusals(404, 409),
+)
+def record_uplink(record: Record, actor: Who, once: Idempotent, session: Writing) -> Response:
+    """Record the next on-board state of a set: NOT SENT, SENT, LOADED, VERIFIED, ACTIVE; MISMATCH or UNKNOWN."""
+
+    def act() -> Answer:
+        row = uplinks.record(session, actor, record.parameter_set_id, record.onboard_state, record.source)
+        return Answer(schemas.written(schemas.Uplink, row), 201)
+
+    return once.answer(session, actor, act)

@@ -1,0 +1,148 @@
+"""People: add, give roles, keep out, let in, set passwords, end log-ins."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field, SecretStr
+from starlette.responses import Response
+
+from boresight.api import schemas
+from boresight.api.answers import Answer, Idempotent, json_response
+from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.openapi import refusals
+from boresight.api.paging import Page, Paged
+from boresight.services import users
+
+router = APIRouter(prefix="/users", tags=["users"])
+
+
+class NewUser(BaseModel):
+    """A person to be added."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(description="Log-in name.", examples=["ana"])
+    printed_name: str = Field(description="As signatures and the audit log show it.", examples=["Ana Lima"])
+    password: SecretStr
+    roles: list[str] = Field(examples=[["analyst"]])
+
+
+class Roles(BaseModel):
+    """The roles that a person has from now on."""
+
+    model_config = ConfigDict(extra="forbid")
+    roles: list[str]
+
+
+class Password(BaseModel):
+    """A new password, and for one's own the current one."""
+
+    model_config = ConfigDict(extra="forbid")
+    password: SecretStr
+    current: SecretStr = SecretStr("")
+
+
+def _answer(row: Any, status: int = 200, **headers: str) -> Answer:
+    return Answer(schemas.written(schemas.User, row), status, headers)
+
+
+@router.get("", name="list_users", summary="List people", response_model=Page[schemas.User])
+def list_users(actor: Who, session: Reading, page: Paged) -> Response:  # noqa: ARG001 - whoever is known may read
+    """List everyone by log-in name."""
+    return json_response(page.cut_whole(users.list_users(session), lambda row: schemas.written(schemas.User, row)))
+
+
+@router.post(
+    "",
+    name="create_user",
+    summary="Add a person",
+    status_code=201,
+    response_model=schemas.User,
+    responses=refusals(409),
+)
+def create_user(person: NewUser, actor: Who, once: Idempotent, session: Writing) -> Response:
+    """Add a person; administrators only."""
+
+    def act() -> Answer:
+        row = users.create_user(
+            session,
+            actor,
+            name=person.name,
+            printed_name=person.printed_name,
+            password=person.password.get_secret_value(),
+            roles=person.roles,
+        )
+        return _answer(row, 201, Location=f"/api/v1/users/{row.id}")
+
+    return once.answer(session, actor, act)
+
+
+@router.get(
+    "/{user_id}", name="get_user", summary="Read a person", response_model=schemas.User, responses=refusals(404)
+)
+def get_user(user_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Read a person."""
+    return _answer(users.get_user(session, user_id)).response()
+
+
+@router.post(
+    "/{user_id}:change-roles",
+    name="change_roles",
+    summary="Change roles",
+    response_model=schemas.User,
+    responses=refusals(404, 409),
+)
+def change_roles(user_id: int, given: Roles, actor: Who, once: Idempotent, session: Writing) -> Response:
+    """Give a person these roles instead of those held; administrators only."""
+    return once.answer(session, actor, lambda: _answer(users.change_roles(session, actor, user_id, given.roles)))
+
+
+@router.post(
+    "/{user_id}:disable",
+    name="disable_user",
+    summary="Keep a person out",
+    response_model=schemas.User,
+    responses=refusals(404, 409),
+)
+def disable_user(user_id: int, actor: Who, once: Idempotent, session: Writing) -> Response:
+    """Keep a person out and end every log-in; what they did stays."""
+    return once.answer(session, actor, lambda: _answer(users.disable_user(session, actor, user_id)))
+
+
+@router.post(
+    "/{user_id}:enable",
+    name="enable_user",
+    summary="Let a person in again",
+    response_model=schemas.User,
+    responses=refusals(404),
+)
+def enable_user(user_id: int, actor: Who, once: Idempotent, session: Writing) -> Response:
+    """Let a disabled person in again."""
+    return once.answer(session, actor, lambda: _answer(users.enable_user(session, actor, user_id)))
+
+
+@router.post(
+    "/{user_id}:change-password",
+    name="change_password",
+    summary="Set a password",
+    response_model=schemas.User,
+    responses=refusals(404),
+)
+def change_password(user_id: int, given: Password, actor: Who, session: Writing) -> Response:
+    """Set one's own password, knowing the current one, or as an administrator another's. Every log-in then ends."""
+    password, current = given.password.get_secret_value(), given.current.get_secret_value()
+    return _answer(users.change_password(session, actor, user_id, password, current)).response()
+
+
+@router.post(
+    "/{user_id}:end-sessions",
+    name="end_sessions",
+    summary="End every log-in",
+    status_code=204,
+    responses=refusals(404),
+)
+def end_sessions(user_id: int, actor: Who, session: Writing) -> Response:
+    """End every log-in of a person: one's own, or as an administrator another's."""
+    users.end_sessions(session, actor, user_id)
+    return Response(status_code=204)

@@ -1,0 +1,169 @@
+"""The composition root: settings in, a server out. The only place where the parts of Boresight meet.
+
+Opening order at start: folders, schema, event feed, worker engine, catalogue (in a thread: the first page does not wait
+for it). Closing is the reverse. `serve` ends the event streams before it waits for connections, so that stopping the
+server takes no longer than the requests that are under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import cache
+
+import uvicorn
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.requests import Request
+from starlette.responses import Response
+
+import boresight
+from boresight.api import static_files
+from boresight.api.broadcast import Broadcast
+from boresight.api.cookies import LogInCookie
+from boresight.api.metrics import Metrics
+from boresight.api.middleware import Border
+from boresight.api.openapi import DESCRIPTION, TAGS
+from boresight.api.problems import problem_of, problem_response
+from boresight.api.routes import router as api_router
+from boresight.errors import BoresightError
+from boresight.pages import router as pages_router
+from boresight.pages.problem import is_page, problem_page
+from boresight.services import runs
+from boresight.settings import Settings
+from boresight.sky.catalogue import Catalogue, load_catalogue
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import migrate, open_engine, reading
+from boresight.workers.engine import Engine
+
+log = logging.getLogger(__name__)
+
+COMPRESS_FROM_BYTES = 2048
+COMPRESSION_LEVEL = 5
+DRAIN_S = 10
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Build the server of these settings; nothing runs before its lifespan begins."""
+    app = FastAPI(
+        title="Boresight",
+        version=boresight.__version__,
+        description=DESCRIPTION,
+        openapi_tags=TAGS,
+        openapi_url="/api/v1/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+        lifespan=_lifespan,
+        generate_unique_id_function=lambda route: route.name,
+    )
+    _furnish(app, settings)
+    app.include_router(api_router)
+    app.include_router(static_files.router)
+    app.include_router(pages_router)
+    for kind in (BoresightError, RequestValidationError, HTTPException):
+        app.add_exception_handler(kind, _refuse)
+    app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
+    limit_mb = settings.upload_limit_mb
+    app.add_middleware(Border, observe=app.state.metrics.observe, refuse=_refuse, upload_limit_mb=limit_mb)
+    return app
+
+
+def _furnish(app: FastAPI, settings: Settings) -> None:
+    """Give the application what its endpoints use."""
+    settings.data_folder.mkdir(parents=True, exist_ok=True)
+    state = app.state
+    state.settings = settings
+    state.engine = open_engine(settings.database_url)
+    state.blobs = BlobStore(settings.blob_folder)
+    state.log_in_cookie = LogInCookie(settings)
+    state.catalogue = _lazy_catalogue(settings)
+    state.broadcast = Broadcast(state.engine)
+    state.workers = None
+    state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
+
+
+def _count_runs(app: FastAPI) -> dict[str, int]:
+    with reading(app.state.engine) as session:
+        return runs.count_by_state(session)
+
+
+def _lazy_catalogue(settings: Settings) -> Callable[[], Catalogue]:
+    """Return a function that loads the star catalogue once, whoever asks first."""
+    lock = threading.Lock()
+
+    @cache
+    def load() -> Catalogue:
+        return load_catalogue(settings.catalogue_folder)
+
+    def catalogue() -> Catalogue:
+        with lock:
+            return load()
+
+    return catalogue
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    """Open the parts in order, and close them in reverse."""
+    state = app.state
+    await run_in_threadpool(migrate, state.engine)
+    state.write_lock = asyncio.Lock()
+    state.broadcast.start()
+    state.workers = Engine(state.engine, state.settings, state.broadcast.hear)
+    state.workers.start()
+    threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
+    try:
+        yield
+    finally:
+        await run_in_threadpool(state.workers.stop)
+        await run_in_threadpool(state.broadcast.close)
+        state.engine.dispose()
+
+
+def _warm(catalogue: Callable[[], Catalogue]) -> None:
+    """Load the catalogue before the first upload needs it."""
+    try:
+        catalogue()
+    except Exception:
+        log.exception("The star catalogue could not be loaded; the first upload tries again")
+
+
+async def _refuse(request: Request, error: Exception) -> Response:
+    """Answer an error: as a page to people, as a problem to programs and where no page can be made."""
+    if is_page(request):
+        try:
+            return await run_in_threadpool(problem_page, request, error)
+        except Exception:
+            log.exception("The page for request %s could not be made", request.state.request_id)
+    return problem_response(request, problem_of(error))
+
+
+class _Server(uvicorn.Server):
+    """Ends the event streams first when it stops: they would never end by themselves."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Close the feed, then wait for what is under way."""
+        app = self.config.app
+        if isinstance(app, FastAPI):
+            await run_in_threadpool(app.state.broadcast.close)
+        await super().shutdown(sockets)
+
+
+def serve(settings: Settings) -> None:
+    """Serve until told to stop by SIGINT or SIGTERM."""
+    config = uvicorn.Config(
+        create_app(settings),
+        host=settings.host,
+        port=settings.port,
+        log_level="warning",
+        server_header=False,
+        timeout_graceful_shutdown=DRAIN_S,
+    )
+    _Server(config).run()
