@@ -96,7 +96,7 @@ def _lines(result: dict[str, Any]) -> Iterator[str]:
     yield ""
     yield aligned(list(_judgements(result)), left=(0, 1))
     for sentence in result["advice"]:
-        yield f"\n{sentence}"
+        yield f"\n- {sentence}"
 
 
 def _judgements(result: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -33,6 +33,8 @@ def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
     write_json(quality, json_file)
     if json_file != "-":
         click.echo(aligned(list(_rows(quality)), left=(0, 1)))
+        for finding in quality["findings"]:
+            click.echo(f"\n{finding['severity']}: {finding['sentence']}")
 
 
 def _rows(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

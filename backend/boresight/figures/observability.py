@@ -88,10 +88,13 @@ def _directions(result: Result) -> go.Heatmap:
 
 
 def _vectors(result: Result) -> FloatArray | None:
-    """Read V (n_parameters, n_modes), or None where the result does not have it."""
+    """Read V (n_parameters, n_modes), the largest share of each direction positive; None where the result has none."""
     seen = result["observability"]
     V = np.array(seen.get("right_singular_vectors") or [], dtype=np.float64).T
-    return V if V.shape == (len(_names(result)), len(seen["singular_values"])) else None
+    if V.shape != (len(_names(result)), len(seen["singular_values"])):
+        return None
+    largest = np.argmax(np.abs(V), axis=0)
+    return np.asarray(V * np.where(V[largest, np.arange(V.shape[1])] < 0, -1.0, 1.0))
 
 
 def _names(result: Result) -> tuple[str, ...]:

@@ -89,6 +89,8 @@ def _points(result: Result, names: Sequence[str], style: theme.RunStyle) -> go.S
         y=_labels(result, names),
         x=theme.short(change),
         mode="markers",
+        orientation="h",
+        offsetgroup=style.label,
         name=style.label,
         legendgroup=style.label,
         showlegend=False,

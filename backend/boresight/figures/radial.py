@@ -133,8 +133,9 @@ def _scale(figure: go.Figure, seen: list[float], arcsec_per_px: float | None) ->
     figure.update_yaxes(title_text="stars", rangemode="tozero", row=2, col=1)
     margin = 0.08 * (max(seen) - min(seen)) or 0.1
     window = [min(seen) - margin, max(seen) + margin]
-    figure.update_yaxes(title_text="final − initial (px)", range=window, zeroline=True, row=1, col=1)
+    figure.update_yaxes(title_text="final − initial (px)", range=window, zeroline=True, row=1, col=1, secondary_y=False)
     if arcsec_per_px is None:
+        figure.update_yaxes(visible=False, row=1, col=1, secondary_y=True)
         return
     figure.add_trace(
         go.Scatter(x=[0], y=[0], opacity=0, showlegend=False, hoverinfo="skip"), row=1, col=1, secondary_y=True

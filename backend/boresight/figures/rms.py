@@ -29,17 +29,20 @@ FloatArray = NDArray[np.float64]
 TITLE = "Tail and aggregate RMS"
 URAD_PER_RAD = 1e6
 LOG_RATIO = 8.0  # beyond this ratio of highest to lowest a log axis reads better
+TICKS_URAD = [step * 10**decade for decade in range(-1, 6) for step in (1, 2, 5)]
 SETTLING_SHARE = 0.2
+POINT_BUDGET = 8000  # of all panels, runs and curves together
 CURVES = {"frame": {"tail_rms_rad": "tail", "aggregate_rms_rad": "aggregate"}, "iteration": {"rms_arc_rad": "RMS"}}
 
 
 @dataclass(frozen=True)
 class _Panel:
-    """One subplot: the steps it shows, and what its axis must hold, in µrad."""
+    """One subplot: the steps it shows, with how many points a curve, and what its axis must hold, in µrad."""
 
     column: int
     start: float
     end: float
+    limit: int
     seen: list[float] = field(default_factory=list)
 
 
@@ -53,7 +56,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     along = [course.x for course in found if course.axis == axis]
     span = (min(float(x.min()) for x in along), max(float(x.max()) for x in along))
     starts = [span[0]] if axis == "iteration" else [span[0], span[0] + SETTLING_SHARE * (span[1] - span[0])]
-    panels = [_Panel(i + 1, start, span[1]) for i, start in enumerate(starts)]
+    panels = [_Panel(i + 1, start, span[1], POINT_BUDGET // (4 * len(found))) for i, start in enumerate(starts)]
     figure = make_subplots(1, len(panels), column_widths=[0.4, 0.6][: len(panels)] if len(panels) > 1 else None)
     for trace, course, style in zip(traces, courses, theme.run_styles(traces), strict=True):
         for panel in panels:
@@ -76,7 +79,7 @@ def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.Run
         x, y = course.x[shown], y[shown]
         if not len(x):
             continue
-        kept = keep_extremes([y])
+        kept = keep_extremes([y], panel.limit)
         name = f"{style.label} · {word}"
         curve = theme.RunStyle(style.label, style.colour, "dot" if word == "aggregate" else style.dash)
         settings = {
@@ -113,7 +116,7 @@ def _dress(figure: go.Figure, panels: list[_Panel], traces: Sequence[Trace], axi
     for panel in panels:
         scale: dict[str, Any] = {"type": "linear"}
         if panel.seen and 0 < min(panel.seen) < max(panel.seen) / LOG_RATIO:
-            scale = {"type": "log", "dtick": "D2"}
+            scale = {"type": "log", "tickvals": TICKS_URAD}
         figure.update_yaxes(**scale, row=1, col=panel.column)
         figure.update_xaxes(title_text=axis, range=_window(panel.start, panel.end), row=1, col=panel.column)
     if len(panels) > 1:

@@ -24,7 +24,7 @@ TABULAR = "'IBM Plex Mono', 'JetBrains Mono', 'DejaVu Sans Mono', ui-monospace, 
 DARK_SURFACE = "#0d1520"
 LIGHT_SURFACE = "#ffffff"
 
-RUN_COLOURS = ("#3b8fe0", "#d9730d", "#12967c", "#b866c9", "#a08300", "#7b74d8", "#d4547a", "#7d8a99")
+RUN_COLOURS = ("#3b8fe0", "#d9730d", "#12967c", "#7448f6", "#8f5f2c", "#4a7596", "#d4547a", "#7d8a99")
 RUN_DASHES = ("solid", "dash", "dashdot", "longdash", "solid", "dash", "dashdot", "longdash")
 REFERENCE_COLOUR = "#8592a3"
 TRUTH_COLOUR = "#a98a00"

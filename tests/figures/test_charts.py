@@ -1,0 +1,96 @@
+"""What single charts promise: levels, hatching, orientation, significance."""
+
+import numpy as np
+import pytest
+
+from boresight.figures import FIGURES, Trace
+
+
+def named(drawn, name):
+    return [trace for trace in drawn.data if trace.name == name]
+
+
+def test_rms_is_in_microradians_with_the_initial_and_the_final_level(sequential_result):
+    drawn = FIGURES["rms"].draw([Trace("Run", sequential_result)])
+    assert named(drawn, "initial parameters")[0].y[0] == pytest.approx(412.9)
+    assert named(drawn, "final parameters")[0].y[0] == pytest.approx(82.6)
+    assert "µrad" in drawn.layout.yaxis.title.text
+
+
+def test_the_tail_and_the_aggregate_are_told_apart_by_dash(sequential_result):
+    drawn = FIGURES["rms"].draw([Trace("Run", sequential_result)])
+    assert named(drawn, "Run · tail")[0].line.dash == "solid"
+    assert named(drawn, "Run · aggregate")[0].line.dash == "dot"
+
+
+def test_the_settled_part_leaves_the_first_fifth_out(sequential_result):
+    drawn = FIGURES["rms"].draw([Trace("Run", sequential_result)])
+    settled = named(drawn, "Run · tail")[1]
+    assert min(settled.x) == 40
+
+
+def test_radii_without_stars_are_shaded_from_the_outermost_star_on(sequential_result):
+    drawn = FIGURES["radial"].draw([Trace("Run", sequential_result)])
+    shaded = [shape for shape in drawn.layout.shapes if shape.type == "rect"]
+    assert {shape.x0 for shape in shaded} == {1440.0}
+    assert {shape.x1 for shape in shaded} == {1620.0}
+    assert any("no stars" in annotation.text for annotation in drawn.layout.annotations)
+
+
+def test_the_arcsecond_axis_is_the_pixel_axis_by_the_plate_scale(sequential_result):
+    drawn = FIGURES["radial"].draw([Trace("Run", sequential_result)])
+    ratio = np.array(drawn.layout.yaxis2.range) / np.array(drawn.layout.yaxis.range)
+    assert ratio == pytest.approx(28.3, rel=1e-6)
+
+
+def test_runs_of_unlike_plate_scale_get_no_arcsecond_axis(sequential_result):
+    radial = sequential_result["radial"]
+    doubled = {key: [2 * v for v in radial[key]] for key in ("difference_arcsec", "sigma_arcsec")}
+    other = sequential_result | {"radial": radial | doubled}
+    drawn = FIGURES["radial"].draw([Trace("one", sequential_result), Trace("other", other)])
+    assert drawn.layout.yaxis2.range is None
+
+
+def test_each_direction_is_a_column_with_its_largest_share_positive(sequential_result):
+    heat = FIGURES["observability"].draw([Trace("Run", sequential_result)]).data[-1]
+    shares = np.array(heat.z, dtype=float)
+    expected = np.array(sequential_result["observability"]["right_singular_vectors"]).T
+    assert np.abs(shares) == pytest.approx(np.abs(expected), abs=1e-6)
+    assert np.all(shares[np.argmax(np.abs(shares), axis=0), np.arange(8)] > 0)
+
+
+def test_the_condition_number_and_the_weakest_direction_are_said_in_words(sequential_result):
+    drawn = FIGURES["observability"].draw([Trace("Run", sequential_result)])
+    assert "150" in drawn.layout.title.text
+    assert any("m0 and a2 move together" in annotation.text for annotation in drawn.layout.annotations)
+
+
+def test_an_undetermined_direction_is_called_infinite(sequential_result):
+    seen = sequential_result["observability"]
+    singular = [*seen["singular_values"][:-1], 0.0]
+    rank_deficient = seen | {"singular_values": singular, "condition_number": None}
+    drawn = FIGURES["observability"].draw([Trace("Run", sequential_result | {"observability": rank_deficient})])
+    assert "infinite" in drawn.layout.title.text
+
+
+def test_the_first_detector_row_is_at_the_top_and_empty_cells_are_gaps(sequential_result):
+    drawn = FIGURES["coverage"].draw([Trace("Run", sequential_result)])
+    counts = np.array(sequential_result["coverage"]["counts"])
+    cells = np.array(drawn.data[0].z, dtype=float)
+    assert drawn.layout.yaxis.autorange == "reversed"
+    assert np.array_equal(np.isnan(cells), counts == 0)
+
+
+def test_a_change_within_three_sigma_is_paler(sequential_result):
+    still = sequential_result["initial"] | {"f_m": sequential_result["parameters"]["f_m"]}
+    drawn = FIGURES["parameters"].draw([Trace("Run", sequential_result | {"parameters": still})])
+    colours = drawn.data[0].marker.color
+    assert colours[0] == "#3b8fe0"
+    assert all(colour.startswith("rgba") for colour in colours[1:])
+    assert "1 of 8" in drawn.layout.title.text
+
+
+def test_the_parameter_table_holds_si_values(sequential_result):
+    columns = FIGURES["parameters"].table(sequential_result)
+    assert columns["final"][0] == sequential_result["parameters"]["f_m"]
+    assert columns["delta_over_sigma"][0] == pytest.approx(sequential_result["delta_over_sigma"]["f_m"])
