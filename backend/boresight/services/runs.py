@@ -41,7 +41,7 @@ class _Order:
     label: str
 
 
-def launch(  # noqa: PLR0913 - the choices of a run, as the form and the REST body name them
+def launch(
     session: Session,
     actor: Actor,
     sensor_id: int,
@@ -91,7 +91,7 @@ def launch(  # noqa: PLR0913 - the choices of a run, as the form and the REST bo
     return run
 
 
-def _ordered(  # noqa: PLR0913, PLR0917 - the choices of a run
+def _ordered(
     session: Session,
     sensor_id: int,
     telemetry_set_id: int,
@@ -133,8 +133,9 @@ def dry_run(session: Session, order: _Order) -> dict[str, Any]:
     telemetry, settings = order.telemetry, order.settings
     sensor = parse_sensor(order.sensor.document)
     free = list(settings.free or sensor.free)
-    exposures = int(telemetry.quality.get("exposures") or telemetry.frames)
-    pairs = pairs_of(telemetry.stars, exposures)
+    quality = telemetry.quality
+    exposures = quality.get("usable_exposures", telemetry.frames)
+    pairs = pairs_of(quality.get("usable", telemetry.stars), exposures)
     pace = seconds_per_star(session, settings.method)
     return {
         "sensor": order.sensor.name,
@@ -202,7 +203,7 @@ def get_run(session: Session, run_id: int) -> Run:
     return run
 
 
-def list_runs(  # noqa: PLR0913 - the filters of the list
+def list_runs(
     session: Session,
     *,
     sensor_id: int | None = None,

@@ -204,7 +204,7 @@ def record_progress(session: Session, run_id: int, attempt: int, progress: Mappi
     return _matched(session, _fenced((run_id, attempt)).values(progress=dict(progress)))
 
 
-def finish(  # noqa: PLR0913, PLR0917 - one value a column that ends a run
+def finish(
     session: Session,
     run_id: int,
     attempt: int,
@@ -236,6 +236,7 @@ def finish(  # noqa: PLR0913, PLR0917 - one value a column that ends a run
         reason=reason,
         result_sha256=result_sha256,
         summary=sa.null() if summary is None else dict(summary),
+        progress=Run.progress if result_sha256 is None else sa.null(),  # what there was is kept where no result is
         ended_utc=utc_now(),
         lease_until_utc=None,
     )
@@ -259,7 +260,7 @@ def put_back(session: Session, run_id: int, attempt: int, cause: str) -> bool:
     return _put_back(session, (run_id, attempt), "log", cause)
 
 
-def give_up_attempt(  # noqa: PLR0913 - the fence, the cause and the limit
+def give_up_attempt(
     session: Session, run_id: int, attempt: int, cause: str, max_attempts: int, *, end_state: str = "FAILED"
 ) -> str | None:
     """Count a lost attempt: queue the run again, or end it when it lost too many.
@@ -274,7 +275,7 @@ def give_up_attempt(  # noqa: PLR0913 - the fence, the cause and the limit
     )
     times = 1 + (lost or 0)
     if times >= max_attempts:
-        reason = f"Given up after {times} lost attempts, the last because {cause}."
+        reason = f"Given up after {times} lost attempt{'s' * (times > 1)}, the last because {cause}."
         written = finish(session, run_id, attempt, end_state, reason)
         if written is not None:
             write_event(session, run_id, attempt, "lost", f"Attempt {attempt}: {cause}")

@@ -28,6 +28,7 @@ log = logging.getLogger(__name__)
 
 CONNECT_S = 5
 CLOSE_S = 5
+CHATTY = ("distributed", "distributed.client")  # what they tell, the engine writes to the run it concerns
 MEMORY_SHARE = 0.8  # of the machine, over all worker processes; the rest is the server's and the system's
 CONFIGURATION = {
     "distributed.admin.low-level-log-length": 100,  # progress events the scheduler keeps; each may hold a history
@@ -51,6 +52,8 @@ class Cluster:
         OSError
             When the scheduler cannot be reached.
         """
+        for name in CHATTY:
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         with dask.config.set(CONFIGURATION):
             local = None if settings.scheduler else _local_cluster(settings)
             client = Client(

@@ -1,0 +1,167 @@
+"""The rows stay true under leases, attempts and fences; no worker is needed to see it."""
+
+from itertools import count
+
+import pytest
+
+from boresight.store import runs
+from boresight.store.sessions import writing
+from boresight.workers.reconcile import Reconciler
+
+NUMBERS = count()
+
+
+@pytest.fixture(scope="module")
+def store(make_store):
+    return make_store()
+
+
+@pytest.fixture
+def make_rows(store):
+    """Make owners of runs; a negative lease has lapsed when it begins."""
+
+    def make(lease_s=30.0, max_attempts=3):
+        return Reconciler(store.database, f"owner-{next(NUMBERS)}", lease_s, max_attempts)
+
+    return make
+
+
+def take_one(rows, run_id):
+    """Claim one run."""
+    with writing(rows.database) as session:
+        claimed = runs.claim(session, rows.owner, rows.lease_s, 1, [run_id])
+    return [(run.run_id, run.attempt) for run in claimed]
+
+
+def success(held):
+    """Make the outcome of a good attempt."""
+    return {
+        "run_id": held[0],
+        "attempt": held[1],
+        "state": "SUCCEEDED",
+        "reason": None,
+        "result_sha256": f"{held[0]:032x}{held[1]:032x}",
+        "result_bytes": 2,
+        "summary": {"status": "converged"},
+        "log": ["done"],
+    }
+
+
+def test_a_run_is_claimed_by_one_owner_only(store, make_rows):
+    (run_id,) = store.launch("quick")
+    assert take_one(make_rows(), run_id) == [(run_id, 1)]
+    assert take_one(make_rows(), run_id) == []
+
+
+def test_a_lapsed_lease_gives_the_run_back_and_the_late_result_writes_nothing(store, make_rows):
+    (run_id,) = store.launch("quick")
+    gone, next_owner = make_rows(lease_s=-1.0), make_rows()
+    (old,) = take_one(gone, run_id)
+    next_owner.renew([])
+    assert store.states([run_id]) == ["QUEUED"]
+    (new,) = take_one(next_owner, run_id)
+    assert new == (run_id, 2)
+    gone.settle([success(old)])
+    gone.record({old: {"fraction": 0.9, "message": "late", "partial": None}})
+    assert store.states([run_id]) == ["RUNNING"]
+    assert store.run(run_id).progress is None
+    assert store.run(run_id).result_sha256 is None
+    assert "done" not in store.log(run_id, "log")
+    next_owner.settle([success(new)])
+    assert store.run(run_id).result_sha256.endswith("2")
+    assert store.ends(run_id) == ["SUCCEEDED"]
+
+
+def test_an_owner_learns_that_a_run_is_no_longer_its_own(store, make_rows):
+    (run_id,) = store.launch("quick")
+    gone, next_owner = make_rows(lease_s=-1.0), make_rows()
+    (old,) = take_one(gone, run_id)
+    next_owner.renew([])
+    (new,) = take_one(next_owner, run_id)
+    assert gone.renew([old]) == {old}
+    assert next_owner.renew([new]) == set()
+
+
+def test_a_run_whose_servers_are_lost_every_time_is_lost_itself(store, make_rows):
+    (run_id,) = store.launch("quick")
+    gone = make_rows(lease_s=-1.0, max_attempts=2)
+    for _ in range(2):
+        assert take_one(gone, run_id)
+        gone.renew([])
+    assert store.states([run_id]) == ["LOST"]
+    assert "not heard of any more" in store.run(run_id).reason
+    assert store.ends(run_id) == ["LOST"]
+
+
+def test_a_run_lost_in_company_is_not_charged_but_one_lost_alone_is(store, make_rows):
+    first, second = store.launch("quick", 2)
+    rows = make_rows(max_attempts=1)
+    held = take_one(rows, first) + take_one(rows, second)
+    rows.give_up(held, "its worker process died")
+    assert store.states([first, second]) == ["QUEUED", "QUEUED"]
+    (alone,) = take_one(rows, first)
+    rows.give_up([alone], "its worker process died")
+    assert store.states([first]) == ["FAILED"]
+    assert store.run(first).reason == "Given up after 1 lost attempt, the last because its worker process died."
+
+
+def test_a_terminal_state_is_written_once(store, make_rows):
+    (run_id,) = store.launch("quick")
+    rows = make_rows()
+    (held,) = take_one(rows, run_id)
+    rows.settle([success(held)])
+    rows.settle([success(held) | {"state": "FAILED", "reason": "again"}])
+    rows.give_up([held], "its worker process died")
+    rows.put_back([held], "its server was stopped")
+    rows.end_cancelled(held)
+    assert store.cancel(run_id) == "SUCCEEDED"
+    assert store.ends(run_id) == ["SUCCEEDED"]
+    assert store.states([run_id]) == ["SUCCEEDED"]
+
+
+def test_a_queued_run_is_cancelled_at_once_and_never_claimed(store, make_rows):
+    (run_id,) = store.launch("quick")
+    assert store.cancel(run_id) == "CANCELLED"
+    assert take_one(make_rows(), run_id) == []
+    assert store.run(run_id).ended_utc is not None
+
+
+@pytest.mark.parametrize("way", ["settle", "put_back", "give_up", "lapse"])
+def test_a_run_that_was_asked_to_stop_ends_cancelled_whichever_way_it_ends(store, make_rows, way):
+    (run_id,) = store.launch("quick")
+    rows = make_rows(lease_s=-1.0 if way == "lapse" else 30.0)
+    (held,) = take_one(rows, run_id)
+    assert store.cancel(run_id) == "CANCELLING"
+    assert rows.stops([held]) == {held}
+    {
+        "settle": lambda: rows.settle([success(held)]),
+        "put_back": lambda: rows.put_back([held], "its server was stopped"),
+        "give_up": lambda: rows.give_up([held], "its worker process died"),
+        "lapse": lambda: make_rows().renew([]),
+    }[way]()
+    assert store.ends(run_id) == ["CANCELLED"]
+    assert store.run(run_id).reason == "Cancelled in a test."
+    assert store.run(run_id).result_sha256 is None
+
+
+def test_news_tells_every_change_of_state_once_and_in_order(store, make_rows):
+    rows = make_rows()
+    begin = rows.newest_event()
+    (run_id,) = store.launch("quick")
+    (held,) = take_one(rows, run_id)
+    middle, told = rows.news(begin)
+    assert [event["state"] for event in told] == ["QUEUED", "RUNNING"]
+    rows.settle([success(held)])
+    end, told = rows.news(middle)
+    assert [(event["run_id"], event["state"]) for event in told] == [(run_id, "SUCCEEDED")]
+    assert rows.news(end) == (end, [])
+
+
+def test_progress_is_dropped_when_the_result_is_there(store, make_rows):
+    (run_id,) = store.launch("quick")
+    rows = make_rows()
+    (held,) = take_one(rows, run_id)
+    rows.record({held: {"fraction": 0.5, "message": "half", "partial": b'{"status": "running"}'}})
+    assert store.run(run_id).progress["partial"] == {"status": "running"}
+    rows.settle([success(held)])
+    assert store.run(run_id).progress is None
