@@ -129,7 +129,7 @@ def _read_package(magnitude_limit: float) -> Catalogue:
 def _read_cache(cache: Path) -> Catalogue | None:
     """Read a cached catalogue; None when there is none, or when it is damaged and must be made again."""
     try:
-        with np.load(cache) as arrays:
+        with cache.open("rb") as file, np.load(file) as arrays:
             return Catalogue(**{field.name: arrays[field.name] for field in fields(Catalogue)})
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
         return None

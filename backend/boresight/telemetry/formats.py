@@ -18,7 +18,7 @@ def read_bytes(path: Path) -> bytes:
     Raises
     ------
     RefusedInputError
-        When there is no such file, it is a folder, it cannot be read, or it is empty.
+        When there is no such file, it is a folder, it cannot be read, or it holds nothing.
     """
     if path.is_dir():
         raise RefusedInputError(f"{path} is a folder: name the telemetry file inside it.")
@@ -30,6 +30,9 @@ def read_bytes(path: Path) -> bytes:
         raise RefusedInputError(f"{path} cannot be read ({error.strerror}): check its permissions.") from error
     if not data:
         raise RefusedInputError(f"{path.name} is empty: download it again.")
+    text = data.removeprefix(_BYTE_ORDER_MARK)
+    if not text or text.isspace():
+        raise RefusedInputError(f"{path.name} holds nothing but blanks: download it again.")
     return data
 
 
@@ -62,15 +65,13 @@ def text_of(name: str, data: bytes) -> bytes:
     Raises
     ------
     RefusedInputError
-        When it is not UTF-8, or nothing but blanks.
+        When it is not UTF-8.
     """
     data = data.removeprefix(_BYTE_ORDER_MARK)
     if not data.isascii():
         _refuse_other_encodings(name, data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    if not data or data.isspace():
-        raise RefusedInputError(f"{name} holds nothing but blanks: download it again.")
     return data[: _end_of_last_row(data)]
 
 

@@ -1,0 +1,468 @@
+"""Good files are read to the last digit; bad ones are refused in one sentence with row, column and what to do."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as arrow_parquet
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from boresight.errors import RefusedInputError
+from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
+from boresight.telemetry.schema import Telemetry
+from tests.strategies import telemetry_tables
+
+HEADER = "frame,exposure,row_px,col_px,star_id"
+ROWS = ["0,0,10.5,20.25,11", "0,0,30.5,40.25,", "0,1,10.5,20.25,11", "1,0,50,60,-1"]
+GOOD = "\n".join([HEADER, *ROWS]) + "\n"
+
+
+def with_columns(columns, cells):
+    """Build a one-row file with further columns."""
+    return f"frame,exposure,row_px,col_px,{columns}\n0,0,1,2,{cells}\n"
+
+
+def refused(read, content, name="pass.csv"):
+    with pytest.raises(RefusedInputError) as caught:
+        read(content, name)
+    return caught.value
+
+
+def assert_single_fault(error, row, column, *words):
+    assert [(fault.row, fault.column) for fault in error.faults] == [(row, column)]
+    for word in words:
+        assert word in str(error)
+
+
+def test_a_csv_file_is_read_with_unmatched_stars_as_zero(read):
+    telemetry = read(GOOD)
+
+    assert telemetry.frame.tolist() == [0, 0, 0, 1]
+    assert telemetry.exposure.tolist() == [0, 0, 1, 0]
+    assert telemetry.col_px.tolist() == [20.25, 40.25, 20.25, 60.0]
+    assert telemetry.star_id.tolist() == [11, 0, 11, 0]
+    assert telemetry.magnitude is None
+    assert telemetry.first_row == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: b"\xef\xbb\xbf" + text.encode(),
+        lambda text: text.replace("\n", "\r\n").encode(),
+        lambda text: text.replace("\n", "\r").encode(),
+        lambda text: text.rstrip("\n").encode(),
+        lambda text: (text + "\n\n  \n").encode(),
+        lambda text: text.replace(",", " , ").encode(),
+        lambda text: text.replace("10.5", "+10.5").encode(),
+        lambda text: text.replace("10.5", '"10.5"').encode(),
+        lambda text: text.replace(",11", ",11.0").encode(),
+    ],
+    ids=["byte-order mark", "CRLF", "CR", "no last line end", "blank end", "blanks", "plus", "quotes", "11.0"],
+)
+def test_harmless_ways_of_writing_csv_are_let_pass(read, change):
+    telemetry = read(change(GOOD))
+
+    assert telemetry.row_px.tolist() == [10.5, 30.5, 10.5, 50.0]
+    assert telemetry.star_id.tolist() == [11, 0, 11, 0]
+
+
+def test_json_lines_are_read_with_null_as_absent(read):
+    telemetry = read(
+        '{"frame":3,"exposure":0,"row_px":1.5,"col_px":2,"star_id":null,"time_utc":"2024-02-29T12:00:00Z","note":"2024-01-01"}\n'
+        '{"frame":3,"exposure":1,"row_px":1.5,"col_px":2,"star_id":7,"time_utc":null,"note":null}\n',
+        "pass.jsonl",
+    )
+
+    assert telemetry.star_id.tolist() == [0, 7]
+    assert telemetry.time_utc[0] == np.datetime64("2024-02-29T12:00:00", "us")
+    assert np.isnat(telemetry.time_utc[1])
+    assert telemetry.unknown == {"note": ["2024-01-01", ""]}
+    assert telemetry.ra_rad is None
+    assert telemetry.first_row == 1
+
+
+@pytest.mark.parametrize("name", ["blob", "pass.telemetry"])
+def test_a_file_of_no_known_suffix_is_what_its_bytes_are(read, tmp_path, name):
+    expected = read(GOOD, name)
+    write_parquet(expected, tmp_path / "address")
+
+    assert read_telemetry(tmp_path / "address").row_px.tolist() == expected.row_px.tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("2019-07-29T20:47:26Z", "2019-07-29T20:47:26"),
+        ("2019-07-29T20:47:26.123456", "2019-07-29T20:47:26.123456"),
+        ("2019-07-29 20:47:26", "2019-07-29T20:47:26"),
+        ("2019-07-29T22:47:26+02:00", "2019-07-29T20:47:26"),
+    ],
+)
+def test_times_are_iso_8601_and_utc_where_they_name_no_zone(read, text, expected):
+    telemetry = read(with_columns("time_utc", text))
+
+    assert telemetry.time_utc[0] == np.datetime64(expected, "us")
+
+
+def test_units_become_si(read):
+    telemetry = read(with_columns("ra_deg,dec_deg,vx_km_s,vy_km_s,vz_km_s", "180,-45,7.5,0,-0.001"))
+
+    assert telemetry.ra_rad[0] == pytest.approx(np.pi)
+    assert telemetry.dec_rad[0] == pytest.approx(-np.pi / 4)
+    assert telemetry.velocity_m_s[0] == pytest.approx([7500.0, 0.0, -1.0])
+
+
+def test_unknown_columns_are_kept_as_they_came(read):
+    telemetry = read(with_columns("flux,note", '0012.50,"a, b"'))
+
+    assert telemetry.unknown == {"flux": ["0012.50"], "note": ["a, b"]}
+
+
+@pytest.mark.parametrize("column", ["frame", "exposure", "row_px", "col_px"])
+def test_a_missing_column_is_named_with_those_the_file_has(read, column):
+    error = refused(read, GOOD.replace(column, "other"))
+
+    assert_single_fault(error, None, column, "missing", "other", "star_id")
+
+
+@pytest.mark.parametrize("column", ["frame", "exposure", "row_px", "col_px"])
+def test_an_empty_cell_in_a_required_column_is_refused(read, column):
+    place = HEADER.split(",").index(column)
+    cells = ROWS[1].split(",")
+    cells[place] = ""
+
+    error = refused(read, "\n".join([HEADER, ROWS[0], ",".join(cells)]))
+
+    assert_single_fault(error, 3, column, "empty")
+
+
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [
+        ("abc", "'abc' is not a number"),
+        ("nan", "not a measurement"),
+        ("-Infinity", "not a measurement"),
+        ("1e999", "inf"),
+    ],
+)
+def test_text_nan_and_infinity_in_numbers_are_refused_with_row_and_column(read, cell, words):
+    error = refused(read, GOOD.replace("30.5", cell))
+
+    assert_single_fault(error, 3, "row_px", words)
+
+
+@pytest.mark.parametrize(("column", "cell"), [("magnitude", "nan"), ("temperature_c", "inf"), ("sigma_px", "1,5")])
+def test_optional_numbers_are_held_to_the_same(read, column, cell):
+    error = refused(read, with_columns(column, f'"{cell}"'))
+
+    assert_single_fault(error, 2, column, "empty")
+
+
+@pytest.mark.parametrize("cell", ["1.5", "1e30", "99999999999999999999"])
+def test_frames_exposures_and_star_numbers_are_whole_numbers(read, cell):
+    error = refused(read, f"{HEADER}\n{cell},0,1,2,3\n0,{cell},1,2,3\n0,0,1,2,{cell}\n")
+
+    assert [(fault.row, fault.column) for fault in error.faults] == [(2, "frame"), (3, "exposure"), (4, "star_id")]
+    assert "whole number" in str(error)
+    assert str(error).endswith("(and 2 more faults)")
+
+
+def test_star_numbers_below_minus_one_are_refused(read):
+    assert_single_fault(refused(read, GOOD.replace("-1", "-7")), 5, "star_id", "-7", "leave it empty")
+
+
+def test_frames_out_of_order_are_refused(read):
+    error = refused(read, "\n".join([HEADER, ROWS[3], *ROWS[:3]]))
+
+    assert_single_fault(error, 3, "frame", "frame 0 follows frame 1", "sort")
+
+
+def test_a_torn_exposure_is_refused(read):
+    error = refused(read, "\n".join([HEADER, ROWS[0], ROWS[2], ROWS[1]]))
+
+    assert_single_fault(error, 4, "exposure", "interrupted", "sort")
+
+
+def test_a_star_twice_in_an_exposure_is_refused_with_both_rows(read):
+    error = refused(read, GOOD.replace("40.25,", "40.25,11"))
+
+    assert_single_fault(error, 3, "star_id", "star 11 is already in row 2", "leave star_id empty")
+
+
+def test_unmatched_rows_are_no_duplicates_of_one_another(read):
+    assert len(read(GOOD.replace(",11", ",0"))) == 4
+
+
+def test_a_centroid_twice_in_an_exposure_is_refused_with_both_rows(read):
+    error = refused(read, GOOD.replace("30.5,40.25", "10.5,20.25"))
+
+    assert_single_fault(error, 3, "row_px", "row 2", "delete one")
+
+
+@pytest.mark.parametrize(
+    ("columns", "cells", "column", "words"),
+    [
+        ("ra_deg,dec_deg", "361,0", "ra_deg", "361"),
+        ("ra_deg,dec_deg", "-181,0", "ra_deg", "-181"),
+        ("ra_deg,dec_deg", "10,90.5", "dec_deg", "90.5"),
+        ("ra_deg,dec_deg", "10,", "ra_deg", "give all of ra_deg and dec_deg"),
+        ("q_x,q_y,q_z,q_w", "1,0,0,0.5", "q_x", "1.11803"),
+        ("q_x,q_y,q_z,q_w", "1,0,0,", "q_x", "give all"),
+        ("vx_km_s,vy_km_s,vz_km_s", "7500,0,0", "vx_km_s", "not metres"),
+        ("vx_km_s,vy_km_s,vz_km_s", ",0,0", "vx_km_s", "give all"),
+        ("sigma_px", "-0.1", "sigma_px", "not positive"),
+        ("sigma_px", "0", "sigma_px", "not positive"),
+        ("time_utc", "29/07/2019", "time_utc", "ISO 8601"),
+        ("time_utc", "2019-02-30T00:00:00Z", "time_utc", "ISO 8601"),
+        ("time_utc", "1800-01-01T00:00:00Z", "time_utc", "1900 and 2100"),
+    ],
+)
+def test_values_that_cannot_be_are_refused(read, columns, cells, column, words):
+    assert_single_fault(refused(read, with_columns(columns, cells)), 2, column, words)
+
+
+@pytest.mark.parametrize(
+    ("given", "missing"), [("ra_deg", "dec_deg"), ("q_x,q_y,q_z", "q_w"), ("vx_km_s,vz_km_s", "vy_km_s")]
+)
+def test_columns_that_only_make_sense_together_are_asked_for_together(read, given, missing):
+    error = refused(read, with_columns(given, ",".join("0" for _ in given.split(","))))
+
+    assert_single_fault(error, None, missing, "give all of")
+
+
+def test_an_empty_row_of_a_group_is_absent(read):
+    telemetry = read("frame,exposure,row_px,col_px,ra_deg,dec_deg\n0,0,1,2,,\n0,0,3,4,5,6\n")
+
+    assert np.isnan(telemetry.ra_rad).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "is empty"),
+        (b"\n \n", "nothing but blanks"),
+        (b"\xef\xbb\xbf", "nothing but blanks"),
+        (HEADER.encode(), "header but no rows"),
+        (HEADER.encode() + b"\n\n", "header but no rows"),
+        (GOOD.encode("utf-16"), "UTF-16"),
+        (GOOD.encode("utf-16-le"), "UTF-16"),
+        (GOOD.encode("utf-32"), "UTF-16 or UTF-32"),
+        (GOOD.replace("star_id", "étoile").encode("latin-1"), "row 1: the byte 0xe9 is not UTF-8"),
+        ((GOOD + "1,0,9,9,é").encode("latin-1"), "row 6: the byte 0xe9 is not UTF-8"),
+        (GOOD.replace(",", ";").encode(), "semicolons"),
+        (GOOD.replace(",", "\t").encode(), "tabs"),
+        (GOOD.replace("star_id", "").encode(), "column 5 has no name"),
+        (GOOD.replace("star_id", "frame").encode(), "row 1, column frame: is there twice"),
+        (GOOD.replace("\n0,1", "\n\n0,1").encode(), "row 4: is blank"),
+        (GOOD.replace("40.25,", "40.25,,").encode(), "row 3: has 6 cells where the header has 5"),
+        (GOOD.replace("40.25,", "40.25").encode(), "row 3: has 4 cells where the header has 5"),
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is named as CSV but its content looks like binary data"),
+        (b"PK\x03\x04rest of a spreadsheet", "spreadsheet"),
+        (b"PAR1 rest", "is named as CSV but its content looks like Parquet"),
+        (b'{"frame": 0}', "is named as CSV but its content looks like JSON Lines"),
+    ],
+)
+def test_a_file_that_is_no_csv_is_refused_with_what_it_is(read, content, words):
+    assert words in str(refused(read, content))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        'frame,exposure,row_px,col_px,note\n0,0,1,2,"a\nb"\n0,0,3,4,c\n',
+        'frame,exposure,row_px,col_px,note\n0,0,1,2,"a\n0,0,3,4,c\n',
+    ],
+    ids=["line break in a cell", "quotation mark not closed"],
+)
+def test_cells_over_several_lines_are_refused(read, content):
+    assert any(word in str(refused(read, content)) for word in ("line breaks", "quotation", "cells where"))
+
+
+@pytest.mark.parametrize(
+    ("line", "row", "column", "words"),
+    [
+        ('{"frame":1,"exposure":0,"row_px":"abc","col_px":2}', 2, "row_px", "'abc' is not a number"),
+        ('{"frame":1,"exposure":0,"row_px":true,"col_px":2}', 2, "row_px", "'true' is not a number"),
+        ('{"frame":1,"exposure":0,"row_px":[1],"col_px":2}', 2, "row_px", "'[1]' is not a number"),
+        ('{"frame":1.5,"exposure":0,"row_px":1,"col_px":2}', 2, "frame", "whole number"),
+        ('{"frame":1,"exposure":0,"row_px":1}', 2, "col_px", "empty"),
+        ('{"frame":1,"exposure":0,"row_px":NaN,"col_px":2}', 2, "row_px", "not a measurement"),
+        ('{"frame":1,"exposure":0,"row_px":1,"col_px":2', 2, None, "not JSON"),
+        ("[1, 2]", 2, None, "not a JSON object"),
+        ('{"frame":1,"exposure":0,"row_px":1,"col_px":2}{"frame":1}', 2, None, "not JSON"),
+    ],
+)
+def test_a_wrong_line_of_json_is_named(read, line, row, column, words):
+    first = '{"frame":0,"exposure":0,"row_px":1,"col_px":2}'
+
+    assert_single_fault(refused(read, f"{first}\n{line}\n", "pass.jsonl"), row, column, words)
+
+
+def test_a_json_number_written_as_text_is_a_number(read):
+    telemetry = read(
+        '{"frame":0,"exposure":0,"row_px":"1.5","col_px":2,"star_id":"","note":[1,{"a":2}]}', "pass.ndjson"
+    )
+
+    assert telemetry.row_px.tolist() == [1.5]
+    assert telemetry.star_id.tolist() == [0]
+    assert telemetry.unknown == {"note": ['[1,{"a":2}]']}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [("\n", "blanks"), ("a,b\n1,2", "named as JSON Lines"), ("{}\n\n{}", "row 2: is blank")]
+)
+def test_a_file_that_is_no_json_lines_is_refused(read, content, words):
+    assert words in str(refused(read, content, "pass.jsonl"))
+
+
+def parquet_bytes(columns):
+    sink = pa.BufferOutputStream()
+    arrow_parquet.write_table(pa.table(columns), sink)
+    return sink.getvalue().to_pybytes()
+
+
+MINIMAL = {"frame": [0, 0], "exposure": [0, 0], "row_px": [1.0, 2.0], "col_px": [3.0, 4.0]}
+
+
+@pytest.mark.parametrize("keep", [4, 20, 200, -1])
+def test_truncated_parquet_is_refused(read, keep):
+    error = refused(read, parquet_bytes(MINIMAL)[:keep], "pass.parquet")
+
+    assert "truncated or damaged" in str(error)
+
+
+def test_damaged_pages_of_parquet_are_refused(read):
+    content = bytearray(parquet_bytes({**MINIMAL, "note": ["x" * 500, "y" * 500]}))
+    content[4:60] = bytes(56)
+
+    assert "truncated or damaged" in str(refused(read, bytes(content), "pass.parquet"))
+
+
+@pytest.mark.parametrize(
+    ("columns", "row", "column", "words"),
+    [
+        ({**MINIMAL, "row_px": [1.0, None]}, 2, "row_px", "empty"),
+        ({**MINIMAL, "row_px": [1.0, float("nan")]}, 2, "row_px", "not a measurement"),
+        ({**MINIMAL, "row_px": [[1.0], [2.0]]}, None, "row_px", "numbers are expected"),
+        ({**MINIMAL, "row_px": ["1.0", "x"]}, 2, "row_px", "'x' is not a number"),
+        ({**MINIMAL, "time_utc": [1, 2]}, None, "time_utc", "times are expected"),
+        ({key: [] for key in MINIMAL}, None, None, "no rows"),
+    ],
+)
+def test_parquet_cells_are_held_to_the_same(read, columns, row, column, words):
+    assert_single_fault(refused(read, parquet_bytes(columns), "pass.parquet"), row, column, words)
+
+
+def test_parquet_types_of_other_programs_are_understood(read):
+    content = parquet_bytes(
+        {
+            "frame": pa.array([0, 1], pa.uint8()),
+            "exposure": pa.array([0.0, 0.0], pa.float32()),
+            "row_px": pa.array([1, 2], pa.int32()),
+            "col_px": pa.array(["3", "4"]).dictionary_encode(),
+            "time_utc": pa.array(["2024-01-01", None]).cast(pa.timestamp("ns")),
+            "star_id": pa.array([None, 5.0], pa.float64()),
+            "magnitude": pa.nulls(2),
+            "blob": pa.array([b"\xff", None], pa.binary()),
+        }
+    )
+
+    telemetry = read(content, "pass.parquet")
+
+    assert telemetry.col_px.tolist() == [3.0, 4.0]
+    assert telemetry.star_id.tolist() == [0, 5]
+    assert telemetry.time_utc[0] == np.datetime64("2024-01-01", "us")
+    assert np.isnan(telemetry.magnitude).all()
+    assert len(telemetry.unknown["blob"]) == 2
+
+
+def test_text_named_parquet_is_refused(read):
+    assert "named as Parquet" in str(refused(read, GOOD, "pass.parquet"))
+
+
+def test_a_column_twice_in_parquet_is_refused(read):
+    sink = pa.BufferOutputStream()
+    arrow_parquet.write_table(pa.Table.from_arrays([pa.array([1]), pa.array([2])], names=["frame", "frame"]), sink)
+
+    assert_single_fault(refused(read, sink.getvalue().to_pybytes(), "pass.parquet"), None, "frame", "twice")
+
+
+def test_a_folder_or_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(RefusedInputError, match="is a folder"):
+        read_telemetry(tmp_path)
+    with pytest.raises(RefusedInputError, match="does not exist"):
+        read_telemetry(tmp_path / "nowhere.csv")
+
+
+def test_only_the_first_twenty_faults_are_listed_and_the_others_counted(read):
+    error = refused(read, "\n".join([HEADER, *(f"{k},0,x,2,3" for k in range(500))]))
+
+    assert len(error.faults) == 20
+    assert [fault.row for fault in error.faults] == list(range(2, 22))
+    assert str(error).endswith("(and 499 more faults)")
+
+
+def assert_same(one: Telemetry, other: Telemetry) -> None:
+    for name in (
+        "frame",
+        "exposure",
+        "row_px",
+        "col_px",
+        "time_utc",
+        "magnitude",
+        "sigma_px",
+        "star_id",
+        "temperature_c",
+    ):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    for name in ("ra_rad", "dec_rad", "quaternion", "velocity_m_s"):
+        left, right = getattr(one, name), getattr(other, name)
+        assert (left is None) == (right is None), name
+        if left is not None:
+            np.testing.assert_allclose(left, right, rtol=1e-15, atol=1e-300, err_msg=name)
+    assert one.unknown == other.unknown
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
+@given(telemetry=telemetry_tables())
+def test_what_is_written_is_read_back(telemetry, tmp_path):
+    write_csv(telemetry, tmp_path / "pass.csv")
+    write_parquet(telemetry, tmp_path / "pass.parquet")
+
+    assert_same(read_telemetry(tmp_path / "pass.csv"), telemetry)
+    assert_same(read_telemetry(tmp_path / "pass.parquet"), telemetry)
+
+
+def test_twenty_thousand_frames_of_24_stars_are_read_in_seconds(tmp_path):
+    n = 480_000
+    rng = np.random.default_rng(7)
+    frame = np.repeat(np.arange(20_000), 24)
+    telemetry = Telemetry(
+        frame=frame,
+        exposure=np.tile(np.repeat([0, 1], 12), 20_000),
+        row_px=rng.uniform(0, 1943, n),
+        col_px=rng.uniform(0, 2591, n),
+        time_utc=np.datetime64("2024-01-01", "us") + frame * 500_000,
+        star_id=np.arange(n) % 118_000 + 1,
+    )
+    write_csv(telemetry, tmp_path / "long.csv")
+
+    begin = time.perf_counter()
+    read_telemetry(tmp_path / "long.csv")
+
+    assert time.perf_counter() - begin < 4.0  # 0.5 s on an idle core; the limit leaves room for a busy one
+
+
+def test_the_real_star_fields_are_read(real_sky):
+    telemetry = read_telemetry(real_sky / "esa-5-frames.csv")
+
+    assert len(telemetry) == 873
+    assert np.unique(telemetry.frame).tolist() == [0, 1, 2, 3, 4]
+    assert int((telemetry.star_id > 0).sum()) == int(np.isfinite(telemetry.ra_rad).sum()) == 596
+    assert set(telemetry.time_utc) == {np.datetime64("2019-07-29T20:47:26", "us")}
