@@ -144,7 +144,7 @@ def size(value_bytes: Any) -> str:
 
 def instant(text: str) -> datetime:
     """Read a stored time, `2026-11-21T03:04:05.123456Z`."""
-    return datetime.fromisoformat(text.replace("Z", "+00:00")).astimezone(UTC)
+    return datetime.fromisoformat(text).astimezone(UTC)
 
 
 def day_of_year(moment: datetime) -> str:

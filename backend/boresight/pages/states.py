@@ -52,22 +52,12 @@ LEVEL_OF_STATE = {
     "rank_deficient": "serious",
     "diverged": "serious",
     "too_few_stars": "serious",
-    # quality of telemetry
-    "good": "normal",
-    "usable": "caution",
-    "poor": "serious",
-    "unusable": "critical",
-    "note": "off",
-    "info": "off",
-    "ok": "normal",
-    "warning": "caution",
-    "error": "serious",
 }
 
 
 def level_of(state: str) -> str:
-    """Return the level of a state word; a level stands for itself, an unheard-of word is `off`."""
-    return state if state in LEVELS else LEVEL_OF_STATE.get(state, "off")
+    """Return the level of a state word; a level stands for itself in any case, an unheard-of word is `off`."""
+    return state.lower() if state.lower() in LEVELS else LEVEL_OF_STATE.get(state, "off")
 
 
 def worst(states: Iterable[str]) -> str:

@@ -19,7 +19,6 @@ from boresight.services import api_keys, users
 from boresight.services.actors import SCOPES, Actor
 from boresight.services.users import MINIMUM_PASSWORD_LENGTH
 from boresight.store.sessions import Session, reading, utc_now
-from boresight.store.tables import ROLES
 
 router = APIRouter(dependencies=[Depends(csrf)])
 

@@ -1,0 +1,134 @@
+"""The fleet at a glance: every sensor's worst status with its reason, the queue, what waits for me, what happened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+
+from boresight.api.dependencies import Reading, Who
+from boresight.pages.audit import line_of
+from boresight.pages.rendering import render
+from boresight.pages.states import LEVELS
+from boresight.services import approvals, audit, parameter_sets, runs, sensors
+from boresight.services.actors import Actor
+from boresight.services.sensors import SensorTile
+from boresight.store.sessions import Session
+from boresight.store.tables import Approval, ParameterSet
+
+RECENT_RECORDS = 12
+MOST_ACTIONS = 8
+
+router = APIRouter()
+
+
+@dataclass(frozen=True)
+class Action:
+    """Something that waits for the person who looks."""
+
+    level: str
+    sentence: str
+    address: str
+    label: str
+
+
+def _signatures(session: Session, actor: Actor, names: Mapping[int, str]) -> Iterator[Action]:
+    """Yield the requests that this person may sign now."""
+    for request in approvals.list_approvals(session, state="OPEN"):
+        if approvals.why_not_sign(session, actor, request.id) is None:
+            name = names.get(request.parameter_set_id, "A set")
+            yield Action("standby", f"{name} waits for your signature.", f"/approvals/{request.id}", "Review")
+
+
+def _promotions(session: Session, actor: Actor) -> Iterator[Action]:
+    """Yield what an operator may do: promote what is approved, record what became of a new baseline."""
+    if "operator" not in actor.roles:
+        return
+    for row in parameter_sets.list_parameter_sets(session, ground_state="APPROVED"):
+        yield Action("standby", f"{row.name} is approved and can be promoted.", f"/parameter-sets/{row.id}", "Promote")
+    for row in parameter_sets.list_parameter_sets(session, ground_state="BASELINE"):
+        if row.run_id is not None and row.onboard_state == "NOT SENT":
+            sentence = f"{row.name} is the baseline; nothing is recorded of it on board."
+            yield Action("standby", sentence, f"/parameter-sets/{row.id}", "Record")
+
+
+def _own_requests(session: Session, actor: Actor, names: Mapping[int, str]) -> Iterator[Action]:
+    """Yield this person's requests that came back."""
+    for state, words in (("STALE", "went stale: evaluate again"), ("REJECTED", "was refused: read why")):
+        for request in approvals.list_approvals(session, state=state, limit=20):
+            if request.submitted_by == actor.user_id:
+                name = names.get(request.parameter_set_id, "A set")
+                yield Action("caution", f"{name} {words}.", f"/approvals/{request.id}", "Read")
+
+
+def _calibrations(tiles: Sequence[SensorTile], sets: Sequence[ParameterSet], actor: Actor) -> Iterator[Action]:
+    """Yield what an analyst may do: launch a first run, look at a failed one, make a set of a good one."""
+    if "analyst" not in actor.roles:
+        return
+    used = {row.run_id for row in sets}
+    for tile in tiles:
+        name, run = tile.sensor.name, tile.last_run
+        if run is None and tile.telemetry_sets:
+            address = f"/runs/new?sensor={tile.sensor.id}"
+            yield Action("standby", f"{name} has telemetry and no run yet.", address, "Launch")
+        elif run is not None and run.state in {"FAILED", "LOST"}:
+            yield Action("serious", f"{name}: run {run.id} {run.state}.", f"/runs/{run.id}", "Look")
+        elif run is not None and run.state == "SUCCEEDED" and run.id not in used and _converged(tile):
+            yield Action("standby", f"{name}: run {run.id} converged; judge it.", f"/runs/{run.id}", "Judge")
+
+
+def _converged(tile: SensorTile) -> bool:
+    """Tell whether the newest run came to rest."""
+    summary = tile.last_run.summary if tile.last_run else None
+    return bool(summary) and summary is not None and summary.get("status") == "converged"
+
+
+@dataclass(frozen=True)
+class Desk:
+    """Everything that the overview shows of the fleet's work."""
+
+    tiles: Sequence[SensorTile]
+    waiting: Mapping[int, Approval]
+    actions: Sequence[Action]
+    queue: Mapping[str, int]
+
+
+def _desk(session: Session, actor: Actor) -> Desk:
+    """Gather the fleet's work for a person."""
+    tiles, sets = sensors.fleet_overview(session), parameter_sets.list_parameter_sets(session, limit=500)
+    names = {row.id: row.name for row in sets}
+    sensor_of = {row.id: row.sensor_id for row in sets}
+    opened = approvals.list_approvals(session, state="OPEN")
+    actions = [
+        *_signatures(session, actor, names),
+        *_promotions(session, actor),
+        *_own_requests(session, actor, names),
+        *_calibrations(tiles, sets, actor),
+    ]
+    waiting = {sensor_of[it.parameter_set_id]: it for it in opened if it.parameter_set_id in sensor_of}
+    return Desk(tiles, waiting, actions, runs.count_by_state(session))
+
+
+def _counts(tiles: Sequence[SensorTile]) -> dict[str, int]:
+    """Count the sensors by level, worst first; every level, so that the strip keeps its shape."""
+    return {level: sum(tile.status == level for tile in tiles) for level in reversed(LEVELS)}
+
+
+@router.get("/", response_class=HTMLResponse)
+def overview_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show the fleet."""
+    desk = _desk(session, actor)
+    records = audit.list_records(session, limit=RECENT_RECORDS)
+    return render(
+        request,
+        "overview.html",
+        desk=desk,
+        counts=_counts(desk.tiles),
+        actions=desk.actions[:MOST_ACTIONS],
+        more_actions=max(len(desk.actions) - MOST_ACTIONS, 0),
+        lines=[line_of(record) for record in records],
+        workers=request.app.state.workers.state() if request.app.state.workers else None,
+        may_register=bool({"analyst", "administrator"} & actor.roles),
+    )

@@ -1,0 +1,189 @@
+"""One sensor: what it is, what its baseline says, what was baseline when, its telemetry and its runs.
+
+The field of view follows from the baseline's focal length f and the detector, 2 atan(half a side / f), and one pixel
+at the centre sees pitch / f. The sketch shows the detector with the principal point where the baseline has it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.api.dependencies import Who, csrf
+from boresight.errors import RefusedInputError
+from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.rendering import redirect, render
+from boresight.pages.runs import line_of, read_names
+from boresight.pages.sensors import read_document
+from boresight.services import parameter_sets, runs, sensors, telemetry_sets, uplinks
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session, reading, utc_now
+from boresight.store.tables import ParameterSet, Sensor, Uplink
+
+RUNS_SHOWN = 10
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+
+@dataclass(frozen=True)
+class Optics:
+    """What a detector and a focal length see.
+
+    Parameters
+    ----------
+    rows_deg, columns_deg, diagonal_deg
+        Full field of view along each side and corner to corner.
+    pixel_urad
+        What one pixel sees at the centre.
+    principal_row_px, principal_col_px
+        Where the boresight meets the detector.
+    """
+
+    rows_deg: float
+    columns_deg: float
+    diagonal_deg: float
+    pixel_urad: float
+    principal_row_px: float
+    principal_col_px: float
+
+
+def optics_of(detector: Mapping[str, Any], parameters: Mapping[str, float]) -> Optics:
+    """Derive the field of view from a detector and camera parameters of either model."""
+    f_px = parameters["f_m"] / detector["pixel_pitch_m"]
+    rows, columns = detector["rows"], detector["columns"]
+
+    def degrees(side_px: float) -> float:
+        return 2.0 * math.degrees(math.atan(side_px / 2.0 / f_px))
+
+    return Optics(
+        rows_deg=degrees(rows),
+        columns_deg=degrees(columns),
+        diagonal_deg=degrees(math.hypot(rows, columns)),
+        pixel_urad=1e6 / f_px,
+        principal_row_px=parameters.get("m0_px", parameters.get("v0_px", (rows - 1) / 2.0)),
+        principal_col_px=parameters.get("n0_px", parameters.get("u0_px", (columns - 1) / 2.0)),
+    )
+
+
+@dataclass(frozen=True)
+class Value:
+    """One parameter of the baseline."""
+
+    name: str
+    value: float
+    sigma: float | None
+    ground: float | None
+    typical_sigma: float | None
+    truth: float | None
+
+
+def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[Value]:
+    """Lay out the baseline's parameters beside the ground calibration; the latter where there is no baseline."""
+    document = sensor.document
+    values = baseline.document["parameters"] if baseline else document["initial"]
+    sigma = (baseline.document.get("sigma") or {}) if baseline else document["typical_sigma"]
+    return [
+        Value(
+            name=name,
+            value=value,
+            sigma=sigma.get(name),
+            ground=document["initial"].get(name),
+            typical_sigma=document["typical_sigma"].get(name),
+            truth=(sensor.truth or {}).get(name),
+        )
+        for name, value in values.items()
+    ]
+
+
+@dataclass(frozen=True)
+class AsOf:
+    """What was baseline and what was on board at a time, or why that cannot be said."""
+
+    time: str
+    baseline: ParameterSet | None
+    onboard: Sequence[tuple[ParameterSet, Uplink]]
+    refusal: str | None
+
+
+def _as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
+    """Answer the question of the form; None when nothing was asked."""
+    if not time.strip():
+        return None
+    try:
+        baseline = uplinks.baseline_at(session, sensor_id, time.strip())
+        return AsOf(time, baseline, uplinks.onboard_at(session, sensor_id, time.strip()), None)
+    except RefusedInputError as refusal:
+        return AsOf(time, None, (), str(refusal))
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the edit form left behind."""
+
+    text: str = ""
+    refusal: Refusal | None = None
+
+
+def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown) -> HTMLResponse:
+    """Render a sensor."""
+    with reading(request.app.state.engine) as session:
+        sensor, baseline = sensors.get_sensor(session, sensor_id), parameter_sets.baseline_of(session, sensor_id)
+        names = read_names(session)
+        sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id)
+        values = baseline_values(sensor, baseline)
+        return render(
+            request,
+            "sensor.html",
+            status_code=422 if shown.refusal else 200,
+            sensor=sensor,
+            tile=next(tile for tile in sensors.fleet_overview(session) if tile.sensor.id == sensor_id),
+            names=names,
+            baseline=baseline,
+            values=values,
+            has_truth=bool(sensor.truth),
+            optics=optics_of(sensor.document["detector"], {it.name: it.value for it in values}),
+            sets=sets,
+            set_names={row.id: row.name for row in sets},
+            promotions=uplinks.promotions_of(session, sensor_id),
+            telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id),
+            runs=[line_of(run, names) for run in runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)],
+            as_of=_as_of(session, sensor_id, at),
+            now=utc_now()[:19] + "Z",
+            document=shown.text or json.dumps(sensor.document, indent=2),
+            may_edit=bool({"analyst", "administrator"} & actor.roles),
+            shown=shown,
+        )
+
+
+@router.get("/sensors/{sensor_id}", response_class=HTMLResponse)
+def sensor_page(request: Request, actor: Who, sensor_id: int, at: str = "") -> HTMLResponse:
+    """Show a sensor, and what was baseline and on board at a time where asked."""
+    return _page(request, actor, sensor_id, at, Shown())
+
+
+@router.post("/sensors/{sensor_id}", response_class=HTMLResponse)
+async def edit(
+    request: Request,
+    actor: Who,
+    sensor_id: int,
+    document: Annotated[str, Form()] = "",
+    version: Annotated[int | None, Form()] = None,
+) -> Response:
+    """Change what new runs of the sensor start from."""
+    outcome = await attempt(request, partial(_edit, actor, sensor_id, document, version))
+    if outcome.value is not None:
+        return redirect(f"/sensors/{sensor_id}", flash=f"{outcome.value.name} is changed; runs from now on start here.")
+    return await run_in_threadpool(_page, request, actor, sensor_id, "", Shown(document, outcome.refusal))
+
+
+def _edit(actor: Actor, sensor_id: int, text: str, version: int | None, session: Session) -> Sensor:
+    """Hand the typed document to the service."""
+    return sensors.edit_sensor(session, actor, sensor_id, read_document(text), version)

@@ -1,0 +1,139 @@
+"""The list of sensors, and registering one: paste or upload its sensor file; a refused text comes back as typed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+from starlette.datastructures import FormData, UploadFile
+
+from boresight.api.dependencies import Who, csrf
+from boresight.errors import Fault, RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.rendering import redirect, render
+from boresight.services import sensors
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session, reading
+from boresight.store.tables import Sensor
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+EXAMPLE = """{
+  "name": "ST16-7",
+  "detector": { "rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6 },
+  "camera_model": "inverted_wang",
+  "parity": 1,
+  "centroid_sigma_px": 0.1,
+  "initial": {
+    "f_m": 0.016, "m0_px": 971.5, "n0_px": 1295.5, "b4_per_m4": 0, "b2_per_m2": 0,
+    "a1_rad": 0, "a2_rad": 0, "g_y": 1
+  },
+  "typical_sigma": {
+    "f_m": 3e-5, "m0_px": 25, "n0_px": 25, "b4_per_m4": 1e6, "b2_per_m2": 60,
+    "a1_rad": 0.005, "a2_rad": 0.005, "g_y": 0.0002
+  },
+  "magnitude_limit": 5.75
+}
+"""
+
+FIELDS = (
+    ("name", "Unique in the fleet; becomes part of PS-<sensor>-<n>."),
+    ("detector", "rows, columns, and pixel_pitch_m in metres."),
+    ("camera_model", "Which equations turn a pixel into a direction; it fixes the parameters' names."),
+    ("parity", "+1: rows, columns and boresight are right-handed. −1: an upright image."),
+    ("centroid_sigma_px", "One-axis noise of a centroid, where the telemetry gives none of its own."),
+    ("initial", "The ground calibration, in SI; becomes set 0 and the first baseline."),
+    ("typical_sigma", "How much each parameter differs from unit to unit, in SI."),
+    ("free", "Optional: the parameters to estimate; all of them where it is left out."),
+    ("magnitude_limit", "Optional: the faintest catalogue star that it sees."),
+)
+
+
+def read_document(text: str) -> dict[str, Any]:
+    """Read a typed sensor file.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is empty or no JSON object; names line and column.
+    """
+    if not text.strip():
+        raise RefusedInputError("There is no sensor file: paste its JSON or choose the file.")
+    try:
+        document = json.loads(text)
+    except json.JSONDecodeError as error:
+        fault = Fault(error.lineno, str(error.colno), f"{error.msg}; correct the JSON here.")
+        raise RefusedInputError(f"This is not JSON at line {error.lineno}: {error.msg}.", (fault,)) from error
+    except RecursionError as error:
+        raise RefusedInputError("This JSON is nested too deep for a sensor file.") from error
+    if not isinstance(document, dict):
+        raise RefusedInputError("A sensor file is one JSON object, in braces; this is something else.")
+    return document
+
+
+async def typed_document(form: FormData) -> str:
+    """Return what the form holds as text: the chosen file where there is one, else what was typed."""
+    chosen = form.get("file")
+    if isinstance(chosen, UploadFile) and chosen.filename:
+        return (await chosen.read()).decode("utf-8-sig", errors="replace")
+    typed = form.get("document")
+    return typed if isinstance(typed, str) else ""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the form left behind: its text and its refusal."""
+
+    text: str = ""
+    refusal: Refusal | None = None
+
+
+@router.get("/sensors", response_class=HTMLResponse)
+def sensors_page(request: Request, actor: Who, example: str = "") -> HTMLResponse:
+    """Show the list and the form, filled with the example when asked."""
+    return _page(request, actor, Shown(EXAMPLE if example else ""))
+
+
+def _page(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
+    """Render the list and the form."""
+    with reading(request.app.state.engine) as session:
+        return render(
+            request,
+            "sensors.html",
+            status_code=422 if shown.refusal else 200,
+            tiles=sensors.fleet_overview(session),
+            may_register=bool({"analyst", "administrator"} & actor.roles),
+            example=EXAMPLE,
+            fields=FIELDS,
+            models=_models(),
+            shown=shown,
+        )
+
+
+def _models() -> Sequence[tuple[str, Sequence[str]]]:
+    """Return every camera model with its parameters."""
+    return [(name, model.parameter_names) for name, model in CAMERA_MODELS.items()]
+
+
+@router.post("/sensors", response_class=HTMLResponse)
+async def register(request: Request, actor: Who) -> Response:
+    """Register a sensor from the form."""
+    text = await typed_document(await request.form())
+    outcome = await attempt(request, partial(_register, actor, text))
+    if outcome.value is not None:
+        sensor = outcome.value
+        flash = f"{sensor.name} is registered; its ground calibration PS-{sensor.name}-0 is the baseline."
+        return redirect(f"/sensors/{sensor.id}", flash=flash)
+    return await run_in_threadpool(_page, request, actor, Shown(text, outcome.refusal))
+
+
+def _register(actor: Actor, text: str, session: Session) -> Sensor:
+    """Hand the typed document to the service."""
+    return sensors.register_sensor(session, actor, read_document(text))
