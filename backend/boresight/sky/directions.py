@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def star_directions(  # noqa: PLR0913, PLR0917 - one argument a telemetry column: sky may not import telemetry
+def star_directions(
     star_id: IntArray | None,
     ra_rad: FloatArray | None,
     dec_rad: FloatArray | None,
