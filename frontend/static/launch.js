@@ -10,6 +10,7 @@ const QUIET_MS = 400;
 const form = document.querySelector("[data-launch]");
 let timer = 0;
 let flight = null;
+let lastSensor = form?.elements.sensor_id.value;
 
 function showSetsOfSensor() {
   const sensor = form.elements.sensor_id.value;
@@ -18,12 +19,17 @@ function showSetsOfSensor() {
       const fits = !option.dataset.sensor || option.dataset.sensor === sensor;
       option.hidden = !fits;
       option.disabled = !fits;
-      if (!fits && option.selected) option.selected = false;
     }
-    if (select.selectedIndex < 0 || select.selectedOptions[0]?.disabled) {
-      select.selectedIndex = [...select.options].findIndex((option) => !option.disabled);
-    }
+    if (select.selectedOptions[0]?.disabled) select.selectedIndex = -1;
+    if (!select.value && (select.required || sensor !== lastSensor)) chooseSet(select);
   }
+}
+
+/** Take the newest set of the select's own purpose; where there is none, the first that is allowed. */
+function chooseSet(select) {
+  const allowed = [...select.options].filter((option) => !option.disabled);
+  const fitting = allowed.find((option) => option.dataset.purpose === select.dataset.sets) ?? allowed[0];
+  if (fitting) fitting.selected = true;
 }
 
 function showParametersOfSensor() {
@@ -69,6 +75,7 @@ async function check() {
 
 function changed() {
   showSetsOfSensor();
+  lastSensor = form.elements.sensor_id.value;
   showParametersOfSensor();
   showOptionsOfMethod();
   showOverconfidence();

@@ -2,12 +2,15 @@
  * <plot-figure src csv name label>: one Plotly figure of a run, fetched as JSON and drawn as SVG.
  *
  * States, each in words below the drawing: loading, empty, error (with Retry), stale (the last good drawing stays,
- * dimmed, with its time). A `figure-refresh` event on the element fetches again. CSV is a link; PNG is always on white.
+ * dimmed, with its time). A `figure-refresh` event on the element fetches again. The panel around it has the CSV link and
+ * the PNG button; an image is always on white.
  */
 import { fetchJson } from "./problem.js";
 import { onTheme, onWhite } from "./plot-theme.js";
 
 const PLOTLY = "/static/plotly.min.js";
+// Plotly writes its maps' style sheet into the page unless this is there; no figure is a map, and the policy refuses it
+const MAP_STYLE = "9f215cf04c5486422605d13261cb87401f4e7763b6296af81e98efbc0130da53";
 const SLOW_MS = 10_000;
 const CONFIG = { displaylogo: false, displayModeBar: false, responsive: false, scrollZoom: false };
 let library = null;
@@ -23,7 +26,7 @@ function plotly() {
       script.remove();
       reject(new Error("The drawing library did not load. Check the connection, then press Retry."));
     };
-    document.head.append(script);
+    document.head.append(Object.assign(document.createElement("meta"), { id: MAP_STYLE }), script);
   });
   return library;
 }
@@ -68,7 +71,7 @@ class PlotFigure extends HTMLElement {
     this.retry = Object.assign(document.createElement("button"), { type: "button", className: "button-small", textContent: "Retry", hidden: true });
     this.retry.addEventListener("click", () => this.refresh());
     this.prepend(this.canvas, this.words, this.retry);
-    this.png = this.querySelector("[data-png]");
+    this.png = this.closest(".figure-panel")?.querySelector("[data-png]");
     this.png?.addEventListener("click", () => this.#savePng());
     if (this.png) this.png.disabled = true;
   }

@@ -30,7 +30,7 @@ def test_a_simulated_sensor_shows_the_truth_and_how_many_sigmas_off_it_is(house,
     assert "16.0267" in text
 
 
-def test_a_parameter_that_was_not_free_is_said_to_be_not_estimated(house, read, results):
+def test_a_parameter_that_was_not_free_is_said_to_be_not_estimated(house, results):
     result = {**results["batch"], "sigma": {**results["batch"]["sigma"], "a1_rad": None}}
     run_id = house.add_run("batch", state="SUCCEEDED", result=result)
     page = house.visitor("victor").get(f"/runs/{run_id}")

@@ -36,7 +36,7 @@ def test_an_address_with_nonsense_shows_the_whole_list(house, query, read):
     assert "#1" in read(house.visitor("victor").get(f"/runs?{query}"))
 
 
-def test_a_second_page_begins_where_the_first_ended(house, read):
+def test_a_second_page_begins_where_the_first_ended(house):
     for number in range(55):
         house.add_run(label=f"many-{number}")
     page = house.visitor("victor").get("/runs")

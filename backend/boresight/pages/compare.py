@@ -29,7 +29,7 @@ from boresight.store.tables import Run
 
 MOST_RUNS = 20
 CROWDED_RUNS = 8
-WIDE_FIGURES = frozenset({"convergence"})
+WIDE_FIGURES = frozenset({"convergence", "observability"})
 
 router = APIRouter(dependencies=[Depends(current_actor)])
 
@@ -156,7 +156,7 @@ def compare_page(
     if len(compared) < 2:
         return render(request, "compare.html", refusal=None, compared=[])
     place = run_ids.index(int(reference)) if reference.isdecimal() and int(reference) in run_ids else 0
-    rows = differences(compared, read_names(session))
+    rows = differences(compared, read_names(session, [one.run for one in compared]))
     parameters = contrasts([one.result for one in compared], place)
     return render(
         request,

@@ -96,11 +96,11 @@ def typed_form(form: FormData, fleet: Sequence[Sensor]) -> Typed:
     return Typed(**{**DEFAULTS, **{name: value for name, value in named.items() if value}}, free=free)
 
 
-def first_choice(session: Session, fleet: Sequence[Sensor], clone: int | None) -> Typed:
-    """Fill the form anew: from a run to clone, else with the first sensor's newest sets."""
+def first_choice(session: Session, fleet: Sequence[Sensor], clone: int | None, sensor_id: int | None) -> Typed:
+    """Fill the form anew: from a run to clone, else with a sensor's newest sets, the first sensor's by default."""
     free = {sensor.id: _free_of(sensor) for sensor in fleet}
     if clone is None:
-        return Typed(free=free)
+        return Typed(**_newest_sets(session, fleet[0].id if sensor_id is None and fleet else sensor_id), free=free)
     run = runs.get_run(session, clone)
     known = {
         name: str(value)
@@ -118,6 +118,20 @@ def first_choice(session: Session, fleet: Sequence[Sensor], clone: int | None) -
         },
         free=free,
     )
+
+
+def _newest_sets(session: Session, sensor_id: int | None) -> dict[str, str]:
+    """Choose the newest set of either purpose for a sensor."""
+    if sensor_id is None:
+        return {}
+    newest: dict[str, str] = {}
+    for known in telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id):
+        newest.setdefault(known.purpose, str(known.id))
+    return {
+        "sensor_id": str(sensor_id),
+        "telemetry_set_id": newest.get("calibration", ""),
+        "validation_set_id": newest.get("validation", ""),
+    }
 
 
 def _free_of(sensor: Sensor) -> list[str]:
@@ -173,9 +187,7 @@ def launch_page(request: Request, session: Reading, actor: Who, clone: str = "",
     """Show the form, empty or filled from a run."""
     fleet = sensors.list_sensors(session)
     cloned = int(clone) if clone.isdecimal() else None
-    typed = first_choice(session, fleet, cloned)
-    if sensor.isdecimal() and cloned is None:
-        typed = Typed(sensor_id=sensor, free=typed.free)
+    typed = first_choice(session, fleet, cloned, int(sensor) if sensor.isdecimal() else None)
     return _page(request, session, actor, typed, clone=cloned)
 
 

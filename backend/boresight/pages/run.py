@@ -32,7 +32,7 @@ from boresight.store.tables import TERMINAL_RUN_STATES, ParameterSet, Run, Telem
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-WIDE_FIGURES = frozenset({"convergence"})
+WIDE_FIGURES = frozenset({"convergence", "observability"})
 LONGEST_QUEUE = 500
 WHAT_TO_TRY = (
     "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 from urllib.parse import urlencode
@@ -94,11 +94,14 @@ class Names:
         return self.people.get(user_id, f"user {user_id}") if user_id is not None else "system"
 
 
-def read_names(session: Session) -> Names:
-    """Read the names of every sensor, telemetry set and person."""
+def read_names(session: Session, found: Iterable[Run] = ()) -> Names:
+    """Read the names of every sensor and person, and of the telemetry sets that these runs use."""
+    set_ids = {
+        set_id for run in found for set_id in (run.telemetry_set_id, run.validation_set_id) if set_id is not None
+    }
     return Names(
         {sensor.id: sensor.name for sensor in sensors.list_sensors(session)},
-        {known.id: known.name for known in telemetry_sets.list_telemetry_sets(session, archived=True)},
+        {set_id: telemetry_sets.get_telemetry_set(session, set_id).name for set_id in sorted(set_ids)},
         {person.id: person.printed_name for person in users.list_users(session)},
     )
 
@@ -166,8 +169,8 @@ def runs_page(
     """Show a page of runs, newest first."""
     before_id = int(before) if before.isdecimal() else None
     found = runs.list_runs(session, before_id=before_id, limit=ROWS_A_PAGE + 1, **chosen.where)
-    names = read_names(session)
     shown = found[:ROWS_A_PAGE]
+    names = read_names(session, shown)
     return render(
         request,
         "runs.html",
@@ -185,11 +188,12 @@ def runs_page(
 @router.get("/runs.csv")
 def runs_csv(session: Reading, chosen: Annotated[Filters, Depends(read_filters)]) -> Response:
     """Give every run that fits the filters as CSV, in SI."""
-    names = read_names(session)
+    found = list(_all_runs(session, chosen))
+    names = read_names(session, found)
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(CSV_COLUMNS)
-    writer.writerows(_csv_row(run, names) for run in _all_runs(session, chosen))
+    writer.writerows(_csv_row(run, names) for run in found)
     headers = {"Content-Disposition": 'attachment; filename="runs.csv"'}
     return Response(text.getvalue(), media_type="text/csv", headers=headers)
 

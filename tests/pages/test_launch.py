@@ -1,0 +1,110 @@
+"""The launch form."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from boresight.services import runs
+from boresight.store.sessions import reading
+
+FORM = {
+    "sensor_id": "1",
+    "telemetry_set_id": "1",
+    "validation_set_id": "2",
+    "method": "sqrf",
+    "variant": "q",
+    "linearisations": "4",
+    "process_noise_sigma": "0,03",
+    "replay_frames_per_s": "5",
+    "label": "drift test",
+    "free-1": ["f_m", "b2_per_m2"],
+}
+
+
+def test_the_form_begins_with_the_newest_set_of_either_purpose_and_the_sensor_s_free_parameters(house):
+    page = house.visitor("ada").get("/runs/new")
+    for number in ("1", "2"):
+        assert f'<option value="{number}" data-sensor="1"' in page
+    calibration = page[page.index('id="telemetry_set_id"') : page.index('id="validation_set_id"')]
+    assert 'data-purpose="calibration" selected' in calibration
+    assert len(re.findall(r'name="free-1" value="\w+" checked', page)) == 8
+
+
+def test_a_check_says_what_would_run_and_queues_nothing(house, read):
+    before = _count(house)
+    answer = house.visitor("ada").post("/runs/new", **FORM, intent="check")
+    text = read(answer.text)
+    assert answer.status_code == 200
+    assert "2: f_m, b2_per_m2" in text
+    assert "760" in text
+    assert "One gap of 400 s." in text
+    assert _count(house) == before
+
+
+def test_queueing_stores_the_settings_as_typed_and_opens_the_run(house):
+    answer = house.visitor("ada").post("/runs/new", **FORM, intent="queue")
+    run_id = int(answer.headers["location"].removeprefix("/runs/"))
+    with reading(house.engine) as session:
+        run = runs.get_run(session, run_id)
+    assert run.state == "QUEUED"
+    assert run.label == "drift test"
+    assert run.validation_set_id == 2
+    chosen = {
+        "method": "sqrf",
+        "variant": "q",
+        "linearisations": 4,
+        "process_noise_sigma": 0.03,
+        "replay_frames_per_s": 5.0,
+        "free": ["f_m", "b2_per_m2"],
+    }
+    assert {name: run.settings[name] for name in chosen} == chosen
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ({"linearisations": "many"}, "The number of linearisations 'many' is not a whole number"),
+        ({"process_noise_sigma": "lots"}, "The drift a frame 'lots' is not a number"),
+        ({"free-1": []}, "No parameter is free"),
+        ({"linearisations": "0"}, "give a whole number from 1"),
+        ({"validation_set_id": "1"}, "cannot validate a calibration made from itself"),
+        ({"replay_frames_per_s": "nan"}, "give a number from 0"),
+    ],
+)
+def test_a_refusal_keeps_everything_that_was_typed(house, read, typed, said):
+    answer = house.visitor("ada").post("/runs/new", **{**FORM, **typed}, intent="queue")
+    assert answer.status_code == 422
+    assert said in read(answer.text)
+    assert 'value="drift test"' in answer.text
+    assert f'value="{typed.get("linearisations", "4")}"' in answer.text
+
+
+def test_a_viewer_sees_why_the_button_is_blocked_and_is_refused(house, read):
+    victor = house.visitor("victor")
+    assert "Launching needs the role analyst" in read(victor.get("/runs/new"))
+    assert "This needs the role analyst" in read(victor.post("/runs/new", **FORM, intent="queue").text)
+
+
+def test_a_clone_starts_from_the_run_s_settings(house):
+    ada = house.visitor("ada")
+    location = ada.post("/runs/new", **FORM, intent="queue").headers["location"]
+    page = ada.get(f"/runs/new?clone={location.removeprefix('/runs/')}")
+    assert 'name="method" value="sqrf" checked' in page
+    assert 'name="variant" value="q" checked' in page
+    assert 'value="0.03"' in page
+    assert 'value="f_m" checked' in page
+    assert 'value="g_y" checked' not in page
+
+
+def test_one_linearisation_is_marked_over_confident(house, read):
+    page = house.visitor("ada").post("/runs/new", **{**FORM, "linearisations": "1"}, intent="check").text
+    warning = page[page.index("<div data-overconfident") :].split(">")[0]
+    assert "hidden" not in warning
+    assert "over-confident" in read(page)
+
+
+def _count(house):
+    with reading(house.engine) as session:
+        return len(runs.list_runs(session))
