@@ -22,7 +22,7 @@ def bench(frames: int, json_file: str | None) -> None:
     with progress("compiling") as report:
         from boresight.studies.speed import measure  # noqa: PLC0415 - loads Numba
 
-        measured = measure(frames, report)
+        measured = measure(frames, lambda fraction, message: report(message, fraction))
     write_json(measured, json_file)
     if json_file != "-":
         click.echo(aligned(list(_rows(measured))))

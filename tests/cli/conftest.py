@@ -1,0 +1,75 @@
+"""The command line in this process, over a data folder of its own."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from boresight.cli import main
+
+FRAMES = 40
+
+
+@pytest.fixture(scope="session")
+def data_folder(tmp_path_factory):
+    """Keep one catalogue for all tests of the folder."""
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture
+def boresight(data_folder, monkeypatch):
+    """Run a command; returns exit code, standard output and standard error."""
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(data_folder))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # the compiled loops stay where they are
+
+    def run(*words, stdin=None):
+        return CliRunner().invoke(main, [str(word) for word in words], input=stdin, catch_exceptions=False)
+
+    return run
+
+
+@pytest.fixture
+def store(boresight, monkeypatch, tmp_path):
+    """Give a test a database of its own."""
+    monkeypatch.setenv("BORESIGHT_DATABASE_URL", f"sqlite:///{tmp_path}/boresight.sqlite3")
+    return boresight
+
+
+@pytest.fixture(scope="session")
+def simulated(data_folder, tmp_path_factory):
+    """Simulate a small set once; its folder."""
+    folder = tmp_path_factory.mktemp("simulated")
+    environment = {"BORESIGHT_DATA_FOLDER": str(data_folder), "NUMBA_CACHE_DIR": ""}
+    words = ["simulate", "st16-4", "--out", str(folder), "--frames", str(FRAMES)]
+    done = CliRunner(env=environment).invoke(main, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def calibration(simulated, data_folder):
+    """Calibrate the small set once by the filter; the path of its JSON."""
+    environment = {"BORESIGHT_DATA_FOLDER": str(data_folder), "NUMBA_CACHE_DIR": ""}
+    path = simulated / "calibration.json"
+    words = ["calibrate", simulated / "calibration.csv", "--sensor", simulated / "sensor.json", "--method", "sqrf"]
+    words += ["--validate", simulated / "validation.csv", "--json", path]
+    done = CliRunner(env=environment).invoke(main, [str(word) for word in words], catch_exceptions=False)
+    assert done.exit_code == 0, done.stderr
+    return path
+
+
+@pytest.fixture(scope="session")
+def calibration_result(calibration):
+    return json.loads(calibration.read_text())
+
+
+@pytest.fixture
+def real_sky():
+    """Folder of the real star fields, beside the checkout or where BORESIGHT_REAL_SKY says."""
+    beside = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "real-sky"
+    folder = Path(os.environ.get("BORESIGHT_REAL_SKY", beside))
+    if not folder.is_dir():
+        pytest.skip("the real star fields are not here; BORESIGHT_REAL_SKY says where they are")
+    return folder
