@@ -1,0 +1,75 @@
+# Boresight's daily work. Needs Python 3.11 or newer and make; everything else is installed by the targets that need it.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+MADE := $(VENV)/made
+INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --no-input
+LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --upgrade --allow-unsafe --generate-hashes \
+        --no-emit-index-url --no-emit-find-links --strip-extras
+
+# Kernels compile once, for the demo and for every test.
+export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/kernels
+export PYTHONUNBUFFERED := 1
+
+# Debian keeps PostgreSQL's own programs off the path.
+PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest
+PARALLEL := --numprocesses 2 --dist loadfile
+ALONE := tests/workers tests/browser tests/test_wheel.py
+
+.PHONY: help demo test lint pytest bench clean lock machine
+
+help:  ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
+
+demo: $(MADE)/runtime  ## install, make a simulated fleet and serve it on http://127.0.0.1:8000
+	@$(BIN)/boresight demo
+
+test: $(MADE)/dev lint machine pytest  ## install everything and run every check: lint, types, import contracts, tests
+
+lint: $(MADE)/dev  ## style, format, types and import contracts
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+pytest: $(MADE)/dev
+	@mkdir -p artefacts
+	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --junit-xml=artefacts/tests.xml
+	$(PYTEST) $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml
+
+bench: $(MADE)/dev  ## measure speed beside peers
+	@mkdir -p artefacts
+	$(BIN)/boresight bench --json artefacts/bench.json
+
+clean:  ## remove what was built, cached and demonstrated; the virtual environment stays
+	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels
+	find backend migrations tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
+
+lock: $(MADE)/dev  ## resolve the newest versions that pyproject.toml allows into the two lock files
+	$(LOCK) --output-file requirements.lock pyproject.toml
+	$(LOCK) --extra dev --extra postgresql --constraint requirements.lock --output-file requirements-dev.lock pyproject.toml
+
+machine: $(MADE)/dev
+	@.ci/machine browser
+	@.ci/machine postgresql
+
+$(BIN)/python:
+	@.ci/machine python "$(PYTHON)"
+	$(PYTHON) -m venv $(VENV)
+
+$(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
+	@echo "Installing what Boresight runs on (about 800 MB on disk)."
+	$(INSTALL) --require-hashes --only-binary :all: --requirement requirements.lock
+	$(INSTALL) --no-deps --editable .
+	@mkdir -p $(MADE) && touch $@
+
+$(MADE)/dev: requirements-dev.lock pyproject.toml | $(BIN)/python
+	@echo "Installing what Boresight runs on and is tested with (about 1 GB on disk)."
+	$(INSTALL) --require-hashes --only-binary :all: --requirement requirements-dev.lock
+	$(INSTALL) --no-deps --editable .
+	@mkdir -p $(MADE) && touch $@ $(MADE)/runtime
