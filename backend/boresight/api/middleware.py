@@ -1,9 +1,9 @@
 """What holds for every answer: a request id, security headers, a limit on the body, a count, and no bare failure.
 
-The policy allows nothing but what this server sends: no inline script, no other host, no framing. Styles are the one
-thing with an exception, and a narrow one: Plotly makes empty `<style>` elements and fills them through the CSSOM, which
-the hash of the empty text admits; it also sets `style` attributes on the SVG it draws, which `style-src-attr` admits.
-An attribute cannot load anything here, for `default-src` is this server.
+The policy allows nothing but what this server sends: no inline script, no other host, no framing. Styles have three
+exceptions, all for Plotly and none of which can load anything, for `default-src` is this server. Plotly makes an empty
+`<style>` element that it fills through the CSSOM, and one with the style of its maps: each is admitted by the hash of its
+text. It sets `style` attributes on the SVG that it draws: `style-src-attr` admits them.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 log = logging.getLogger(__name__)
 
 EMPTY_STYLE = "'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='"
+MAP_STYLE = "'sha256-ji27qzEtxXZW+7dun6UwjHXJ18e6WAin1VvNtkzIE/o='"  # of plotly.js 4.1
+STYLES = f"'self' {EMPTY_STYLE} {MAP_STYLE}"
 SECURITY_POLICY = "; ".join(
     (
         "default-src 'self'",
         "script-src 'self'",
-        f"style-src 'self' {EMPTY_STYLE}",
-        f"style-src-elem 'self' {EMPTY_STYLE}",
+        f"style-src {STYLES}",
         "style-src-attr 'unsafe-inline'",
         "img-src 'self' data: blob:",
         "connect-src 'self'",

@@ -50,7 +50,8 @@ class Upload:
         """Keep the file, which is on the disk already; an empty one is put there."""
         if self.path is not None:
             raise RefusedInputError("One file at a time: send each telemetry file by itself.")
-        given.flush_to_disk()
+        if given.in_memory:
+            given.flush_to_disk()
         given.close()
         self.path, self.file_name = Path(_text(given.actual_file_name)), _text(given.file_name)
 

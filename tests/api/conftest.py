@@ -1,0 +1,240 @@
+"""A real server on a real port over a real SQLite file, with people, a sensor, telemetry and calibrations in it.
+
+Nothing computes behind it (no workers): a run stays QUEUED until a test ends it. The calibration is a real one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import orjson
+import pytest
+import uvicorn
+
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.settings import CalibrationSettings
+from boresight.server import _Server, create_app
+from boresight.services import users
+from boresight.services.actors import COMMAND_LINE
+from boresight.settings import Settings, read_settings
+from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.sky.catalogue import Catalogue, load_catalogue
+from boresight.store.blobs import register_blob
+from boresight.store.run_events import write_event
+from boresight.store.sessions import migrate, open_engine, writing
+from boresight.store.tables import Run
+from boresight.telemetry.readers import write_csv
+from boresight.telemetry.sensors import sensor_document
+
+PASSWORD = "correct horse battery"
+PEOPLE = {
+    "ada": ("analyst",),
+    "alan": ("approver",),
+    "olga": ("operator",),
+    "adele": ("administrator",),
+    "victor": ("viewer",),
+    "bo": ("analyst", "approver"),
+    "adam": ("administrator", "approver"),
+}
+SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
+_numbers = itertools.count(100)
+
+
+def settings_in(folder: Path, **given: str) -> Settings:
+    """Return settings with a folder of their own and no workers."""
+    named = {f"BORESIGHT_{name.upper()}": value for name, value in given.items()}
+    return read_settings({"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_WORKERS": "0", **named})
+
+
+@contextmanager
+def serving(settings: Settings, catalogue: Catalogue | None = None) -> Iterator[tuple[str, Any]]:
+    """Serve on a free port; yields the address and the application."""
+    app = create_app(settings)
+    app.state.catalogue = lambda: catalogue
+    config = uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning", server_header=False)
+    server = _Server(config)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive(), "the server ended before it began"
+        time.sleep(0.01)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    try:
+        yield f"http://127.0.0.1:{port}", app
+    finally:
+        server.should_exit = True
+        thread.join(20)
+        assert not thread.is_alive(), "the server did not stop"
+
+
+@dataclass
+class House:
+    """A server and what a test needs of it."""
+
+    address: str
+    app: Any
+    telemetry_csv: bytes
+    result: dict[str, Any]
+    clients: dict[str, httpx.Client] = field(default_factory=dict)
+    opened: list[httpx.Client] = field(default_factory=list)
+
+    def person(self, name: str) -> httpx.Client:
+        """Return the client of a person who logged in once for all tests."""
+        if name not in self.clients:
+            self.clients[name] = self.log_in(name)
+        return self.clients[name]
+
+    def log_in(self, name: str) -> httpx.Client:
+        """Log a person in anew; the client sends cookie and CSRF token by itself."""
+        client = self.anybody()
+        answer = client.post("/api/v1/sessions", json={"name": name, "password": PASSWORD})
+        assert answer.status_code == 201, answer.text
+        client.headers["X-CSRF-Token"] = answer.json()["csrf_token"]
+        return client
+
+    def anybody(self, **headers: str) -> httpx.Client:
+        """Return a client that nobody knows."""
+        client = httpx.Client(base_url=self.address, headers=headers, timeout=30)
+        self.opened.append(client)
+        return client
+
+    def key(self, owner: str, *scopes: str) -> httpx.Client:
+        """Make an API key of a person and return a client that uses it."""
+        client = self.person(owner)
+        answer = client.post("/api/v1/api-keys", json={"label": "test", "scopes": list(scopes)})
+        assert answer.status_code == 201, answer.text
+        return self.anybody(Authorization=f"Bearer {answer.json()['secret']}")
+
+    def sensor_file(self, **changed: Any) -> dict[str, Any]:
+        """Return a sensor file with a new name."""
+        return {**sensor_document(SCENARIO.sensor), "name": f"ST-{next(_numbers)}", **changed}
+
+    def new_sensor(self) -> dict[str, Any]:
+        """Register a sensor."""
+        client = self.person("ada")
+        return client.post("/api/v1/sensors", json=self.sensor_file()).json()
+
+    def upload(
+        self, client: httpx.Client, sensor_id: int, content: bytes | None = None, **fields: Any
+    ) -> httpx.Response:
+        """Upload telemetry."""
+        headers = fields.pop("headers", {})
+        name = fields.pop("file_name", "telemetry.csv")
+        return client.post(
+            "/api/v1/telemetry-sets",
+            data={"sensor_id": str(sensor_id), **fields},
+            files={"file": (name, self.telemetry_csv if content is None else content)},
+            headers=headers,
+        )
+
+    def ready_sensor(self) -> tuple[int, int]:
+        """Register a sensor with a telemetry set; return both numbers."""
+        sensor = self.new_sensor()
+        client = self.person("ada")
+        answer = self.upload(client, sensor["id"])
+        assert answer.status_code == 201, answer.text
+        return sensor["id"], answer.json()["id"]
+
+    def launched(self, launcher: str = "ada", **changed: Any) -> dict[str, Any]:
+        """Launch a run."""
+        sensor_id, set_id = self.ready_sensor()
+        client = self.person(launcher)
+        order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "settings": {"method": "batch"}, **changed}
+        answer = client.post("/api/v1/runs", json=order)
+        assert answer.status_code == 202, answer.text
+        return answer.json()
+
+    def end(self, run_id: int, state: str = "SUCCEEDED") -> None:
+        """End a run as a worker would, with the real calibration as its result."""
+        blobs = self.app.state.blobs
+        with writing(self.app.state.engine) as session:
+            sha256 = blobs.put(orjson.dumps(self.result))
+            register_blob(session, blobs, sha256, "application/json")
+            run = session.get_one(Run, run_id)
+            run.state, run.result_sha256 = state, sha256
+            write_event(session, run_id, 1, "state", f"{state}: ended by the test")
+
+    def finished(self, launcher: str = "ada") -> int:
+        """Return a run that has a result."""
+        run = self.launched(launcher)
+        self.end(run["id"])
+        return run["id"]
+
+    def candidate(self, launcher: str = "ada") -> dict[str, Any]:
+        """Return a candidate parameter set."""
+        run_id = self.finished(launcher)
+        client = self.person("ada")
+        return client.post("/api/v1/parameter-sets", json={"run_id": run_id}).json()
+
+    def submitted(self, submitter: str = "ada", launcher: str = "ada") -> dict[str, Any]:
+        """Return an open request for approval."""
+        row = self.candidate(launcher)
+        client = self.person(submitter)
+        answer = client.post(
+            f"/api/v1/parameter-sets/{row['id']}:submit",
+            json={"reason": "It moved."},
+            headers={"If-Match": f'"v{row["version"]}"'},
+        )
+        assert answer.status_code == 201, answer.text
+        return answer.json()
+
+    def sign(self, name: str, approval: dict[str, Any], decision: str = "approve", **changed: Any) -> httpx.Response:
+        """Sign a request as a person."""
+        body = {"meaning": "I approve this set for baseline.", "password": PASSWORD, "comment": "Seen.", **changed}
+        client = self.person(name)
+        return client.post(
+            f"/api/v1/approvals/{approval['id']}:{decision}",
+            json=body,
+            headers={"If-Match": f'"v{approval["version"]}"'},
+        )
+
+    def approved(self) -> dict[str, Any]:
+        """Return a parameter set that was approved."""
+        approval = self.submitted()
+        assert self.sign("alan", approval).status_code == 200
+        client = self.person("ada")
+        return client.get(f"/api/v1/parameter-sets/{approval['parameter_set_id']}").json()
+
+
+def add_people(settings: Settings) -> None:
+    """Make the store with the people of PEOPLE."""
+    engine = open_engine(settings.database_url)
+    migrate(engine)
+    with writing(engine) as session:
+        for name, roles in PEOPLE.items():
+            users.create_user(
+                session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
+            )
+    engine.dispose()
+
+
+@pytest.fixture(scope="session")
+def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
+    """Load the star catalogue once."""
+    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
+
+
+@pytest.fixture(scope="session")
+def house(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Iterator[House]:
+    """Serve a furnished store for all tests; each makes its own sensor, runs and sets."""
+    folder = tmp_path_factory.mktemp("house")
+    telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
+    write_csv(telemetry, folder / "telemetry.csv")
+    result = calibrate(telemetry, SCENARIO.sensor, catalogue, CalibrationSettings(method="batch"))
+    settings = settings_in(folder / "data", login_attempts="1000")
+    add_people(settings)
+    with serving(settings, catalogue) as (address, app):
+        made = House(address, app, (folder / "telemetry.csv").read_bytes(), result)
+        yield made
+        for client in made.opened:
+            client.close()
