@@ -158,6 +158,21 @@ def _largest_exposure(star_start):
 
 
 @_jit
+def solid_angles(x, pitch, row_px, col_px, omega):
+    """Fill `omega` (n_stars,) with the solid angle of one pixel at each star, steradian.
+
+    Called by `estimation.cameras.inverted_wang`. With r = (B U, B V, f): omega = |det[r, dr/dm, dr/dn]| / |r|^3, and as dr has no
+    third component the determinant is f det M det d(U, V)/d(u, v) times the pixel's area g_y Delta^2.
+    """
+    w = np.empty(_STAR)
+    area = x[0] * x[7] * pitch * pitch
+    for i in range(row_px.shape[0]):
+        _star(x, pitch, row_px[i], col_px[i], w)
+        stretch = (w[4] * w[6] - w[5] * w[5]) * (w[7] * w[10] - w[8] * w[9])
+        omega[i] = abs(area * stretch) * w[3] * w[3] * w[3]
+
+
+@_jit
 def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scale, A, b):
     """Accumulate A = H'^T H' (n_free, n_free) and b = H'^T e' (n_free,); return (chi-square, unweighted sum of squares).
 

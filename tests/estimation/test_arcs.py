@@ -42,10 +42,10 @@ def test_the_order_is_a_permutation_and_keeps_R_well_conditioned(n, seed):
     assert sorted(places) == list(range(n))
     R = arcs.covariance(s[places], np.ones(n))
     smallest = np.linalg.eigvalsh(R)[0]
-    # bending modes of a strip of triangles soften with its length; rounding would need 1e15
     assert smallest > 0
-    if fatness[0] > 0.05:
-        assert np.linalg.cond(R) < 1e3 + 10 * n**2
+    if fatness[0] > 0.02:
+        # bending modes of a long strip of triangles are soft, yet whitening keeps at least eight of sixteen digits
+        assert np.linalg.cond(R) < 1e8
 
 
 @given(seed=st.integers(0, 2**32 - 1), angle=st.floats(0, np.pi))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.estimation.cameras import CAMERA_MODELS
@@ -20,6 +20,7 @@ def _state(shifts):
 @pytest.mark.parametrize("camera", MODELS, ids=lambda camera: camera.name)
 class TestCameraModel:
     @given(shifts=SHIFTS, place=DETECTOR)
+    @settings(deadline=None)  # the first call compiles
     def test_the_analytic_jacobian_equals_the_complex_step(self, camera, shifts, place):
         x = _state(shifts)
 
@@ -43,6 +44,7 @@ class TestCameraModel:
         assert np.isfinite(jacobian).all()
 
     @given(shifts=SHIFTS, place=DETECTOR)
+    @settings(deadline=None)  # the first call compiles
     def test_projection_undoes_the_direction(self, camera, shifts, place):
         x = _state(shifts)
 
@@ -63,6 +65,20 @@ class TestCameraModel:
         row, _ = camera.project(x, np.array([[0.2, 0.0, 1.0]]), PITCH)
 
         assert np.isnan(row).all()
+
+    @given(shifts=SHIFTS, place=DETECTOR)
+    @settings(deadline=None)  # the first call compiles
+    def test_the_solid_angle_of_a_pixel_is_the_area_its_edges_span(self, camera, shifts, place):
+        x, row, col = _state(shifts), np.array([place[0]]), np.array([place[1]])
+
+        down, right = (
+            (camera.directions(x, row + a, col + b, PITCH) - camera.directions(x, row - a, col - b, PITCH))[0]
+            for a, b in ((0.5, 0), (0, 0.5))
+        )
+
+        np.testing.assert_allclose(
+            camera.solid_angle(x, row, col, PITCH), np.linalg.norm(np.cross(down, right)), rtol=1e-6
+        )
 
     def test_the_radial_tangent_agrees_with_directions_along_an_untilted_radius(self, camera):
         radius = np.array([0.0, 10.0, 500.0, 1500.0])

@@ -150,10 +150,7 @@ def order(star_start: IntArray, s_i: FloatArray) -> tuple[IntArray, FloatArray]:
 
 def angular_sigma(camera: CameraModel, x: FloatArray, arcs: ArcSet) -> FloatArray:
     """Isotropic direction error of each star under state x, (n_stars,) rad: sigma_px sqrt|ds/dm x ds/dn|."""
-    s = camera.directions(x, arcs.row_px, arcs.col_px, arcs.pitch)
-    down = camera.directions(x, arcs.row_px + 1.0, arcs.col_px, arcs.pitch) - s
-    right = camera.directions(x, arcs.row_px, arcs.col_px + 1.0, arcs.pitch) - s
-    return np.asarray(arcs.sigma_px * np.sqrt(np.linalg.norm(np.cross(down, right), axis=1)))
+    return np.asarray(arcs.sigma_px * np.sqrt(camera.solid_angle(x, arcs.row_px, arcs.col_px, arcs.pitch)))
 
 
 def weigh(arcs: ArcSet, sigma_rad: FloatArray) -> tuple[ArcSet, NDArray[np.bool_]]:

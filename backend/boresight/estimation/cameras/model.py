@@ -29,6 +29,8 @@ class CameraModel:
         `(x, s_d (n, 3), pitch) -> (row_px, col_px)`, NaN where the direction meets no detector point.
     principal_point
         `(x) -> (row_px, col_px)`.
+    solid_angle
+        `(x, row_px, col_px, pitch) -> (n,)` of one pixel at each place, steradian.
     radial_tangent
         `(x, radius_px, pitch) -> (tan theta (n,), gradient (n, n_parameters))`, the symmetric part of the model.
     default_typical_sigma
@@ -45,6 +47,7 @@ class CameraModel:
     directions_and_jacobian: Callable[..., tuple[FloatArray, FloatArray]]
     project: Callable[..., tuple[FloatArray, FloatArray]]
     principal_point: Callable[..., tuple[float, float]]
+    solid_angle: Callable[..., FloatArray]
     radial_tangent: Callable[..., tuple[FloatArray, FloatArray]]
     default_typical_sigma: tuple[float, ...]
     plausible: tuple[tuple[float, float], ...]

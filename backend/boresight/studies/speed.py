@@ -1,0 +1,172 @@
+"""What a calibration costs a frame, beside peers in the same run: `boresight bench`.
+
+Synthetic frames: two exposures of 12 stars, uniform over an ST-16, 0.437 px of noise, the parameters of E Table III's first sensor.
+Each figure is the fastest of several repeats, kernels already compiled; a peer too slow for the whole set gets a part of it,
+and its figure is still per frame. Quote ratios: they hold when the machine's speed drifts.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration.estimate import START_ARCS_PER_PARAMETER, pool_start
+from boresight.calibration.problem import weighed
+from boresight.estimation import arcs as arcsets
+from boresight.estimation import batch
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation.filters import FILTERS, Tuning
+from boresight.estimation.filters.history import start
+from boresight.simulation.sensors import st16_sensor, st16_truth
+from boresight.studies import peers
+
+FloatArray = NDArray[np.float64]
+
+STARS = 12
+EXPOSURES_A_FRAME = 2
+START_SIGMA = 10.0
+#: Frames given to peers that would need minutes for more.
+SLOW_PEER_FRAMES = 200
+SLOWEST_PEER_FRAMES = 50
+BATCH_PEER_FRAMES = 4000
+
+
+def measure(frames: int = 2000, report: Callable[[float, str], None] | None = None, seed: int = 1) -> dict[str, Any]:
+    """Time the loops and their peers; returns the contract's bench document.
+
+    Parameters
+    ----------
+    frames
+        Size of the synthetic set.
+    report
+        Told the fraction done and what is timed next.
+    seed
+        Of the set.
+    """
+    tell = report or (lambda _fraction, _message: None)
+    sensor = st16_sensor(1)
+    x_0, scale, free = sensor.initial, sensor.typical_sigma, np.arange(len(sensor.initial))
+    tell(0.0, "making the synthetic set")
+    arcs = synthetic(frames, np.random.default_rng(seed))
+    small = arcs.frames(0, min(frames, 20))
+    batch.fit(small, x_0, free, scale)
+    _filter(small, x_0, free, scale)
+    tell(0.1, "batch evaluation")
+    evaluation = _fastest(lambda: batch.normal_equations(arcs, x_0, free, scale))
+    tell(0.2, "batch fit")
+    fit = _fastest(lambda: batch.fit(arcs, x_0, free, scale), repeats=3)
+    tell(0.3, "square-root filter")
+    sqrf = _fastest(lambda: _filter(arcs, x_0, free, scale), repeats=3)
+    ours = {
+        "batch_evaluation_us_per_frame": evaluation / frames * 1e6,
+        "batch_fit_us_per_frame": fit / frames * 1e6,
+        "sqrf_us_per_frame": sqrf / frames * 1e6,
+    }
+    beside = _peers(arcs, x_0, scale, tell)
+    tell(1.0, "done")
+    return {
+        "frames": frames,
+        "stars_per_exposure": STARS,
+        "exposures_per_frame": EXPOSURES_A_FRAME,
+        **ours,
+        "match_us_per_frame": None,
+        "svd_us_per_frame": None,
+        "peak_rss_mb": _peak_rss_mb(),
+        "peers": beside,
+        "ratios": _ratios(ours, beside),
+    }
+
+
+def _ratios(ours: dict[str, float], beside: dict[str, float]) -> dict[str, float]:
+    """How many times longer each peer takes than the product's loop that does its work."""
+    loop = {"evaluation": "batch_evaluation", "fit": "batch_fit", "sqrf": "sqrf", "ekf": "sqrf"}
+    work = {name: loop[name.removesuffix("_us_per_frame").rsplit("_", 1)[-1]] for name in beside}
+    return {name.removesuffix("_us_per_frame"): beside[name] / ours[f"{work[name]}_us_per_frame"] for name in beside}
+
+
+def _peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray, tell: Callable[[float, str], None]) -> dict[str, float]:
+    """Time the peers on the same data."""
+    batched = peers.EqualExposures.of(arcs.frames(0, min(arcs.n_frames, BATCH_PEER_FRAMES)), STARS)
+    slow = peers.EqualExposures.of(arcs.frames(0, min(arcs.n_frames, SLOW_PEER_FRAMES)), STARS)
+    n_batched, n_slow = len(batched.phi) / EXPOSURES_A_FRAME, len(slow.phi) / EXPOSURES_A_FRAME
+    tell(0.4, "peer: evaluation in batched NumPy")
+    evaluation = _fastest(lambda: peers.numpy_evaluation(batched, x_0, scale), repeats=3)
+    tell(0.5, "peer: scipy.optimize.least_squares")
+    evaluations = [1]
+    fit = _fastest(lambda: evaluations.__setitem__(0, peers.scipy_fit(batched, x_0, scale)[1]), repeats=1)
+    times = {
+        "numpy_evaluation": evaluation / n_batched,
+        "scipy_evaluation": fit / evaluations[0] / n_batched,
+        "scipy_fit": fit / n_batched,
+    }
+    few = arcs.frames(0, min(arcs.n_frames, SLOWEST_PEER_FRAMES))
+    filters = {
+        "numpy_sqrf": (few.n_frames, lambda: _plain_filter(few, x_0, scale)),
+        "numpy_lean_sqrf": (n_slow, lambda: peers.numpy_lean_square_root_filter(slow, x_0, scale, START_SIGMA)),
+        "numpy_ekf": (n_slow, lambda: peers.numpy_extended_filter(slow, x_0, scale, START_SIGMA)),
+    }
+    for turn, (name, (n_frames, run)) in enumerate(filters.items()):
+        tell(0.6 + 0.1 * turn, f"peer: {name}")
+        times[name] = _fastest(run, repeats=2) / n_frames
+    return {f"{name}_us_per_frame": seconds * 1e6 for name, seconds in times.items()}
+
+
+def synthetic(frames: int, rng: np.random.Generator) -> ArcSet:
+    """Weighed arcs of random star fields with the truth of the first ST-16; attitudes are left out, for arcs do not see them."""
+    sensor, truth = st16_sensor(1), st16_truth(1)
+    exposures = frames * EXPOSURES_A_FRAME
+    n = exposures * STARS
+    row, col = rng.uniform(0, sensor.rows - 1, n), rng.uniform(0, sensor.columns - 1, n)
+    s_i = INVERTED_WANG.directions(truth, row, col, sensor.pixel_pitch_m)
+    star_start = np.arange(exposures + 1) * STARS
+    places, _ = arcsets.order(star_start, s_i)
+    noise = sensor.centroid_sigma_px * rng.normal(size=(2, n))
+    arcs = ArcSet(
+        pitch=sensor.pixel_pitch_m,
+        frame=np.arange(frames),
+        frame_start=np.arange(frames + 1) * EXPOSURES_A_FRAME,
+        star_start=star_start,
+        row_px=(row + noise[0])[places],
+        col_px=(col + noise[1])[places],
+        sigma_px=np.full(n, sensor.centroid_sigma_px),
+        s_i=s_i[places],
+        source_row=places,
+        phi=np.empty(0),
+        band=np.empty((0, 5)),
+    )
+    return arcsets.weigh(arcs, arcsets.angular_sigma(INVERTED_WANG, sensor.initial, arcs))[0]
+
+
+def _filter(arcs: ArcSet, x_0: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> None:
+    """Run the product's filter as a sequential calibration does, taking the weights included."""
+    pooled = pool_start(weighed(arcs, INVERTED_WANG, x_0), START_ARCS_PER_PARAMETER * len(free))
+    FILTERS["sqrf"](pooled, start(x_0, len(free), START_SIGMA), free, scale, Tuning())
+
+
+def _plain_filter(arcs: ArcSet, x_0: FloatArray, scale: FloatArray) -> None:
+    """Run the same job in plain NumPy, from the same pooled start."""
+    pooled = pool_start(arcs, START_ARCS_PER_PARAMETER * len(x_0))
+    peers.numpy_square_root_filter(pooled, x_0, scale, START_SIGMA, Tuning().linearisations, Tuning().rest)
+
+
+def _fastest(run: Callable[[], object], repeats: int = 5) -> float:
+    """Seconds of the fastest of several repeats."""
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def _peak_rss_mb() -> float:
+    """Largest resident memory of this process so far, MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
