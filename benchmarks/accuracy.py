@@ -1,0 +1,125 @@
+"""Accuracy by Monte Carlo: errors against the Cramer-Rao bound, NEES, and predicted against empirical sigma.
+
+    python benchmarks/accuracy.py --seeds 60 --sensors 1,2
+
+Each seed is a new simulated calibration set of the sensor (200 frames, two exposures, about eleven stars each, real catalogue).
+The bound knows nothing of arcs: it is the Fisher information of the centroids with each exposure's attitude as nuisance,
+
+    I = sum over exposures of  J^T J - J^T K (K^T K)^-1 K^T J,     J = d(pixel)/dx / sigma,  K = d(pixel)/d(attitude) / sigma,
+
+at the truth. Per seed each parameter's error is divided by its bound; the table shows the root mean square over seeds, whose
+geometric mean over the eight parameters is the figure to judge by, the mean NEES with the 95 % bounds it should lie in, and the
+ratio of predicted to empirical sigma.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.problem import build_problem
+from boresight.calibration.settings import CalibrationSettings
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.estimation.consistency import chi_square
+from boresight.sky.catalogue import load_catalogue
+from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.simulation.sensors import st16_sensor, st16_truth
+
+ESTIMATORS = {
+    "batch": CalibrationSettings(method="batch"),
+    "sqrf No-Q": CalibrationSettings(method="sqrf"),
+    "sqrf Q 0.02": CalibrationSettings(method="sqrf", variant="q"),
+    "sqrf as printed": CalibrationSettings(method="sqrf", linearisations=1),
+}
+
+
+def cramer_rao(problem, truth):
+    """Standard deviations (n_parameters,) that no unbiased estimate from these centroids can beat."""
+    camera, arcs = problem.camera, problem.arcs
+    s, ds_dx = camera.directions_and_jacobian(truth, arcs.row_px, arcs.col_px, arcs.pitch)
+    half = 0.5
+    down, right = (
+        camera.directions(truth, arcs.row_px + a, arcs.col_px + b, arcs.pitch)
+        - camera.directions(truth, arcs.row_px - a, arcs.col_px - b, arcs.pitch)
+        for a, b in ((half, 0), (0, half))
+    )
+    to_pixels = np.linalg.pinv(np.stack([down, right], axis=-1)) / arcs.sigma_px[:, None, None]
+    J = -to_pixels @ ds_dx
+    axes = np.eye(3)
+    K = to_pixels @ np.stack([np.cross(axis, s) for axis in axes], axis=-1)
+    information = np.zeros((J.shape[-1], J.shape[-1]))
+    for first, last in zip(arcs.star_start[:-1], arcs.star_start[1:], strict=True):
+        j, k = J[first:last].reshape(-1, J.shape[-1]), K[first:last].reshape(-1, 3)
+        mixed = k.T @ j
+        information += j.T @ j - mixed.T @ np.linalg.solve(k.T @ k, mixed)
+    scale = problem.sensor.typical_sigma
+    return scale * np.sqrt(np.diag(np.linalg.inv(information * np.outer(scale, scale))))
+
+
+def trial(number, seed, catalogue):
+    """Simulate one set and run every estimator; returns the bound and per estimator (error, sigma, NEES)."""
+    scenario = calibration_scenario(number)
+    telemetry = simulate(scenario, np.random.default_rng([number, seed]), catalogue)
+    sensor, truth = st16_sensor(number), st16_truth(number)
+    bound = cramer_rao(build_problem(telemetry, sensor, catalogue), truth)
+    found = {}
+    for name, settings in ESTIMATORS.items():
+        document = calibrate(telemetry, sensor, catalogue, settings)
+        names = CAMERA_MODELS[sensor.camera_model].parameter_names
+        error = np.array([document["parameters"][p] for p in names]) - truth
+        P = np.array(document["covariance"]["matrix"]) / np.outer(sensor.typical_sigma, sensor.typical_sigma)
+        scaled = error / sensor.typical_sigma
+        sigma = np.array([document["sigma"][p] for p in names])
+        found[name] = (error, sigma, scaled @ np.linalg.solve(P, scaled))
+    return bound, found
+
+
+def main(arguments=None):
+    """Run the trials and print a table a sensor."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=60)
+    parser.add_argument("--sensors", default="1,2", help="numbers of E Table III")
+    options = parser.parse_args(arguments)
+    catalogue = load_catalogue(None)
+    console = Console()
+    for number in map(int, options.sensors.split(",")):
+        trials = [
+            trial(number, seed, catalogue)
+            for seed in track(range(options.seeds), f"sensor {number}", console=Console(stderr=True))
+        ]
+        console.print(summary(number, trials))
+    return 0
+
+
+def summary(number, trials):
+    """One table: a row an estimator."""
+    seeds = len(trials)
+    expected = chi_square(8.0 * seeds, 8 * seeds)
+    table = Table(
+        title=f"ST16-{number}, {seeds} sets; mean NEES should lie in {8 * expected.lower:.2f} to {8 * expected.upper:.2f}"
+    )
+    for column in ("estimator", "RMSE / bound", "worst parameter", "mean NEES", "median NEES", "sigma predicted / empirical"):
+        table.add_column(column, justify="left" if column == "estimator" else "right")
+    for name in ESTIMATORS:
+        ratios = np.sqrt(np.mean([(found[name][0] / bound) ** 2 for bound, found in trials], axis=0))
+        nees = [found[name][2] for _, found in trials]
+        whitened = np.sqrt(np.mean([(found[name][0] / found[name][1]) ** 2 for _, found in trials], axis=0))
+        table.add_row(
+            name,
+            f"{np.exp(np.mean(np.log(ratios))):.3f}",
+            f"{ratios.max():.3f}",
+            f"{np.mean(nees):.2f}",
+            f"{np.median(nees):.2f}",
+            f"{np.exp(-np.mean(np.log(whitened))):.3f}",
+        )
+    return table
+
+
+if __name__ == "__main__":
+    sys.exit(main())
