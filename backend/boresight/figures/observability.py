@@ -74,7 +74,7 @@ def _directions(result: Result) -> go.Heatmap:
     return go.Heatmap(
         x=_modes(n_modes),
         y=[quantity(name, result).markup for name in names],
-        z=[theme.short(row) for row in V],
+        z=theme.short(V),
         zmin=-1,
         zmax=1,
         colorscale=theme.DIVERGING,

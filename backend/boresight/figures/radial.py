@@ -64,7 +64,7 @@ def _draw_run(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[
         "%{y:+.3f} ±%{customdata[2]:.3f} px, %{customdata[0]:+.2f} ±%{customdata[1]:.2f}″"
         f"<extra>{style.label}</extra>"
     )
-    spread = [list(row) for row in zip(*(theme.short(row) for row in (*angles, reach)), strict=True)]
+    spread = theme.short(np.stack([*angles, reach], axis=-1))
     figure.add_trace(theme.line(style, radius, change, customdata=spread, hovertemplate=hover), row=1, col=1)
     _draw_counts(figure, radial.get("counts") or {}, style)
     return [float(value) for value in seen[np.isfinite(seen)]]
