@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 
 import numpy as np
@@ -9,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 import pytest
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
@@ -342,6 +344,13 @@ def test_damaged_pages_of_parquet_are_refused(read):
     assert "truncated or damaged" in str(refused(read, bytes(content), "pass.parquet"))
 
 
+@pytest.mark.parametrize("text", [b"note", b"x" * 7])
+def test_parquet_text_that_is_not_utf8_is_refused(read, text):
+    content = parquet_bytes({**MINIMAL, "note": ["x" * 7, "y"]}).replace(text, b"\xff" * len(text))
+
+    assert "truncated or damaged" in str(refused(read, content, "pass.parquet"))
+
+
 @pytest.mark.parametrize(
     ("columns", "row", "column", "words"),
     [
@@ -437,6 +446,49 @@ def test_what_is_written_is_read_back(telemetry, tmp_path):
 
     assert_same(read_telemetry(tmp_path / "pass.csv"), telemetry)
     assert_same(read_telemetry(tmp_path / "pass.parquet"), telemetry)
+
+
+JSON_LINES = "".join(
+    f'{{"frame":{k},"exposure":0,"row_px":{k}.5,"col_px":2,"star_id":{k + 1},"time_utc":"2024-01-01","note":"x"}}\n'
+    for k in range(4)
+)
+VALID = {"pass.csv": GOOD.encode(), "pass.jsonl": JSON_LINES.encode(), "pass.parquet": parquet_bytes(MINIMAL)}
+DIRT = [
+    b'"',
+    b",",
+    b"\n",
+    b"\r",
+    b"\0",
+    b"nan",
+    b"\xff",
+    b"{",
+    b"}",
+    b"[",
+    b"1e999",
+    b"",
+    b"\\",
+    b"null",
+    b"9" * 400,
+    b'"\n"',
+]
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    name=st.sampled_from(sorted(VALID)),
+    spoils=st.lists(
+        st.tuples(st.floats(0, 1), st.integers(0, 20), st.sampled_from(DIRT) | st.binary(max_size=4)), min_size=1
+    ),
+)
+def test_a_spoilt_file_is_read_or_refused_and_nothing_else(name, spoils, tmp_path):
+    content = bytearray(VALID[name])
+    for place, length, dirt in spoils:
+        start = int(place * len(content))
+        content[start : start + length] = dirt
+    (tmp_path / name).write_bytes(content)
+
+    with contextlib.suppress(RefusedInputError):
+        assert len(read_telemetry(tmp_path / name)) > 0
 
 
 def test_twenty_thousand_frames_of_24_stars_are_read_in_seconds(tmp_path):

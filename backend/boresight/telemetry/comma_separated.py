@@ -6,6 +6,7 @@ the ones that are wrong; only a file with faults pays for it.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 
@@ -104,10 +105,12 @@ def _refuse_ragged_rows(name: str, text: bytes, header: list[str]) -> None:
         )
         return "skip"
 
-    arrow_csv.read_csv(
-        pa.BufferReader(text),
-        read_options=arrow_csv.ReadOptions(use_threads=False),
-        parse_options=arrow_csv.ParseOptions(invalid_row_handler=note),
-        convert_options=arrow_csv.ConvertOptions(column_types=dict.fromkeys(header, pa.string())),
-    )
+    # an unclosed quotation mark ends the reading itself; the rows before it may still be at fault
+    with contextlib.suppress(pa.ArrowInvalid):
+        arrow_csv.read_csv(
+            pa.BufferReader(text),
+            read_options=arrow_csv.ReadOptions(use_threads=False),
+            parse_options=arrow_csv.ParseOptions(invalid_row_handler=note),
+            convert_options=arrow_csv.ConvertOptions(column_types=dict.fromkeys(header, pa.string())),
+        )
     faults.refuse()

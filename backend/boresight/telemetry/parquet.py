@@ -34,11 +34,13 @@ def read_parquet(name: str, data: bytes) -> pa.Table:
         _refuse_repeated_columns(name, file.schema_arrow.names)
         if file.metadata.num_rows > _MOST_ROWS:
             raise RefusedInputError(f"{name} has {file.metadata.num_rows} rows: split it below {_MOST_ROWS}.")
-        return file.read()
-    except (pa.ArrowException, OSError) as error:
+        table = file.read()
+        table.validate(full=True)  # text that is not UTF-8 would only be noticed where it is used
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise RefusedInputError(
             f"{name} is a truncated or damaged Parquet file: download or export it again."
         ) from error
+    return table
 
 
 def _refuse_repeated_columns(name: str, columns: list[str]) -> None:

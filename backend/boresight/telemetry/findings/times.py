@@ -10,6 +10,7 @@ from boresight.telemetry.findings.finding import Finding, Severity, counted, row
 from boresight.telemetry.sampling import GAP_FACTOR, sampling_of
 
 _CLOCK_SET = np.datetime64("1990-01-01", "us")
+_MOST_OF_SPAN = 0.5
 
 
 def frames_descend(evidence: Evidence) -> Finding | None:
@@ -81,15 +82,16 @@ def clock_unset(evidence: Evidence) -> Finding | None:
 
 
 def sampling_gaps(evidence: Evidence) -> Finding | None:
-    """Find gaps in time between frames."""
+    """Find gaps in time between frames; one that is most of the span makes a set of two epochs."""
     sampling = sampling_of(evidence)
     if sampling is None or not len(sampling.gaps):
         return None
-    longest = float(sampling.interval_s[sampling.gaps].max())
+    count, longest_s = len(sampling.gaps), float(sampling.interval_s[sampling.gaps].max())
+    severity: Severity = "CAUTION" if longest_s > _MOST_OF_SPAN * sampling.interval_s.sum() else "NORMAL"
     sentence = (
-        f"{counted(len(sampling.gaps), 'gap')} between frames exceed {GAP_FACTOR:g} times the median interval of "
-        f"{sampling.median_s:g} s; the longest is {longest:g} s: check that the downlink is complete."
+        f"{counted(count, 'interval')} between frames exceed {GAP_FACTOR:g} times the median of {sampling.median_s:g} s, the "
+        f"longest is {longest_s:g} s: check that the downlink is complete where no eclipse or slew explains it."
     )
     after = np.zeros(len(evidence.telemetry), dtype=np.bool_)
     after[sampling.entry[sampling.gaps + 1]] = True
-    return Finding("GAPS", "CAUTION", sentence, len(sampling.gaps), row_numbers(evidence, after))
+    return Finding("GAPS", severity, sentence, count, row_numbers(evidence, after))
