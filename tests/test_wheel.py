@@ -1,0 +1,190 @@
+"""The wheel as a user gets it: built, installed where the checkout cannot be seen, and put to work.
+
+The clean environment borrows the libraries of the one that runs the tests by a path file, so this does not prove that
+the declared dependencies suffice; installing from `requirements.lock`, as `make demo` does, proves that.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import sysconfig
+import time
+import venv
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import pytest
+
+import boresight
+from boresight.figures import FIGURES
+
+ROOT = Path(__file__).resolve().parents[1]
+START_S = 60
+
+
+@dataclass(frozen=True)
+class Installed:
+    """An environment that holds the wheel, and an empty folder to work in."""
+
+    bin: Path
+    folder: Path
+
+    @property
+    def environment(self) -> dict[str, str]:
+        kept = {name: value for name, value in os.environ.items() if not name.startswith(("BORESIGHT_", "PYTHON"))}
+        return {**kept, "BORESIGHT_DATA_FOLDER": str(self.folder / "data"), "BORESIGHT_WORKERS": "0"}
+
+    def run(self, program: str, *arguments: str) -> str:
+        done = subprocess.run(
+            [self.bin / program, *arguments],
+            cwd=self.folder, env=self.environment, check=False, capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(folder), str(ROOT)]
+    done = subprocess.run(build, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    place = tmp_path_factory.mktemp("clean")
+    venv.create(place / "venv", with_pip=False, symlinks=True)
+    python = place / "venv" / "bin" / "python"
+    install = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run(install, check=True, capture_output=True)
+    asked = subprocess.run(
+        [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    # A path file inside a borrowed folder is not read, so an editable install there stays unseen.
+    Path(asked.stdout.strip(), "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    (place / "work").mkdir()
+    return Installed(place / "venv" / "bin", place / "work")
+
+
+@pytest.fixture(scope="module")
+def address(installed: Installed) -> Iterator[str]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [installed.bin / "boresight", "serve", "--port", str(port)]
+    log = (installed.folder / "server.log").open("w+b")
+    with (
+        log,
+        subprocess.Popen(
+            command, cwd=installed.folder, env=installed.environment, stdout=log, stderr=subprocess.STDOUT
+        ) as server,
+    ):
+        try:
+            base = f"http://127.0.0.1:{port}"
+            _wait_until_healthy(base, server, installed.folder / "server.log")
+            yield base
+        finally:
+            server.send_signal(signal.SIGTERM)
+            server.wait(START_S)
+
+
+def _wait_until_healthy(base: str, server: subprocess.Popen[bytes], log: Path) -> None:
+    until_s = time.monotonic() + START_S
+    while time.monotonic() < until_s and server.poll() is None:
+        try:
+            httpx.get(f"{base}/healthz", timeout=5, trust_env=False).raise_for_status()
+        except httpx.TransportError:
+            time.sleep(0.1)
+        else:
+            return
+    pytest.fail(f"the server did not answer:\n{log.read_text()}")
+
+
+def _members(wheel: Path) -> set[str]:
+    with zipfile.ZipFile(wheel) as archive:
+        return set(archive.namelist())
+
+
+def test_the_wheel_carries_every_file_of_the_pages_and_every_migration(wheel):
+    expected = {
+        f"boresight/{path.relative_to(ROOT).as_posix()}"
+        for folder in ("frontend", "migrations")
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and not path.name.startswith(".") and "__pycache__" not in path.parts
+    }
+
+    assert expected - _members(wheel) == set()
+
+
+def test_the_wheel_carries_every_file_of_the_package(wheel):
+    package = ROOT / "backend" / "boresight"
+    expected = {
+        path.relative_to(package.parent).as_posix()
+        for path in package.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+
+    assert expected - _members(wheel) == set()
+
+
+def test_the_wheel_carries_the_licence_and_nothing_beside_the_package(wheel):
+    information = f"boresight-{boresight.__version__}.dist-info"
+
+    members = _members(wheel)
+
+    assert f"{information}/licenses/LICENSE" in members
+    assert {name.partition("/")[0] for name in members} == {"boresight", information}
+
+
+def test_the_installed_package_is_the_wheel_and_not_the_checkout(installed):
+    place = installed.run("python", "-c", "import boresight; print(boresight.__file__)")
+
+    assert Path(place.strip()).is_relative_to(installed.bin.parent)
+
+
+def test_the_installed_command_helps_and_tells_its_version(installed):
+    assert "calibrate" in installed.run("boresight", "--help")
+    assert boresight.__version__ in installed.run("boresight", "--version")
+
+
+def test_migrations_run_from_the_wheel_up_and_down(installed):
+    up = installed.run("boresight", "migrate")
+    down = installed.run("boresight", "migrate", "--down", "base")
+
+    assert re.fullmatch(r"schema empty -> \S+\n", up)
+    assert down.endswith("-> empty\n")
+
+
+def test_figures_come_from_the_wheel(installed):
+    names = installed.run("python", "-c", "from boresight.figures import FIGURES; print(*FIGURES)")
+
+    assert names.split() == list(FIGURES)
+
+
+@pytest.mark.parametrize(
+    ("path", "kind", "least_bytes"),
+    [
+        ("/login", "text/html", 500),
+        ("/static/style.css", "text/css", 500),
+        ("/static/plotly.min.js", "text/javascript", 1_000_000),
+        ("/healthz", "application/json", 2),
+        ("/api/v1/openapi.json", "application/json", 10_000),
+    ],
+)
+def test_the_server_of_the_wheel_answers(address, path, kind, least_bytes):
+    answer = httpx.get(address + path, timeout=30, trust_env=False).raise_for_status()
+
+    assert answer.headers["content-type"].partition(";")[0] == kind
+    assert len(answer.content) >= least_bytes
