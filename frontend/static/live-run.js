@@ -90,6 +90,7 @@ class LiveRun extends HTMLElement {
       const answer = await send(location.href, { headers: { Accept: "text/html" } });
       const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
       for (const part of document.querySelectorAll("[data-live]")) replace(part, fresh.getElementById(part.id));
+      this.#showAge();
       this.#settle(fresh.querySelector("live-run")?.getAttribute("state"));
     } catch (error) {
       write("age", error.message);

@@ -110,7 +110,7 @@ def test_an_approved_set_becomes_the_baseline_and_supersedes_the_old_one(house, 
     assert answer.headers["location"] == candidate
     text = read(olga.get(candidate))
     assert "is the baseline now; nothing on board has changed." in text
-    assert "This set is the baseline." in text
+    assert "This set is the baseline; it replaced PS-ST16-1-0." in text
     with reading(house.engine) as session:
         assert parameter_sets.baseline_of(session, 1).name == "PS-ST16-1-1"
         assert parameter_sets.get_parameter_set(session, 1).ground_state == "SUPERSEDED"

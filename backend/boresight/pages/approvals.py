@@ -21,6 +21,7 @@ from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.evidence import marks
+from boresight.pages.parameter_sets import bound_incumbent
 from boresight.pages.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
@@ -126,17 +127,17 @@ def _page(
     """Render a request, with a refused signature's words in their place."""
     approval = approvals.get_approval(session, approval_id)
     row = parameter_sets.get_parameter_set(session, approval.parameter_set_id)
-    baseline = parameter_sets.baseline_of(session, row.sensor_id)
-    incumbent = baseline if baseline is not None and baseline.id != row.id else None
+    sensor = sensors.get_sensor(session, row.sensor_id)
+    incumbent = bound_incumbent(session, row, approval)
     result = runs.result(session, request.app.state.blobs, row.run_id) if row.run_id is not None else None
-    rows = set_rows(_with_scale(row.document, result), (incumbent or row).document)
+    rows = set_rows(row.document, incumbent.document if incumbent else None, sensor.document)
     return render(
         request,
         "approval.html",
         status_code=409 if refusal else 200,
         approval=approval,
         set=row,
-        sensor=sensors.get_sensor(session, row.sensor_id),
+        sensor=sensor,
         incumbent=incumbent,
         names=read_names(session),
         rows=rows,
@@ -151,11 +152,6 @@ def _page(
         typed=typed or Words(),
         may_promote="operator" in actor.roles,
     )
-
-
-def _with_scale(document: Mapping[str, Any], result: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Put the run's typical sigmas beside a set's values."""
-    return {**document, "typical_sigma": (result or {}).get("typical_sigma")}
 
 
 def _decisions(approval: Approval, row: ParameterSet) -> list[tuple[str, str]]:

@@ -48,6 +48,11 @@ def _unknown(question: str, detail: str) -> Mark:
     return Mark(question, "off", "NO DATA", "–", detail)
 
 
+def _not_yet(result: Mapping[str, Any], never: str) -> str:
+    """Say that the answer comes with the end of the run, or why there is none."""
+    return "Judged when the run ends." if result.get("status") == "running" else never
+
+
 def _fit(result: Mapping[str, Any]) -> Mark:
     status = str(result.get("status", "unknown"))
     used = (
@@ -61,7 +66,7 @@ def _fit(result: Mapping[str, Any]) -> Mark:
 def _chi_square(result: Mapping[str, Any]) -> Mark:
     chi2, per_dof = result.get("chi2") or {}, result.get("chi2_per_dof")
     if per_dof is None or not chi2.get("dof"):
-        return _unknown("χ² per degree of freedom", "No chi-square was computed.")
+        return _unknown("χ² per degree of freedom", _not_yet(result, "No chi-square was computed."))
     consistent = bool(chi2.get("consistent"))
     detail = f"95 % bounds {_bounds(chi2)}, {count(chi2['dof'])} degrees of freedom"
     word = "consistent" if consistent else ("noise above model" if per_dof > 1 else "noise below model")
@@ -90,7 +95,7 @@ def _weakest(result: Mapping[str, Any]) -> Mark:
     seen = result.get("observability") or {}
     weakest = seen.get("weakest") or {}
     if not weakest.get("sentence"):
-        return _unknown("Weakest direction", "Observability was not computed.")
+        return _unknown("Weakest direction", _not_yet(result, "Observability was not computed."))
     spread = max((s for s in seen.get("sigma_of_direction") or [] if s is not None), default=None)
     unseen = spread is not None and spread > UNSEEN_TYPICAL_SIGMAS
     value = (
@@ -108,7 +113,7 @@ def _validation(result: Mapping[str, Any]) -> Mark:
     rms = validation.get("rms_arc_rad") or {}
     before, after = rms.get("initial"), rms.get("final")
     if before is None or after is None:
-        return _unknown("Validation RMS", "No validation set was given: the RMS above is of the data it was fitted to.")
+        return _unknown("Validation RMS", _not_yet(result, "Nothing outside the fitted frames was checked."))
     better = after <= before
     available = (validation.get("availability") or {}).get("final")
     detail = f"{count(validation.get('frames'))} held-out frames, {percent(available)} available"

@@ -29,6 +29,7 @@ from boresight.store.tables import GROUND_STATES, Approval, ParameterSet
 router = APIRouter(dependencies=[Depends(csrf)])
 
 ROWS_A_PAGE = 50
+SETS_A_SENSOR = 10_000  # more than a sensor is ever given
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,20 @@ def lineage_of(session: Session, row: ParameterSet, requests: Sequence[Approval]
     return nodes
 
 
+def incumbent_of(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> ParameterSet | None:
+    """Return what a set is measured against: the baseline of now, or for a promoted set the one that it replaced."""
+    if row.baseline_from_utc is None:
+        return parameter_sets.baseline_of(session, row.sensor_id)
+    return bound_incumbent(session, row, next((known for known in requests if known.state == "APPROVED"), None))
+
+
+def bound_incumbent(session: Session, row: ParameterSet, request: Approval | None) -> ParameterSet | None:
+    """Return the set that was baseline when a request was made; None where the request names none."""
+    sha256 = request.bound.get("incumbent_sha256") if request is not None else None
+    fleet_sets = parameter_sets.list_parameter_sets(session, sensor_id=row.sensor_id, limit=SETS_A_SENSOR)
+    return next((known for known in fleet_sets if known.sha256 == sha256 and known.id != row.id), None)
+
+
 @router.get("/parameter-sets", response_class=HTMLResponse)
 def parameter_sets_page(
     request: Request, session: Reading, actor: Who, sensor: str = "", state: str = "", before: str = ""
@@ -147,18 +162,17 @@ def _page(
     """Render a set, with the refusal of a transition and the reason that was typed."""
     row = parameter_sets.get_parameter_set(session, set_id)
     requests = approvals.list_approvals(session, parameter_set_id=set_id)
-    baseline = parameter_sets.baseline_of(session, row.sensor_id)
-    incumbent = baseline if baseline is not None and baseline.id != row.id else None
+    sensor = sensors.get_sensor(session, row.sensor_id)
+    incumbent = incumbent_of(session, row, requests)
     return render(
         request,
         "parameter_set.html",
         status_code=409 if refusal else 200,
         set=row,
-        sensor=sensors.get_sensor(session, row.sensor_id),
+        sensor=sensor,
         names=read_names(session),
-        baseline=baseline,
         incumbent=incumbent,
-        rows=set_rows(row.document, (incumbent or row).document),
+        rows=set_rows(row.document, incumbent.document if incumbent else None, sensor.document),
         requests=requests,
         signatures=[signature for known in requests for signature in approvals.signatures_of(session, known.id)],
         uplinks=uplinks.list_uplinks(session, parameter_set_id=set_id),

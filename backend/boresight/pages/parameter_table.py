@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from boresight.estimation.cameras import CAMERA_MODELS
+
 UNEXPECTED_TYPICAL_SIGMAS = (
     10.0  # the six sensors of E Table III moved by up to 9.8: more asks for a look at the matches
 )
@@ -76,6 +78,7 @@ def _ratio(value: float | None, scale: float | None) -> float | None:
 def parameter_rows(result: Mapping[str, Any]) -> list[ParameterRow]:
     """Lay out every parameter of a calibration JSON, in model order."""
     old, new, sigma = (result.get(key) or {} for key in ("initial", "parameters", "sigma"))
+    model = CAMERA_MODELS.get(str(result.get("camera_model")))
     typical, truth = (result.get(key) or {} for key in ("typical_sigma", "truth"))
     return [
         ParameterRow(
@@ -87,14 +90,17 @@ def parameter_rows(result: Mapping[str, Any]) -> list[ParameterRow]:
             typical_sigma=typical.get(name),
             truth=truth.get(name),
         )
-        for name in new
+        for name in (model.parameter_names if model else new)
+        if name in new
     ]
 
 
-def set_rows(document: Mapping[str, Any], incumbent: Mapping[str, Any] | None) -> list[ParameterRow]:
-    """Lay out a parameter set's values against the set it would replace."""
+def set_rows(
+    document: Mapping[str, Any], incumbent: Mapping[str, Any] | None, sensor: Mapping[str, Any]
+) -> list[ParameterRow]:
+    """Lay out a parameter set's values against the set it replaces, on the scale of its sensor's typical sigmas."""
     old = (incumbent or {}).get("parameters") or {}
-    return parameter_rows({**document, "initial": old})
+    return parameter_rows({**document, "initial": old, "typical_sigma": sensor.get("typical_sigma")})
 
 
 @dataclass(frozen=True)
