@@ -195,7 +195,7 @@ def test_half_a_million_rows_at_forty_thousand_times_take_a_fraction_of_a_second
     index = np.random.default_rng(3).integers(0, len(catalogue), n)
     time_utc = moment("2024-01-01") + np.repeat(np.arange(40_000), 12) * 500_000
 
-    begin = time.perf_counter()
+    begin = time.process_time()
     apparent_directions(catalogue, index, time_utc, np.full((n, 3), 4000.0))
 
-    assert time.perf_counter() - begin < 2.0  # 0.15 s on an idle core; the limit leaves room for a busy one
+    assert time.process_time() - begin < 2.0  # of processor time: what else the machine does does not count

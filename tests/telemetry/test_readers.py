@@ -505,10 +505,10 @@ def test_twenty_thousand_frames_of_24_stars_are_read_in_seconds(tmp_path):
     )
     write_csv(telemetry, tmp_path / "long.csv")
 
-    begin = time.perf_counter()
+    begin = time.process_time()
     read_telemetry(tmp_path / "long.csv")
 
-    assert time.perf_counter() - begin < 4.0  # 0.5 s on an idle core; the limit leaves room for a busy one
+    assert time.process_time() - begin < 4.0  # of processor time: what else the machine does does not count
 
 
 def test_the_real_star_fields_are_read(real_sky):
