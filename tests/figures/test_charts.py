@@ -90,6 +90,11 @@ def test_a_change_within_three_sigma_is_paler(sequential_result):
     assert "1 of 8" in drawn.layout.title.text
 
 
+def test_compared_runs_stand_beside_each_other_in_both_halves(sequential_result, batch_result):
+    drawn = FIGURES["parameters"].draw([Trace("one", sequential_result), Trace("other", batch_result)])
+    assert [trace.offsetgroup for trace in drawn.data] == ["one", "one", "other", "other"]
+
+
 def test_the_parameter_table_holds_si_values(sequential_result):
     columns = FIGURES["parameters"].table(sequential_result)
     assert columns["final"][0] == sequential_result["parameters"]["f_m"]

@@ -95,6 +95,7 @@ def test_a_value_stops_at_the_second_digit_of_its_sigma():
     assert digits(16.0198234, 0.00063) == "16.01982"
     assert digits(-1886.7, 10.2) == "−1,887"
     assert digits(6.634e7, 7.9e5) == "6.634e+07"
+    assert digits(786_689.0, 786_689.0) == "7.9e+05"
     assert digits(0.5, None) == "0.5"
     assert digits(None, 1.0) == "–"
 

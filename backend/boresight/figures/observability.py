@@ -133,7 +133,7 @@ def _window(drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> list[float]:
 def _sentence(result: Result) -> str:
     weakest = result["observability"].get("weakest") or {}
     words = theme.escape(str(weakest.get("sentence") or ""))
-    return "<br>".join(textwrap.wrap(f"Weakest direction: {words}", 110)) if words else ""
+    return "<br>".join(textwrap.wrap(f"Weakest direction: {words}", 88)) if words else ""
 
 
 def table(result: Result) -> Table:

@@ -70,7 +70,7 @@ def digits(value: float | None, sigma: float | None) -> str:
         return ABSENT
     if not sigma or not math.isfinite(sigma):
         return f"{value:.6g}".replace("-", "−")
-    if abs(value) >= 1e6:
+    if abs(value) >= 1e5:
         return f"{value:.{max(1, min(9, _order(value) - _order(sigma) + 1))}e}".replace("-", "−")
     return f"{value:,.{max(0, min(9, 1 - _order(sigma)))}f}".replace("-", "−")
 

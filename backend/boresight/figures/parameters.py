@@ -67,6 +67,7 @@ def _bars(result: Result, names: Sequence[str], style: theme.RunStyle, *, labell
         y=_labels(result, names),
         x=theme.short(np.maximum(np.abs(worth), FLOOR)),
         orientation="h",
+        offsetgroup=style.label,
         name=style.label,
         legendgroup=style.label,
         marker={
