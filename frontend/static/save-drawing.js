@@ -2,12 +2,13 @@
 
 const SCALE = 2;
 const PAPER = [
-  [".bar", { fill: "#1f5f99" }],
+  [".bar", { fill: "#5b9bd5" }],
   [".cell-empty", { fill: "none", stroke: "#999999" }],
   [".axis", { fill: "none", stroke: "#444444" }],
   [".gridline", { stroke: "#dddddd" }],
   [".mark-line", { fill: "none", stroke: "#a85b00", "stroke-dasharray": "4 3" }],
   ["text", { fill: "#111111", "font-size": "11px", "font-family": "sans-serif" }],
+  ["text.cell-text", { "font-size": "9.5px" }],
 ];
 
 /** The drawing with the colours of paper written into it. */

@@ -7,6 +7,7 @@ when asked (`?verify=1`), for every record must be read.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +17,6 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.api.dependencies import Reading, Who
-from boresight.pages.formats import number
 from boresight.pages.rendering import render
 from boresight.services import audit
 from boresight.store.tables import AuditRecord
@@ -24,6 +24,21 @@ from boresight.store.tables import AuditRecord
 RECORDS_A_PAGE = 50
 VERIFIED_AT_EVERY_VISIT = 5000
 LONGEST_VALUE = 120
+HASH = re.compile(r"[0-9a-f]{64}")
+HASH_DIGITS = 8
+IN_GIST = 3
+TELLING = (
+    "name",
+    "label",
+    "sensor",
+    "state",
+    "ground_state",
+    "onboard_state",
+    "method",
+    "purpose",
+    "decision",
+    "roles",
+)
 PAGE_OF_NOUN = {
     "sensors": "sensors",
     "telemetry-sets": "telemetry",
@@ -58,8 +73,12 @@ def _shown(value: Any) -> str:
     if value is None:
         return "–"
     if isinstance(value, float):
-        return number(value, 7)
+        return f"{value:.7g}"
+    if isinstance(value, list) and all(isinstance(member, str) for member in value):
+        return ", ".join(value)
     text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    if HASH.fullmatch(text):
+        return text[:HASH_DIGITS]
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}…"
 
 
@@ -79,6 +98,12 @@ class Line:
     record: AuditRecord
     address: str | None
     changes: list[Change]
+
+    @property
+    def gist(self) -> str:
+        """What matters of the change, in one short line."""
+        telling = [it for it in self.changes if it.name.rpartition(".")[2] in TELLING] or self.changes
+        return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in telling[:IN_GIST])
 
 
 def line_of(record: AuditRecord) -> Line:

@@ -12,8 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-WIDTH, HEIGHT = 560.0, 190.0
-LEFT, RIGHT, TOP, BOTTOM = 52.0, 10.0, 12.0, 34.0
+WIDTH, HEIGHT = 560.0, 200.0
+LEFT, RIGHT, TOP, BOTTOM = 52.0, 10.0, 22.0, 34.0
+HEADROOM = 1.08  # an axis ends so much above its highest bar
 LEAST_OPACITY = 0.12
 TICKS = 5
 
@@ -109,7 +110,7 @@ def histogram(
         Where the axis ends, where that is beyond the last edge.
     """
     low, high = edges[0], max(edges[-1], extent or edges[-1])
-    largest = max([*counts, 1])
+    largest = HEADROOM * max([*counts, 1])
     plot_width, plot_height = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
     def x_of(value: float) -> float:

@@ -16,6 +16,8 @@ from markupsafe import Markup, escape
 MISSING = "–"
 NARROW_SPACE = "\u202f"  # narrow, and no line breaks in it
 MINUS = "\u2212"  # as wide as a digit
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+LARGE = 1e7  # from here on a number is easier to read with a power of ten
 
 UNIT_OF_SUFFIX = (  # suffix, unit on the page, factor from SI
     ("_per_m4", "m⁻⁴", 1.0),
@@ -30,17 +32,17 @@ UNIT_OF_SUFFIX = (  # suffix, unit on the page, factor from SI
 
 SYMBOL_OF_PARAMETER = {
     "f_m": "f",
-    "m0_px": "m₀",
-    "n0_px": "n₀",
-    "b4_per_m4": "b₄",
-    "b2_per_m2": "b₂",
-    "a1_rad": "a₁",
-    "a2_rad": "a₂",
+    "m0_px": "m_0",
+    "n0_px": "n_0",
+    "b4_per_m4": "b_4",
+    "b2_per_m2": "b_2",
+    "a1_rad": "a_1",
+    "a2_rad": "a_2",
     "g_y": "g_y",
-    "u0_px": "u₀",
-    "v0_px": "v₀",
-    "k1": "k₁",
-    "k2": "k₂",
+    "u0_px": "u_0",
+    "v0_px": "v_0",
+    "k1": "k_1",
+    "k2": "k_2",
 }
 
 
@@ -54,9 +56,11 @@ def unit(name: str) -> str:
     return _scale(name)[0]
 
 
-def symbol(name: str) -> str:
-    """Return a parameter's letter in the papers; a name without one stands for itself."""
-    return SYMBOL_OF_PARAMETER.get(name, name)
+def symbol(name: str) -> Markup:
+    """Return a parameter's letter in the papers, its index set low; a name without one stands for itself."""
+    letter, _, index = SYMBOL_OF_PARAMETER.get(name, name).partition("_")
+    low = Markup("<sub>{}</sub>").format(index) if index and len(letter) == 1 else ""
+    return Markup("{}{}").format(letter if low else SYMBOL_OF_PARAMETER.get(name, name), low)
 
 
 def _is_number(value: Any) -> bool:
@@ -64,12 +68,14 @@ def _is_number(value: Any) -> bool:
 
 
 def _grouped(text: str) -> str:
-    """Write the sign as a true minus and part the digits before the point in threes."""
+    """Write the sign as a true minus, part the digits before the point in threes, and raise the exponent."""
     sign, digits = (MINUS, text[1:]) if text.startswith("-") else ("", text)
-    whole, point, rest = digits.partition(".")
+    mantissa, _, exponent = digits.partition("e")
+    whole, point, rest = mantissa.partition(".")
     if whole.isdigit() and len(whole) > 4:
         whole = f"{int(whole):,}".replace(",", NARROW_SPACE)
-    return f"{sign}{whole}{point}{rest}".replace("e-", f"e{MINUS}").replace("e+", "e")
+    power = f"·10{str(int(exponent)).translate(RAISED)}" if exponent else ""
+    return f"{sign}{whole}{point}{rest}{power}"
 
 
 def number(value: Any, digits: int = 4) -> str:
@@ -100,14 +106,17 @@ def percent(value: Any, decimals: int = 1) -> str:
 
 
 def parameter(value: Any, name: str, sigma: Any = None) -> str:
-    """Print a parameter in its page unit, to the second significant digit of its sigma where one is known."""
+    """Print a parameter in its page unit, to the second significant digit of its sigma; as given where none is known."""
     if not _is_number(value):
         return MISSING
-    factor = _scale(name)[1]
+    shown = value * _scale(name)[1]
     if not _is_number(sigma) or sigma <= 0:
-        return number(value * factor, 6)
-    decimals = 1 - math.floor(math.log10(sigma * factor))
-    return _grouped(f"{round(value * factor, decimals):.{max(decimals, 0)}f}")
+        return _grouped(f"{shown:.6g}")
+    decimals = 1 - math.floor(math.log10(sigma * _scale(name)[1]))
+    shown = round(shown, decimals)
+    if abs(shown) < LARGE:
+        return _grouped(f"{shown:.{max(decimals, 0)}f}")
+    return _grouped(f"{shown:.{max(math.floor(math.log10(abs(shown))) + decimals, 0)}e}")
 
 
 def sigma(value: Any, name: str) -> str:

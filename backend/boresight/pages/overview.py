@@ -16,9 +16,9 @@ from boresight.services import approvals, audit, parameter_sets, runs, sensors
 from boresight.services.actors import Actor
 from boresight.services.sensors import SensorTile
 from boresight.store.sessions import Session
-from boresight.store.tables import Approval, ParameterSet
+from boresight.store.tables import TERMINAL_RUN_STATES, Approval, ParameterSet
 
-RECENT_RECORDS = 12
+RECENT_EVENTS = 12
 MOST_ACTIONS = 8
 
 router = APIRouter()
@@ -111,6 +111,40 @@ def _desk(session: Session, actor: Actor) -> Desk:
     return Desk(tiles, waiting, actions, runs.count_by_state(session))
 
 
+@dataclass(frozen=True)
+class Event:
+    """Something that happened: somebody did it, or a run ended."""
+
+    at_utc: str
+    who: str
+    did: str
+    to: str
+    address: str | None
+    gist: str
+
+
+def _recorded(session: Session) -> Iterator[Event]:
+    """Yield the newest records of the audit log."""
+    for record in audit.list_records(session, limit=RECENT_EVENTS):
+        line = line_of(record)
+        yield Event(record.at_utc, record.actor, record.action, record.object, line.address, line.gist)
+
+
+def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[Event]:
+    """Yield the ends of the newest runs."""
+    for run in runs.list_runs(session, state=TERMINAL_RUN_STATES, limit=RECENT_EVENTS):
+        if run.ended_utc:
+            gist = " · ".join(filter(None, (names.get(run.sensor_id), run.label, run.reason)))
+            yield Event(run.ended_utc, "Boresight", run.state, f"runs/{run.id}", f"/runs/{run.id}", gist)
+
+
+def _events(session: Session, tiles: Sequence[SensorTile]) -> list[Event]:
+    """Return what happened last, newest first."""
+    names = {tile.sensor.id: tile.sensor.name for tile in tiles}
+    found = [*_recorded(session), *_ended_runs(session, names)]
+    return sorted(found, key=lambda event: event.at_utc, reverse=True)[:RECENT_EVENTS]
+
+
 def _counts(tiles: Sequence[SensorTile]) -> dict[str, int]:
     """Count the sensors by level, worst first; every level, so that the strip keeps its shape."""
     return {level: sum(tile.status == level for tile in tiles) for level in reversed(LEVELS)}
@@ -120,7 +154,6 @@ def _counts(tiles: Sequence[SensorTile]) -> dict[str, int]:
 def overview_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the fleet."""
     desk = _desk(session, actor)
-    records = audit.list_records(session, limit=RECENT_RECORDS)
     return render(
         request,
         "overview.html",
@@ -128,7 +161,7 @@ def overview_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
         counts=_counts(desk.tiles),
         actions=desk.actions[:MOST_ACTIONS],
         more_actions=max(len(desk.actions) - MOST_ACTIONS, 0),
-        lines=[line_of(record) for record in records],
+        events=_events(session, desk.tiles),
         workers=request.app.state.workers.state() if request.app.state.workers else None,
         may_register=bool({"analyst", "administrator"} & actor.roles),
     )

@@ -7,12 +7,14 @@ from urllib.parse import quote
 
 from fastapi import Request
 from fastapi.responses import Response
+from starlette.exceptions import HTTPException
 
 from boresight.api.dependencies import current_actor
 from boresight.api.problems import problem_of
 from boresight.errors import BoresightError, UnauthenticatedError
 from boresight.pages.rendering import redirect, render
 
+SENTENCE = {404: "There is no page at this address.", 405: "This address does not take what was sent."}
 ADVICE = {
     403: "An administrator can give roles, on the page Users and keys.",
     404: "It may have another number, or the address was copied incompletely.",
@@ -48,6 +50,7 @@ def problem_page(request: Request, error: Exception) -> Response:
         "problem.html",
         status_code=problem.status,
         problem=problem,
+        sentence=SENTENCE.get(problem.status, problem.detail) if isinstance(error, HTTPException) else problem.detail,
         advice=ADVICE.get(problem.status, ""),
         request_id=getattr(request.state, "request_id", None),
     )

@@ -19,6 +19,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Who, csrf
 from boresight.errors import RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import line_of, read_names
@@ -86,10 +87,11 @@ class Value:
 
 
 def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[Value]:
-    """Lay out the baseline's parameters beside the ground calibration; the latter where there is no baseline."""
+    """Lay out the baseline's parameters in model order; a ground calibration has no measured sigma."""
     document = sensor.document
     values = baseline.document["parameters"] if baseline else document["initial"]
-    sigma = (baseline.document.get("sigma") or {}) if baseline else document["typical_sigma"]
+    measured = baseline is not None and baseline.run_id is not None
+    sigma = (baseline.document.get("sigma") or {}) if baseline and measured else {}
     return [
         Value(
             name=name,
@@ -99,7 +101,8 @@ def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[Value
             typical_sigma=document["typical_sigma"].get(name),
             truth=(sensor.truth or {}).get(name),
         )
-        for name, value in values.items()
+        for name in CAMERA_MODELS[document["camera_model"]].parameter_names
+        for value in (values[name],)
     ]
 
 
@@ -136,7 +139,8 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
     """Render a sensor."""
     with reading(request.app.state.engine) as session:
         sensor, baseline = sensors.get_sensor(session, sensor_id), parameter_sets.baseline_of(session, sensor_id)
-        names = read_names(session)
+        newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
+        names = read_names(session, newest)
         sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id)
         values = baseline_values(sensor, baseline)
         return render(
@@ -149,12 +153,13 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
             baseline=baseline,
             values=values,
             has_truth=bool(sensor.truth),
+            measured=baseline is not None and baseline.run_id is not None,
             optics=optics_of(sensor.document["detector"], {it.name: it.value for it in values}),
             sets=sets,
             set_names={row.id: row.name for row in sets},
             promotions=uplinks.promotions_of(session, sensor_id),
             telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id),
-            runs=[line_of(run, names) for run in runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)],
+            runs=[line_of(run, names) for run in newest],
             as_of=_as_of(session, sensor_id, at),
             now=utc_now()[:19] + "Z",
             document=shown.text or json.dumps(sensor.document, indent=2),

@@ -81,7 +81,9 @@ def _users(session: Session, row: TelemetrySet) -> Sequence[Run]:
 @router.get("/telemetry/{set_id}", response_class=HTMLResponse)
 def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set with its quality report."""
-    row, names = telemetry_sets.get_telemetry_set(session, set_id), read_names(session)
+    row = telemetry_sets.get_telemetry_set(session, set_id)
+    used_by = _users(session, row)
+    names = read_names(session, used_by)
     blob = session.get(Blob, row.original_sha256)
     return render(
         request,
@@ -91,7 +93,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
         drawings=drawings_of(row.quality),
         names=names,
         size_bytes=blob.size_bytes if blob else None,
-        runs=[line_of(run, names) for run in _users(session, row)],
+        runs=[line_of(run, names) for run in used_by],
         may_archive="analyst" in actor.roles,
     )
 
