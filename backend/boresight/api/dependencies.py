@@ -94,8 +94,8 @@ async def write_session(request: Request) -> AsyncIterator[Session]:
 async def csrf(request: Request) -> None:
     """Refuse an unsafe request that a cookie authenticates unless it repeats the log-in's CSRF token.
 
-    The token comes as the header `X-CSRF-Token` or, from a plain form, as the field `csrf_token`. Requests with an API
-    key need none: no other site can make a browser send that header.
+    The token comes as the header `X-CSRF-Token` or, from a plain form of a page, as the field `csrf_token`. Requests
+    with an API key need none: no other site can make a browser send that header.
 
     Raises
     ------
@@ -115,8 +115,8 @@ async def csrf(request: Request) -> None:
 
 
 async def _form_token(request: Request) -> str:
-    """Return the token of a plain form; empty where there is none."""
-    if not request.headers.get("content-type", "").startswith(FORM_TYPES):
+    """Return the token of a page's plain form; empty where there is none. The API reads its uploads itself."""
+    if request.url.path.startswith("/api/") or not request.headers.get("content-type", "").startswith(FORM_TYPES):
         return ""
     value = (await request.form()).get(CSRF_FIELD, "")
     return value if isinstance(value, str) else ""

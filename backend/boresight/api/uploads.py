@@ -12,12 +12,12 @@ import tempfile
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, BinaryIO
 
 from fastapi import Depends
 from fastapi.concurrency import run_in_threadpool
 from python_multipart.exceptions import FormParserError
-from python_multipart.multipart import create_form_parser
+from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
 from boresight.api.answers import IdempotencyKey, Once, digest
@@ -25,35 +25,22 @@ from boresight.api.dependencies import current_actor
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
 
+if TYPE_CHECKING:
+    from python_multipart.multipart import MultipartCallbacks  # there for type checkers only
+
 HOW = "Send multipart/form-data with the fields sensor_id, purpose and file."
-LIMITS: dict[str, Any] = {
-    "MAX_MEMORY_FILE_SIZE": 0,
-    "UPLOAD_DELETE_TMP": False,
-    "MAX_FIELDS": 20,
-    "MAX_FIELD_SIZE": 4096,
-}
+LONGEST_FIELD_BYTES = 4096
+MOST_PARTS = 20
 
 
 @dataclass
 class Upload:
     """What came: the fields, and the one file with the name that the sender gave it."""
 
+    place: Path
     fields: dict[str, str] = field(default_factory=dict)
     path: Path | None = None
     file_name: str = ""
-
-    def take_field(self, given: Any) -> None:
-        """Keep a field."""
-        self.fields[_text(given.field_name)] = _text(given.value)
-
-    def take_file(self, given: Any) -> None:
-        """Keep the file, which is on the disk already; an empty one is put there."""
-        if self.path is not None:
-            raise RefusedInputError("One file at a time: send each telemetry file by itself.")
-        if given.in_memory:
-            given.flush_to_disk()
-        given.close()
-        self.path, self.file_name = Path(_text(given.actual_file_name)), _text(given.file_name)
 
     def file(self) -> Path:
         """Return where the file is.
@@ -81,6 +68,83 @@ class Upload:
         return int(text)
 
 
+class _Form:
+    """Takes the parts of a form as the parser meets them."""
+
+    def __init__(self, upload: Upload) -> None:
+        self._upload = upload
+        self._header = [b"", b""]
+        self._disposition: dict[bytes, bytes] = {}
+        self._value = bytearray()
+        self._file: BinaryIO | None = None
+        self._parts = 0
+        self.complete = False
+
+    def callbacks(self) -> MultipartCallbacks:
+        """Return what the parser calls."""
+        return {
+            "on_part_begin": self._begin,
+            "on_header_field": lambda data, start, end: self._add_to_header(0, data[start:end]),
+            "on_header_value": lambda data, start, end: self._add_to_header(1, data[start:end]),
+            "on_header_end": self._end_header,
+            "on_headers_finished": self._open,
+            "on_part_data": lambda data, start, end: self._add(data[start:end]),
+            "on_part_end": self._end,
+            "on_end": self._finish,
+        }
+
+    def close(self) -> None:
+        """Let go of a file whose end did not come."""
+        if self._file is not None:
+            self._file.close()
+
+    def _begin(self) -> None:
+        self._parts += 1
+        if self._parts > MOST_PARTS:
+            raise RefusedInputError(f"The form has over {MOST_PARTS} parts. {HOW}")
+        self._disposition = {}
+        self._value.clear()
+
+    def _add_to_header(self, which: int, piece: bytes) -> None:
+        self._header[which] += piece
+
+    def _end_header(self) -> None:
+        name, value = self._header
+        if name.lower() == b"content-disposition":
+            self._disposition = parse_options_header(value)[1]
+        self._header = [b"", b""]
+
+    def _open(self) -> None:
+        """Open the file when the part is one."""
+        if b"filename" not in self._disposition:
+            return
+        if self._upload.path is not None:
+            raise RefusedInputError("One file at a time: send each telemetry file by itself.")
+        self._upload.path = self._upload.place / "upload"
+        self._upload.file_name = _text(self._disposition[b"filename"])
+        self._file = self._upload.path.open("wb")
+
+    def _add(self, piece: bytes) -> None:
+        """Take a piece of a file or of a field."""
+        if self._file is not None:
+            self._file.write(piece)
+            return
+        self._value += piece
+        if len(self._value) > LONGEST_FIELD_BYTES:
+            raise RefusedInputError(f"A field of the form is over {LONGEST_FIELD_BYTES} bytes. {HOW}")
+
+    def _end(self) -> None:
+        """Close the file, or keep the field."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+        else:
+            self._upload.fields[_text(self._disposition.get(b"name"))] = _text(bytes(self._value))
+
+    def _finish(self) -> None:
+        self.complete = True
+
+
 def _text(value: bytes | None) -> str:
     """Decode what a browser sent as a name or a field."""
     return (value or b"").decode("utf-8", errors="replace")
@@ -90,34 +154,37 @@ async def uploaded(
     request: Request,
     actor: Annotated[Actor, Depends(current_actor)],  # noqa: ARG001 - nothing is read for nobody
 ) -> AsyncIterator[Upload]:
-    """Stream the request's file to the disk and remove it when the request is over."""
+    """Stream the request's file to the disk and remove it before the answer is sent."""
     folder = request.app.state.settings.data_folder / "uploads"
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        upload = Upload()
-        await _receive(request, upload, place)
+        upload = Upload(Path(place))
+        await _receive(request, upload)
         yield upload
 
 
-async def _receive(request: Request, upload: Upload, place: str) -> None:
+async def _receive(request: Request, upload: Upload) -> None:
     """Feed the body to the parser piece by piece."""
-    content_type = request.headers.get("content-type", "")
-    if not content_type.startswith("multipart/form-data"):
-        raise RefusedInputError(f"A telemetry file cannot be sent as {content_type or 'nothing'}. {HOW}")
-    config = {**LIMITS, "UPLOAD_DIR": place}
-    headers = {"Content-Type": content_type.encode("latin-1")}
+    content_type, options = parse_options_header(request.headers.get("content-type"))
+    if content_type != b"multipart/form-data" or not options.get(b"boundary"):
+        raise RefusedInputError(f"A telemetry file cannot be sent as {_text(content_type) or 'nothing'}. {HOW}")
+    form = _Form(upload)
     try:
-        parser = create_form_parser(headers, upload.take_field, upload.take_file, config)
+        parser = MultipartParser(options[b"boundary"], form.callbacks())
         async for chunk in request.stream():
             parser.write(chunk)
-        parser.finalize()
     except FormParserError as error:
-        raise RefusedInputError(f"The upload broke off or is not a form ({error}). {HOW}") from error
+        raise RefusedInputError(f"The upload is not a form that can be read ({error}). {HOW}") from error
+    finally:
+        form.close()
+    if not form.complete:
+        raise RefusedInputError("The upload broke off before its end; send it again.")
 
 
-async def once_uploaded(
-    request: Request, upload: Annotated[Upload, Depends(uploaded)], idempotency_key: IdempotencyKey = None
-) -> Once:
+Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]
+
+
+async def once_uploaded(request: Request, upload: Uploaded, idempotency_key: IdempotencyKey = None) -> Once:
     """Read the key, and digest fields and file if there is one."""
     if not idempotency_key:
         return Once(None, "")
@@ -130,5 +197,4 @@ def _digest(path: Path) -> bytes:
         return hashlib.file_digest(file, "sha256").digest()
 
 
-Uploaded = Annotated[Upload, Depends(uploaded)]
-UploadedOnce = Annotated[Once, Depends(once_uploaded)]
+UploadedOnce = Annotated[Once, Depends(once_uploaded, scope="function")]

@@ -49,7 +49,7 @@ def _prepare(request: Request, actor: Who, upload: Uploaded) -> Iterator[telemet
         yield ready
 
 
-Ready = Annotated[telemetry_sets.Prepared, Depends(_prepare)]
+Ready = Annotated[telemetry_sets.Prepared, Depends(_prepare, scope="function")]
 
 
 def _shown(row: Any) -> schemas.Document:

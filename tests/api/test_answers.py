@@ -1,0 +1,106 @@
+"""Idempotency: the same request twice has one effect and one answer."""
+
+from __future__ import annotations
+
+import uuid
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from boresight.store.sessions import writing
+from boresight.store.tables import IdempotentResponse
+
+from .conftest import House
+
+
+@pytest.fixture
+def once() -> dict[str, str]:
+    """Return a header with a key that nobody used."""
+    return {"Idempotency-Key": uuid.uuid4().hex}
+
+
+def test_the_same_request_again_gets_the_same_answer_and_has_no_second_effect(
+    house: House, once: dict[str, str]
+) -> None:
+    client, document = house.person("ada"), house.sensor_file()
+    first = client.post("/api/v1/sensors", json=document, headers=once)
+    second = client.post("/api/v1/sensors", json=document, headers=once)
+    assert (first.status_code, second.status_code) == (201, 201)
+    assert second.json() == first.json()
+    assert second.headers["location"] == first.headers["location"]
+    assert second.headers["etag"] == first.headers["etag"]
+    assert second.headers["idempotent-replayed"] == "true"
+    assert "idempotent-replayed" not in first.headers
+
+
+def test_without_the_key_the_second_request_is_judged_by_itself(house: House) -> None:
+    client, document = house.person("ada"), house.sensor_file()
+    assert client.post("/api/v1/sensors", json=document).status_code == 201
+    assert client.post("/api/v1/sensors", json=document).status_code == 409
+
+
+def test_another_body_under_the_same_key_is_refused(house: House, once: dict[str, str]) -> None:
+    client = house.person("ada")
+    assert client.post("/api/v1/sensors", json=house.sensor_file(), headers=once).status_code == 201
+    refused = client.post("/api/v1/sensors", json=house.sensor_file(), headers=once)
+    assert refused.status_code == 422
+    assert "another request" in refused.json()["detail"]
+
+
+def test_another_address_under_the_same_key_is_refused(house: House, once: dict[str, str]) -> None:
+    client = house.person("ada")
+    runs = [house.launched()["id"] for _ in range(2)]
+    assert client.post(f"/api/v1/runs/{runs[0]}:cancel", headers=once).status_code == 200
+    assert client.post(f"/api/v1/runs/{runs[1]}:cancel", headers=once).status_code == 422
+
+
+def test_one_persons_key_is_not_anothers(house: House, once: dict[str, str]) -> None:
+    first = house.person("ada").post("/api/v1/sensors", json=house.sensor_file(), headers=once)
+    second = house.person("bo").post("/api/v1/sensors", json=house.sensor_file(), headers=once)
+    assert (first.status_code, second.status_code) == (201, 201)
+
+
+def test_a_refusal_is_not_remembered(house: House, once: dict[str, str]) -> None:
+    client, document = house.person("ada"), house.sensor_file()
+    refused = client.post("/api/v1/sensors", json={**document, "parity": 7}, headers=once)
+    assert refused.status_code == 422
+    assert client.post("/api/v1/sensors", json=document, headers=once).status_code == 201
+
+
+def test_a_key_is_forgotten_after_a_day(house: House, once: dict[str, str]) -> None:
+    client = house.person("ada")
+    assert client.post("/api/v1/sensors", json=house.sensor_file(), headers=once).status_code == 201
+    yesterday = (datetime.now(UTC) - timedelta(hours=25)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    with writing(house.app.state.engine) as session:
+        session.get_one(IdempotentResponse, (once["Idempotency-Key"], "ada session")).created_utc = yesterday
+    assert client.post("/api/v1/sensors", json=house.sensor_file(), headers=once).status_code == 201
+
+
+def test_a_transition_repeated_under_its_key_is_not_stale(house: House, once: dict[str, str]) -> None:
+    client, row = house.person("ada"), house.candidate()
+    headers = {**once, "If-Match": f'"v{row["version"]}"'}
+    address = f"/api/v1/parameter-sets/{row['id']}:submit"
+    first = client.post(address, json={"reason": "It moved."}, headers=headers)
+    second = client.post(address, json={"reason": "It moved."}, headers=headers)
+    assert (first.status_code, second.status_code) == (201, 201)
+    assert second.json()["id"] == first.json()["id"]
+
+
+def test_an_upload_repeated_under_its_key_is_one_set_and_another_file_is_refused(
+    house: House, once: dict[str, str]
+) -> None:
+    client, sensor = house.person("ada"), house.new_sensor()
+    first = house.upload(client, sensor["id"], headers=once)
+    second = house.upload(client, sensor["id"], headers=once)
+    assert second.headers["idempotent-replayed"] == "true"
+    assert second.json() == first.json()
+    other = b"\n".join(house.telemetry_csv.splitlines()[:-5]) + b"\n"
+    assert house.upload(client, sensor["id"], other, headers=once).status_code == 422
+
+
+def test_a_dry_run_takes_no_key(house: House, once: dict[str, str]) -> None:
+    sensor_id, set_id = house.ready_sensor()
+    order = {"sensor_id": sensor_id, "telemetry_set_id": set_id}
+    client = house.person("ada")
+    assert client.post("/api/v1/runs?validate_only=true", json=order, headers=once).status_code == 200
+    assert client.post("/api/v1/runs", json=order, headers=once).status_code == 202
