@@ -80,7 +80,7 @@ function changed() {
   showOptionsOfMethod();
   showOverconfidence();
   clearTimeout(timer);
-  timer = setTimeout(check, QUIET_MS);
+  if (form.dataset.launch !== "look") timer = setTimeout(check, QUIET_MS);
 }
 
 if (form) {

@@ -147,3 +147,19 @@ def test_noise_above_the_model_is_a_caution(results):
 def test_delta_over_sigma_is_the_result_s_own(results):
     for row in parameter_rows(results["batch"]):
         assert row.delta_over_sigma == pytest.approx(results["batch"]["delta_over_sigma"][row.name])
+
+
+def test_an_estimate_far_from_the_truth_is_marked(results):
+    truth = {
+        name: value + 10 * (results["batch"]["sigma"][name] or 0)
+        for name, value in results["batch"]["parameters"].items()
+    }
+    rows = parameter_rows({**results["batch"], "truth": truth})
+    assert all(row.off_truth for row in rows)
+    assert [row.error_over_sigma for row in rows] == pytest.approx([-10.0] * len(rows))
+
+
+def test_rows_stand_in_the_model_s_order_however_the_store_sorted_them(results):
+    shuffled = dict(sorted(results["batch"]["parameters"].items()))
+    rows = parameter_rows({**results["batch"], "parameters": shuffled})
+    assert [row.name for row in rows] == list(results["batch"]["parameters"])

@@ -116,7 +116,7 @@ def _description(one: Compared, names: Names) -> dict[str, str]:
         "Calibration set": names.sets.get(run.telemetry_set_id, "–"),
         "Validation set": names.sets.get(run.validation_set_id or 0, "none"),
         "Method": title_of(run.method),
-        **{f"Setting {name}": _text(value) for name, value in sorted(run.settings.items()) if name != "method"},
+        **{f"Setting {name}": _text(value) for name, value in sorted(_chosen(one).items())},
         "Fit": str(result.get("status", "–")).replace("_", " "),
         "Iterations": _text(result.get("iterations")),
         "Frames used": _text(result.get("frames")),
@@ -128,6 +128,12 @@ def _description(one: Compared, names: Names) -> dict[str, str]:
         "Condition number": number((result.get("observability") or {}).get("condition_number"), 3),
         "Launched by": names.person(run.launched_by),
     }
+
+
+def _chosen(one: Compared) -> dict[str, Any]:
+    """Return a run's settings but its method, with the free parameters that the sensor's own list stood for."""
+    settings = {name: value for name, value in one.run.settings.items() if name != "method"}
+    return {**settings, "free": one.result.get("free") or settings.get("free")}
 
 
 def _text(value: Any) -> str:

@@ -18,6 +18,9 @@ UNEXPECTED_TYPICAL_SIGMAS = (
 )
 
 
+FAR_SIGMAS = 4.0  # of the eight parameters of an honest run one in 2,000 is so far from the truth
+
+
 @dataclass(frozen=True)
 class ParameterRow:
     """One parameter of a result; values are SI, None where nothing was estimated.
@@ -59,6 +62,12 @@ class ParameterRow:
     def error_over_sigma(self) -> float | None:
         """Return how many sigmas the estimate is off the truth."""
         return _ratio(_difference(self.new, self.truth), self.sigma)
+
+    @property
+    def off_truth(self) -> bool:
+        """Tell whether the estimate is farther from the truth than its sigma allows."""
+        off = self.error_over_sigma
+        return off is not None and abs(off) > FAR_SIGMAS
 
     @property
     def unexpected(self) -> bool:

@@ -10,6 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from shlex import quote
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
@@ -139,21 +140,17 @@ def _hash(value: Any) -> Markup | str:
     return short_hash(str(value)) if value else MISSING
 
 
-def command_of(run: Run, sensor: str, data: TelemetrySet, validation: TelemetrySet | None) -> str:
-    """Write the command line that computes this run again from downloaded files."""
+def command_of(run: Run, data: TelemetrySet, validation: TelemetrySet | None) -> str:
+    """Write the command line that computes this run again from the files that the page offers."""
     settings = run.settings
-    words = [
-        f"boresight calibrate telemetry-{data.id}.parquet",
-        f"--sensor {sensor}.sensor.json",
-        f"--method {run.method}",
-    ]
-    if settings.get("variant") and run.method != "batch":
+    words = [f"boresight calibrate {quote(data.name)}", f"--sensor run-{run.id}.sensor.json", f"--method {run.method}"]
+    if run.method != "batch":
         words.append(f"--variant {settings['variant']}")
-    if settings.get("free"):
+    if settings["free"]:
         words.append(f"--free {','.join(settings['free'])}")
-    words.append("--match given" if settings.get("match", "given") == "given" else f"--match {settings['match']}")
+    words.append(f"--match {settings['match']}")
     if validation:
-        words.append(f"--validate telemetry-{validation.id}.parquet")
+        words.append(f"--validate {quote(validation.name)}")
     return " \\\n  ".join([*words, f"--json run-{run.id}.json"])
 
 
@@ -191,7 +188,9 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int) -> HTM
         wide=WIDE_FIGURES,
         log=runs.log_lines(session, run_id),
         provenance=provenance_of(run, result),
-        command=command_of(run, sensor.name, data, validation or None),
+        validation=validation or None,
+        data=data,
+        command=command_of(run, data, validation or None),
         settings_json=json.dumps(run.settings, indent=2, sort_keys=True),
     )
 
