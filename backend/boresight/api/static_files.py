@@ -68,7 +68,7 @@ def static_file(name: str, request: Request) -> Response:
     content = _content(place, place.stat().st_mtime_ns)
     zipped = content.compressed is not None and "gzip" in request.headers.get("accept-encoding", "")
     tag = f'"{content.sha256}{"-gz" if zipped else ""}"'
-    headers = {"ETag": tag, "Cache-Control": CACHED, "Vary": "Accept-Encoding"}
+    headers = {"ETag": tag, "Cache-Control": CACHED}  # the compressing middleware adds Vary
     if tag in [known.strip() for known in request.headers.get("if-none-match", "").split(",")]:
         return Response(status_code=304, headers=headers)
     if zipped:
