@@ -1,0 +1,219 @@
+"""The house rules that no linter knows: files stay small, nothing leaks, decisions can be quoted."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+SET_ASIDE = [line.rstrip("/") for line in (ROOT / ".gitignore").read_text().splitlines() if line and line[0] != "#"]
+
+LONGEST_FILE = 300
+LONG_FILES = {
+    "backend/boresight/kernels.py": "compiled loops call one another inside one module",
+    "migrations/versions/0001_first_tables.py": "a schema as it was is written once and never edited",
+}
+LONGEST_MODULE = 250
+LONGEST_MODULES = 2000
+VAGUE_NAMES = {"utils", "util", "helpers", "helper", "common", "core", "base", "constants", "types", "misc", "models"}
+SECTIONS = ["Context", "Decision", "Consequences", "Alternatives"]
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    """Every file below a folder that .gitignore does not set aside."""
+    for path in sorted(folder.iterdir()):
+        if path.name == ".git" or any(path.match(pattern) for pattern in SET_ASIDE):
+            continue
+        if path.is_dir():
+            yield from _walk(path)
+        else:
+            yield path
+
+
+def _files(*suffixes: str) -> list[Path]:
+    """Every file of the project, or those with one of these suffixes."""
+    return [path for path in _walk(ROOT) if not suffixes or path.suffix in suffixes]
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def _texts() -> Iterator[tuple[str, str]]:
+    """Every text file of the project, except the licence."""
+    for path in _files():
+        if path.suffix not in {".png", ".parquet", ".npz"}:
+            yield _name(path), path.read_text()
+
+
+def _breaking(pattern: str) -> list[str]:
+    """Places in the project where a pattern is found."""
+    return [
+        f"{name}:{number}: {line.strip()}"
+        for name, text in _texts()
+        for number, line in enumerate(text.splitlines(), 1)
+        if re.search(pattern, line)
+    ]
+
+
+def _package(requirement: str) -> str:
+    return re.match(r"[A-Za-z0-9-]+", requirement)[0]
+
+
+def _packages() -> set[str]:
+    extras = PROJECT["optional-dependencies"].values()
+    return {_package(name) for group in (PROJECT["dependencies"], *extras) for name in group}
+
+
+def _locked(name: str) -> dict[str, str]:
+    return dict(re.findall(r"^([a-z0-9-]+)==(\S+)", (ROOT / name).read_text(), re.MULTILINE))
+
+
+# Decisions can be quoted.
+
+
+def _decisions() -> list[Path]:
+    return sorted((ROOT / "backend" / "decisions").iterdir())
+
+
+def test_decisions_are_numbered_without_gaps():
+    assert [int(path.name[:4]) for path in _decisions()] == list(range(1, len(_decisions()) + 1))
+
+
+@pytest.mark.parametrize("path", _decisions(), ids=lambda path: path.stem)
+def test_a_decision_has_its_number_its_sections_and_one_line_to_quote(path):
+    text = path.read_text()
+    quoted = text.partition("## Decision\n\n")[2].partition("\n\n## ")[0]
+
+    assert text.startswith(f"# {int(path.name[:4])}. ")
+    assert re.findall(r"^## (.*)$", text, re.MULTILINE) == SECTIONS
+    assert re.fullmatch(r"> .{20,320}\.", quoted)
+
+
+# Files stay small and say what they are.
+
+
+@pytest.mark.parametrize("path", _files(".py", ".html", ".css"), ids=_name)
+def test_a_file_stays_under_three_hundred_lines_or_says_why_not(path):
+    assert len(path.read_text().splitlines()) <= LONGEST_FILE or _name(path) in LONG_FILES
+
+
+@pytest.mark.parametrize("name", LONG_FILES)
+def test_an_excused_file_still_needs_its_excuse(name):
+    assert len((ROOT / name).read_text().splitlines()) > LONGEST_FILE
+
+
+@pytest.mark.parametrize("path", _files(".py"), ids=_name)
+def test_a_module_opens_by_saying_what_it_is(path):
+    assert ast.get_docstring(ast.parse(path.read_text()))
+
+
+def test_no_module_has_a_name_that_says_nothing():
+    named = [*_files(".py", ".js"), *(path for path in ROOT.glob("backend/boresight/**/") if path.is_dir())]
+
+    assert [_name(path) for path in named if path.stem in VAGUE_NAMES] == []
+
+
+@pytest.mark.parametrize("folder", sorted(path for path in (ROOT / "tests").iterdir() if path.is_dir()), ids=_name)
+def test_test_folders_mirror_the_source(folder):
+    kinds = {"browser", "vectors", "__pycache__"}
+
+    assert folder.name in kinds or (ROOT / "backend" / "boresight" / folder.name).is_dir()
+
+
+def test_an_exception_from_a_rule_says_why():
+    bare = re.compile(r"# noqa(?!: [A-Z]+\d+(, [A-Z]+\d+)* - \w)")
+    found = [
+        f"{_name(path)}:{number}"
+        for path in _files(".py")
+        if path != Path(__file__)
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if bare.search(line)
+    ]
+
+    assert found == []
+
+
+# Nothing leaks.
+
+
+def test_only_the_store_commits():
+    committing = [
+        _name(path)
+        for path in _files(".py")
+        if path.is_relative_to(ROOT / "backend")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "commit"
+    ]
+
+    assert set(committing) == {"backend/boresight/store/sessions.py"}
+
+
+def test_no_path_of_one_machine_stands_in_the_project():
+    assert _breaking(r"(?<![\w.])/(work|root|home)/") == []
+
+
+def test_no_package_index_stands_in_the_project():
+    assert _breaking(r"pypi\.org|pythonhosted\.|npmjs\.|--(extra-)?index-url|--trusted-(host)") == []
+
+
+def test_the_lock_files_hold_no_address_at_all():
+    assert [line for line in _breaking(r"://") if line.startswith("requirements")] == []
+
+
+def test_nothing_is_left_for_later():
+    assert _breaking(r"\b(TO" r"DO|FIX" r"ME|X" r"XX|HA" r"CK)\b") == []
+
+
+# The lock files.
+
+
+def test_every_dependency_is_locked_and_both_files_agree():
+    runs, tests = _locked("requirements.lock"), _locked("requirements-dev.lock")
+
+    assert {_package(name) for name in PROJECT["dependencies"]} <= set(runs)
+    assert _packages() <= set(tests)
+    assert runs.items() <= tests.items()
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
+def test_every_locked_package_has_a_hash(name):
+    entries = re.findall(r"^[a-z0-9-]+==\S+ (.*)\n +(\S+)", (ROOT / name).read_text(), re.MULTILINE)
+
+    assert len(entries) == len(_locked(name))
+    assert all(rest == "\\" and hashed.startswith("--hash=sha256:") for rest, hashed in entries)
+
+
+# The pages.
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in _files(".html") if path.name != "report.html"], ids=lambda path: path.name
+)  # a report is one file without a server
+def test_a_page_holds_no_script_and_no_style_of_its_own(path):
+    text = re.sub(r"\{#.*?#\}", "", path.read_text(), flags=re.DOTALL)
+    scripts = re.findall(r"<script\b[^>]*>", text)
+
+    assert all(re.search(r'\bsrc=|type="application/json"', script) for script in scripts)
+    assert not re.search(r"<style\b", text)
+    assert re.findall(r"<[^>]*?\s(?:on[a-z]+|style)\s*=", text) == []
+    assert "javascript:" not in text
+
+
+@pytest.mark.parametrize("path", _files(".js"), ids=lambda path: path.name)
+def test_a_browser_module_is_small_and_a_module(path):
+    text = path.read_text()
+
+    assert len(text.splitlines()) < LONGEST_MODULE
+    assert not re.search(r"\beval\(|innerHTML\s*\+?=[^=]|document\.write|\bvar ", text)
+
+
+def test_browser_modules_together_stay_readable_in_an_hour():
+    assert sum(len(path.read_text().splitlines()) for path in _files(".js")) < LONGEST_MODULES
