@@ -25,8 +25,8 @@ def same(one, other):
 
 
 def test_the_catalogue_goes_down_to_the_magnitude_asked_for(catalogue):
-    assert len(catalogue) == 37622
-    assert catalogue.magnitude.max() <= 8.0
+    assert len(catalogue) == 117955
+    assert len(load_catalogue(None, 8.0)) == 37622
     assert len(load_catalogue(None, 6.0)) == np.count_nonzero(catalogue.magnitude <= 6.0)
 
 

@@ -21,6 +21,7 @@ from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.detector import check_against_sensor
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
@@ -82,12 +83,13 @@ def calibrate(
     Raises
     ------
     RefusedInputError
-        When the free parameters are not the sensor's, or directions cannot be had.
+        When the free parameters are not the sensor's, matched stars lie off its detector, or directions cannot be had.
     CancelledError
         When `cancelled` said so.
     """
     clock = _Stopwatch()
     parameters = _parameters(sensor, settings)
+    check_against_sensor(telemetry, sensor)
     problem = build_problem(telemetry, sensor, catalogue, settings.minimum_stars)
     clock.lap("arcs")
     if problem.arcs.n_exposures == 0:
@@ -141,6 +143,7 @@ def _validate(
     document: dict[str, Any],
 ) -> dict[str, Any] | None:
     """Judge the estimate on a set that took no part; adds its sentence to the advice."""
+    check_against_sensor(telemetry, problem.sensor)
     held_out = build_problem(telemetry, problem.sensor, catalogue, settings.minimum_stars)
     if held_out.arcs.n_exposures == 0:
         document["advice"].append(

@@ -24,6 +24,7 @@ from boresight.store import telemetry_sets as rows
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import TelemetrySet
+from boresight.telemetry.detector import check_against_sensor
 from boresight.telemetry.quality import quality_report
 from boresight.telemetry.readers import read_telemetry, write_parquet
 from boresight.telemetry.schema import Telemetry
@@ -86,6 +87,8 @@ def prepared(
     """
     with _called(path, file_name) as named:
         telemetry = read_telemetry(named)
+    sensor = parse_sensor(sensor_document)
+    check_against_sensor(telemetry, sensor)
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table.parquet"
         write_parquet(telemetry, table)
@@ -97,7 +100,7 @@ def prepared(
             original_sha256=_sha256_of_file(path),
             frames=len(set(telemetry.frame.tolist())),
             stars=len(telemetry),
-            quality=quality_report(telemetry, parse_sensor(sensor_document), catalogue),
+            quality=quality_report(telemetry, sensor, catalogue),
         )
 
 

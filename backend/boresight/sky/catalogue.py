@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+#: Fainter than every star of the catalogue: all 117,955 are kept, for telemetry may name any of them.
+FAINTEST = 15.0
 #: Solution type of an ordinary single star.
 SINGLE_STAR = 5
 
@@ -87,7 +89,7 @@ class Catalogue:
         return np.where(self.hip[place] == hip, place, -1).astype(np.int64)
 
 
-def load_catalogue(folder: Path | None, magnitude_limit: float = 8.0) -> Catalogue:
+def load_catalogue(folder: Path | None, magnitude_limit: float = FAINTEST) -> Catalogue:
     """Return Hipparcos-2 down to a magnitude, from the cache in `folder` or, the first time, from the package.
 
     Parameters

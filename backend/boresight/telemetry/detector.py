@@ -1,8 +1,9 @@
 """Telemetry on the detector it is said to come from: rows off it, and how well the rest covers it.
 
-The detector's edge lies half a pixel beyond the centres of its outermost pixels. A matched star beyond it cannot have
-been measured there: rows and columns are exchanged, the pixel origin is another, or the sensor is. Such a set is
-refused before use (`check_against_sensor`). An unmatched detection beyond it is only junk: it is reported.
+The detector's edge lies half a pixel beyond the centres of its outermost pixels. A matched star beyond it, by more than the
+pixel or two that the centroid of a cut star may run past it, cannot have been measured there: rows and columns are
+exchanged, the pixel origin is another, or the sensor is. Such a set is refused before use (`check_against_sensor`). An
+unmatched detection beyond it is only junk: it is reported.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from boresight.telemetry.sensors import Sensor
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 
+#: How far past the edge the centroid of a star cut by it may be fitted, pixels; such a row is left out, not refused.
+_CUT_STAR_PX = 2.0
 _GRID_ROWS = 8
 _RADIAL_BINS = 20
 
@@ -55,7 +58,7 @@ def check_against_sensor(telemetry: Telemetry, sensor: Sensor) -> None:
 
 def _check_axis(column: str, values: FloatArray, size: int, telemetry: Telemetry, faults: Faults) -> None:
     """Find matched stars beyond the edges of one axis of `size` pixels."""
-    off = matched_rows(telemetry) & ((values < -0.5) | (values > size - 0.5))
+    off = matched_rows(telemetry) & ((values < -0.5 - _CUT_STAR_PX) | (values > size - 0.5 + _CUT_STAR_PX))
     faults.add_entries(
         off,
         column,
