@@ -30,7 +30,7 @@ from boresight.api.broadcast import Broadcast
 from boresight.api.cookies import LogInCookie
 from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
-from boresight.api.openapi import DESCRIPTION, TAGS
+from boresight.api.openapi import DESCRIPTION, TAGS, corrected
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.routes import router as api_router
 from boresight.errors import BoresightError
@@ -63,6 +63,8 @@ def create_app(settings: Settings) -> FastAPI:
         lifespan=_lifespan,
         generate_unique_id_function=lambda route: route.name,
     )
+    described = app.openapi
+    app.openapi = lambda: corrected(described())  # type: ignore[method-assign]  # the framework's own way to extend it
     _furnish(app, settings)
     app.include_router(api_router)
     app.include_router(static_files.router)

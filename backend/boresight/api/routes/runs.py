@@ -28,6 +28,9 @@ MOST_OVERLAID = 20
 FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
 
 
+DryRunAsked = Annotated[bool, Query(description="As in the body: check everything, change nothing.")]
+
+
 class Launch(BaseModel):
     """A calibration to be made."""
 
@@ -92,7 +95,7 @@ def list_runs(
     responses={**refusals(404, 409), 200: {"model": schemas.DryRun, "description": "The dry run of `validate_only`."}},
 )
 def launch_run(
-    order: Launch, actor: Who, once: Idempotent, session: Writing, *, validate_only: bool = False
+    order: Launch, actor: Who, once: Idempotent, session: Writing, *, validate_only: DryRunAsked = False
 ) -> Response:
     """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be."""
     dry = validate_only or order.validate_only
