@@ -162,7 +162,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
             runs=[line_of(run, names) for run in newest],
             as_of=_as_of(session, sensor_id, at),
             now=utc_now()[:19] + "Z",
-            document=shown.text or json.dumps(sensor.document, indent=2),
+            file_text=shown.text or json.dumps(sensor.document, indent=2),
             may_edit=bool({"analyst", "administrator"} & actor.roles),
             shown=shown,
         )

@@ -82,7 +82,9 @@ async def typed_document(form: FormData) -> str:
     """Return what the form holds as text: the chosen file where there is one, else what was typed."""
     chosen = form.get("file")
     if isinstance(chosen, UploadFile) and chosen.filename:
-        return (await chosen.read()).decode("utf-8-sig", errors="replace")
+        content = await chosen.read()
+        await chosen.close()
+        return content.decode("utf-8-sig", errors="replace")
     typed = form.get("document")
     return typed if isinstance(typed, str) else ""
 

@@ -94,7 +94,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
         names=names,
         size_bytes=blob.size_bytes if blob else None,
         runs=[line_of(run, names) for run in used_by],
-        may_archive="analyst" in actor.roles,
+        is_analyst="analyst" in actor.roles,
     )
 
 

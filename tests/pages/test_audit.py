@@ -1,0 +1,91 @@
+"""The audit log as a page."""
+
+from __future__ import annotations
+
+import pytest
+
+from boresight.pages.audit import changes, line_of
+from boresight.services import audit
+from boresight.store.sessions import reading, writing
+
+
+def test_the_light_says_whether_the_chain_holds(house, read):
+    visitor = house.visitor("victor")
+    assert "CHAIN HOLDS" in read(visitor.get("/audit"))
+    with house.engine.begin() as connection:
+        for (name,) in connection.exec_driver_sql(
+            "SELECT name FROM sqlite_master WHERE type = 'trigger' AND tbl_name = 'audit'"
+        ).fetchall():
+            connection.exec_driver_sql(f"DROP TRIGGER {name}")
+        connection.exec_driver_sql("UPDATE audit SET reason = 'altered' WHERE id = 2")
+    page = read(visitor.get("/audit"))
+    assert "CHAIN BROKEN" in page
+    assert "Record 2 is not as it was written" in page
+
+
+def test_a_long_chain_is_verified_when_asked(house, read, monkeypatch):
+    monkeypatch.setattr("boresight.pages.audit.VERIFIED_AT_EVERY_VISIT", 1)
+    visitor = house.visitor("victor")
+    assert "NOT VERIFIED" in read(visitor.get("/audit"))
+    assert "CHAIN HOLDS" in read(visitor.get("/audit?verify=1"))
+
+
+def test_records_of_one_object_are_found_by_its_address(house, read):
+    page = read(house.visitor("victor").get("/audit?object=users/2"))
+    assert "users/2" in page
+    assert "users/3" not in page
+    assert "No record of runs/99." in read(house.visitor("victor").get("/audit?object=runs/99"))
+
+
+def test_older_records_follow_where_the_page_ended(house):
+    with writing(house.engine) as session:
+        for number in range(60):
+            audit.append(session, house.actor("ada"), f"did-{number}", "runs/1")
+    page = house.visitor("victor").get("/audit?object=runs/1")
+    assert "did-59" in page
+    assert "did-9<" not in page
+    address = page.split("Older records")[0].rsplit('href="', 1)[1].split('"')[0].replace("&amp;", "&")
+    assert "did-9<" in house.visitor("victor").get(address)
+
+
+def test_only_what_differs_is_shown_and_nested_members_by_their_path():
+    found = changes({"a": 1, "b": {"c": 2.0, "d": "x"}}, {"a": 1, "b": {"c": 2.5, "d": "x"}, "e": ["p", "q"]})
+    assert [(it.name, it.before, it.after) for it in found] == [("b.c", "2", "2.5"), ("e", "–", "p, q")]
+
+
+def test_a_removed_member_and_a_hash_are_shown_short():
+    assert [(it.name, it.after) for it in changes({"gone": 1}, {"sha256": "ab" * 32})] == [
+        ("sha256", "abababab"),
+        ("gone", "–"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("subject", "address"),
+    [
+        ("parameter-sets/3", "/parameter-sets/3"),
+        ("telemetry-sets/7", "/telemetry/7"),
+        ("users/1", None),
+        ("runs/x", None),
+    ],
+)
+def test_a_record_leads_to_the_page_of_its_object(house, subject, address):
+    with writing(house.engine) as session:
+        record = audit.append(session, house.actor("ada"), "did", subject)
+        assert line_of(record).address == address
+
+
+def test_what_people_wrote_is_never_markup(house):
+    with writing(house.engine) as session:
+        audit.append(session, house.actor("ada"), "did", "runs/1", None, {"label": "<i>x</i>"}, "<script>")
+    page = house.visitor("victor").get("/audit")
+    assert "&lt;i&gt;x&lt;/i&gt;" in page
+    assert "<td>&lt;script&gt;</td>" in page
+
+
+def test_the_log_is_not_for_strangers(house):
+    visitor = house.visitor("ada")
+    visitor.cookies.clear()
+    assert visitor.send("GET", "/audit").status_code in {303, 401}
+    with reading(house.engine) as session:
+        assert audit.verify(session).ok

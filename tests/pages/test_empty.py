@@ -1,0 +1,52 @@
+"""A new installation: every page says what to do next."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from boresight.services import users
+from boresight.services.actors import COMMAND_LINE
+from boresight.store.sessions import migrate, writing
+
+
+@pytest.fixture
+def bare(house, tmp_path):
+    """A store that has one person in it, who may do everything but sign."""
+    folder = tmp_path / "bare"
+    settings = dataclasses.replace(house.settings, data_folder=folder, database_url=f"sqlite:///{folder}/bare.sqlite3")
+    bare = type(house)(settings)
+    migrate(bare.engine)
+    with writing(bare.engine) as session:
+        roles = ["analyst", "operator", "administrator"]
+        users.create_user(
+            session, COMMAND_LINE, name="ada", printed_name="Ada Analyst", password="correct horse battery", roles=roles
+        )
+    bare.app.state.workers = None
+    yield bare
+    bare.engine.dispose()
+
+
+@pytest.mark.parametrize(
+    ("path", "sentences"),
+    [
+        ("/", ["No sensors yet.", "Register a sensor"]),
+        ("/sensors", ["No sensors yet.", "Begin with the example"]),
+        ("/telemetry", ["No telemetry yet.", "Register the sensor first"]),
+        ("/users", ["No API keys."]),
+        ("/runs", ["No runs yet."]),
+        ("/approvals", []),
+        ("/parameter-sets", []),
+        ("/audit", ["CHAIN HOLDS"]),
+    ],
+)
+def test_an_empty_page_says_what_to_do_next(bare, read, path, sentences):
+    page = bare.visitor("ada").get(path)
+    for sentence in sentences:
+        assert sentence in read(page)
+    assert "NO SENSORS" in page.split("<main")[0]
+
+
+def test_a_filter_that_nothing_fits_is_another_sentence_than_an_empty_store(bare, read):
+    assert "No telemetry set fits these filters." in read(bare.visitor("ada").get("/telemetry?purpose=validation"))

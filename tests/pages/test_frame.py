@@ -1,0 +1,106 @@
+"""What every page has around its content, and refusals as pages."""
+
+from __future__ import annotations
+
+import json
+import re
+from urllib.parse import quote
+
+import pytest
+
+from boresight.pages.frame import FLASH_COOKIE, NAVIGATION
+
+PAGES = ("/sensors", "/sensors/1", "/telemetry", "/audit", "/users")
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_a_page_has_its_landmarks_one_heading_and_no_inline_script(house, path):
+    page = house.visitor("ada").get(path)
+    for landmark in ('<header class="top">', 'aria-label="Main"', '<main id="content"', "<footer", 'class="skip"'):
+        assert landmark in page
+    assert page.count("<h1") == 1
+    assert all("src=" in tag for tag in re.findall(r"<script[^>]*>", page))
+    assert " style=" not in page
+    assert "SIM</span>" in page
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_every_table_has_a_caption_and_every_control_a_label(house, path):
+    page = house.visitor("adele").get(path)
+    assert page.count("<table") == page.count("<caption")
+    labelled = set(re.findall(r'<label[^>]* for="([^"]+)"', page))
+    outside = re.sub(r"<label\b.*?</label>", "", page, flags=re.DOTALL)
+    for control in re.findall(r"<(?:input|select|textarea)\b[^>]*>", outside):
+        named = re.search(r'\bid="([^"]+)"', control)
+        assert 'type="hidden"' in control or (named and named[1] in labelled), control
+
+
+def test_the_navigation_marks_where_one_is(house):
+    page = house.visitor("ada").get("/sensors/1")
+    assert re.search(r'href="/sensors"[^>]*aria-current="page"', page)
+    assert page.count("aria-current") == 1
+    assert len({entry.key for entry in NAVIGATION}) == len(NAVIGATION)
+
+
+def test_the_bar_tells_who_acts_and_what_the_fleet_is_at(house):
+    page = house.visitor("ada").get("/audit")
+    assert "Ada Analyst" in page
+    assert "analyst" in page
+    assert "status-normal" in page[: page.index("<main")]
+
+
+def test_a_flash_is_shown_once_and_escaped(house):
+    visitor = house.visitor("ada")
+    visitor.cookies.set(FLASH_COOKIE, quote(json.dumps(["normal", "<b>done</b>"])), domain="test.local")
+    first = visitor.get("/audit")
+    assert "&lt;b&gt;done&lt;/b&gt;" in first
+    assert "done" not in visitor.get("/audit")
+
+
+@pytest.mark.parametrize("value", ["nonsense", quote('["red","x"]'), quote("[1]"), quote('{"a":1}')])
+def test_a_flash_that_cannot_be_read_is_no_flash(house, value):
+    visitor = house.visitor("ada")
+    visitor.cookies.set(FLASH_COOKIE, value, domain="test.local")
+    assert visitor.send("GET", "/audit").status_code == 200
+
+
+def test_a_page_that_does_not_exist_says_what_to_do_inside_the_frame(house, read):
+    answer = house.visitor("ada").send("GET", "/nothing", headers={"accept": "text/html"})
+    assert answer.status_code == 404
+    assert "There is no page at this address." in read(answer.text)
+    assert answer.headers["x-request-id"] in answer.text
+    assert "Ada Analyst" in answer.text
+
+
+def test_a_thing_that_does_not_exist_is_named(house, read):
+    answer = house.visitor("ada").send("GET", "/sensors/99", headers={"accept": "text/html"})
+    assert answer.status_code == 404
+    assert "There is no sensor 99." in read(answer.text)
+
+
+def test_nobody_is_sent_to_the_log_in_and_back(house):
+    visitor = house.visitor("ada")
+    visitor.cookies.clear()
+    answer = visitor.send("GET", "/sensors/1?at=x", headers={"accept": "text/html"})
+    assert answer.status_code == 303
+    assert answer.headers["location"] == "/login?next=%2Fsensors%2F1%3Fat%3Dx"
+
+
+def test_a_form_without_the_token_of_this_log_in_is_refused(house, read):
+    answer = house.visitor("ada").send(
+        "POST", "/sensors", data={"document": "{}", "csrf_token": "another"}, headers={"accept": "text/html"}
+    )
+    assert answer.status_code == 403
+    assert "reload the page" in read(answer.text)
+
+
+def test_a_frame_stands_where_the_store_cannot_be_read(house, monkeypatch):
+    visitor = house.visitor("ada")
+
+    def broken(_session):
+        raise OSError("disk I/O error")
+
+    monkeypatch.setattr("boresight.pages.frame.fleet_standing", broken)
+    page = visitor.get("/audit")
+    assert "The store could not be read." in page
+    assert "disk I/O" not in page

@@ -1,0 +1,79 @@
+"""The fleet at a glance."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from boresight.services import parameter_sets
+from boresight.store.sessions import writing
+
+
+@pytest.fixture
+def house(house):
+    house.app.state.workers = SimpleNamespace(state=lambda: {"connected": True, "tasks": 0}, notify=lambda: None)
+    return house
+
+
+def submitted(house):
+    """Submit the set of run 1 as the analyst."""
+    with writing(house.engine) as session:
+        row = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
+        parameter_sets.submit(session, house.actor("ada"), row.id, "Focus moved with temperature.", row.version)
+        return row.name
+
+
+def test_a_sensor_shows_its_status_baseline_and_rms_before_and_after(house, read, results):
+    page = read(house.visitor("victor").get("/"))
+    rms = results["sqrf"]["rms_arc_rad"]
+    assert "Run 2 converged." in page
+    assert "PS-ST16-1-0" in page
+    assert "ground calibration" in page
+    assert f"{rms['initial'] * 1e6:.1f} → {rms['final'] * 1e6:.2f}" in page
+
+
+def test_a_failed_run_is_serious_for_the_fleet_on_every_page(house, read):
+    house.add_run(state="FAILED", reason="No usable frame.")
+    visitor = house.visitor("ada")
+    assert "Run 3 failed: No usable frame." in read(visitor.get("/"))
+    assert "status-serious" in visitor.get("/audit").split("<main")[0]
+    assert "run 3 FAILED" in read(visitor.get("/"))
+
+
+def test_the_approver_and_nobody_else_is_asked_to_sign(house, read):
+    name = submitted(house)
+    assert f"{name} waits for your signature." in read(house.visitor("alan").get("/"))
+    for other in ("ada", "victor", "adele"):
+        assert "waits for your signature" not in read(house.visitor(other).get("/"))
+
+
+def test_a_waiting_request_is_counted_in_the_bar_of_every_page(house):
+    submitted(house)
+    top = house.visitor("victor").get("/audit").split("<main")[0]
+    assert 'class="badge badge-some">1<' in top
+
+
+def test_an_analyst_is_asked_to_judge_a_converged_run_until_a_set_is_made_of_it(house, read):
+    visitor = house.visitor("ada")
+    assert "run 2 converged; judge it." in read(visitor.get("/"))
+    with writing(house.engine) as session:
+        parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 2)
+    assert "judge it" not in read(visitor.get("/"))
+
+
+def test_what_happened_is_listed_with_the_ends_of_runs(house, read):
+    house.add_run(state="CANCELLED", reason="Not needed.", ended_utc="2100-01-01T00:00:00.000000Z")
+    events = read(house.visitor("victor").get("/")).split("Recent events")[1]
+    assert "CANCELLED" in events.split("created")[0]
+    assert "Not needed." in events
+
+
+def test_workers_that_are_away_are_said_to_be(house, read):
+    house.app.state.workers.state = lambda: {"connected": False, "tasks": 0}
+    assert "Not connected" in read(house.visitor("victor").get("/"))
+
+
+def test_who_may_not_launch_is_offered_no_launch(house):
+    assert "New run" in house.visitor("ada").get("/")
+    assert "New run" not in house.visitor("victor").get("/")

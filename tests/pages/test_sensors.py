@@ -1,0 +1,132 @@
+"""The list of sensors, registering one, and a sensor's page."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+
+import pytest
+
+from boresight.pages.sensor import baseline_values, optics_of
+from boresight.pages.sensors import EXAMPLE, FIELDS, read_document
+from boresight.services import parameter_sets, sensors
+from boresight.store.sessions import reading, writing
+from boresight.store.tables import ParameterSet
+from boresight.telemetry.sensors import parse_sensor
+
+
+def test_the_documented_example_registers_as_it_is(house, read):
+    visitor = house.visitor("ada")
+    page = visitor.get("/sensors?example=1")
+    assert "ST16-7" in page
+    answer = visitor.post("/sensors", document=EXAMPLE)
+    assert answer.status_code == 303
+    assert "Baseline PS-ST16-7-0" in read(visitor.get(answer.headers["location"]))
+
+
+def test_every_field_of_the_example_is_explained():
+    assert set(json.loads(EXAMPLE)) <= {name for name, _ in FIELDS}
+    assert parse_sensor(read_document(EXAMPLE)).camera_model == "inverted_wang"
+
+
+def test_a_refused_sensor_keeps_the_text_and_names_every_fault(house, read):
+    text = EXAMPLE.replace("2.2e-6", "2.2").replace('"parity": 1', '"parity": 7') + "   "
+    answer = house.visitor("ada").post("/sensors", document=text)
+    assert answer.status_code == 422
+    assert "pixel_pitch_m" in read(answer.text)
+    assert "parity" in read(answer.text)
+    assert re.search(r'<textarea[^>]*aria-invalid="true"', answer.text)
+    assert answer.text.count('class="fault"') == 2
+    assert "&#34;parity&#34;: 7" in answer.text
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "There is no sensor file"),
+        ('{"name": "A",\n oops}', "This is not JSON at line 2"),
+        ("[1, 2]", "one JSON object"),
+        ("[" * 100_000, "nested too deep"),
+    ],
+)
+def test_what_is_no_sensor_file_is_refused_in_one_sentence(house, read, text, sentence):
+    answer = house.visitor("ada").post("/sensors", document=text)
+    assert answer.status_code == 422
+    assert sentence in read(answer.text)
+
+
+def test_a_chosen_file_counts_before_typed_text(house):
+    visitor = house.visitor("ada")
+    files = {"file": ("tracker.json", EXAMPLE.replace("ST16-7", "FROM-FILE"), "application/json")}
+    data = {"csrf_token": visitor.csrf_token, "document": "{}"}
+    assert visitor.send("POST", "/sensors", data=data, files=files).status_code == 303
+    with reading(house.engine) as session:
+        assert "FROM-FILE" in {row.name for row in sensors.list_sensors(session)}
+
+
+def test_a_viewer_sees_who_may_register_and_the_server_refuses_the_form(house, read):
+    visitor = house.visitor("victor")
+    assert "needs the role analyst or administrator" in read(visitor.get("/sensors"))
+    answer = visitor.post("/sensors", document=EXAMPLE)
+    assert "This needs the role analyst" in answer.text
+
+
+def test_the_parameters_stand_in_model_order_with_the_truth_of_a_simulated_sensor(house):
+    page = house.visitor("victor").get("/sensors/1")
+    table = page[page.index("Parameters of the baseline") :].split("</table>")[0]
+    assert re.findall(r'<code class="quiet">(\w+)</code>', table) == [
+        "f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y",
+    ]  # fmt: skip
+    assert "Truth" in table
+
+
+def test_a_ground_calibration_claims_no_measured_sigma(house):
+    table = house.visitor("victor").get("/sensors/1").split("Parameters of the baseline")[1].split("</table>")[0]
+    assert "± σ" not in table
+    assert "Typical σ" in table
+
+
+def test_a_calibrated_baseline_shows_its_sigma_and_its_change_from_the_ground(house):
+    with writing(house.engine) as session:
+        made = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
+        ground = parameter_sets.baseline_of(session, 1)
+        ground.ground_state = "SUPERSEDED"
+        session.flush()
+        session.get_one(ParameterSet, made.id).ground_state = "BASELINE"
+    table = house.visitor("victor").get("/sensors/1").split("Parameters of the baseline")[1].split("</table>")[0]
+    assert "± σ" in table
+    assert "Change" in table
+
+
+def test_values_are_the_sensor_files_where_there_is_no_baseline(house):
+    with reading(house.engine) as session:
+        sensor = sensors.get_sensor(session, 1)
+        assert {it.name: it.value for it in baseline_values(sensor, None)} == sensor.document["initial"]
+
+
+def test_the_field_of_view_follows_from_f_and_the_detector():
+    optics = optics_of({"rows": 1000, "columns": 2000, "pixel_pitch_m": 1e-5}, {"f_m": 0.01})
+    assert optics.columns_deg == pytest.approx(2 * math.degrees(math.atan(1.0)))
+    assert optics.pixel_urad == pytest.approx(1000.0)
+    assert (optics.principal_row_px, optics.principal_col_px) == (499.5, 999.5)
+
+
+def test_what_was_baseline_at_a_time_is_answered_and_nonsense_refused(house, read):
+    visitor = house.visitor("victor")
+    assert "Baseline PS-ST16-1-0" in read(visitor.get("/sensors/1?at=2100-01-01T00:00:00Z")).split("What was in use")[1]
+    assert "none yet" in read(visitor.get("/sensors/1?at=2000-01-01T00:00:00Z"))
+    assert "is no time" in read(visitor.get("/sensors/1?at=yesterday"))
+
+
+def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(house):
+    visitor = house.visitor("ada")
+    with reading(house.engine) as session:
+        document = dict(sensors.get_sensor(session, 1).document)
+    text = json.dumps(document | {"centroid_sigma_px": 0.25})
+    assert visitor.post("/sensors/1", document=text, version="1").status_code == 303
+    answer = visitor.post("/sensors/1", document=text.replace("0.25", "0.35"), version="1")
+    assert answer.status_code == 422
+    assert "&#34;centroid_sigma_px&#34;: 0.35" in answer.text
+    with reading(house.engine) as session:
+        assert sensors.get_sensor(session, 1).document["centroid_sigma_px"] == 0.25

@@ -1,0 +1,48 @@
+"""State words and their levels."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from boresight.pages.fleet import worst_standing
+from boresight.pages.states import LEVEL_OF_STATE, LEVELS, level_of, worst
+from boresight.store.tables import APPROVAL_STATES, GROUND_STATES, ONBOARD_STATES, RUN_STATES
+
+
+@pytest.mark.parametrize("state", sorted({*RUN_STATES, *GROUND_STATES, *ONBOARD_STATES, *APPROVAL_STATES}))
+def test_every_state_of_the_store_has_a_level(state):
+    assert LEVEL_OF_STATE[state] in LEVELS
+
+
+@pytest.mark.parametrize("state", ["CANCELLED", "REJECTED", "WITHDRAWN", "SUPERSEDED"])
+def test_what_a_person_decided_is_never_an_alarm(state):
+    assert level_of(state) == "off"
+
+
+def test_red_is_for_a_read_back_that_does_not_match():
+    assert [state for state, level in LEVEL_OF_STATE.items() if level == "critical"] == ["MISMATCH"]
+
+
+def test_a_level_stands_for_itself_in_any_case_and_an_unknown_word_is_off():
+    assert (level_of("caution"), level_of("CAUTION"), level_of("never heard")) == ("caution", "caution", "off")
+
+
+def test_the_worst_of_several_is_shown():
+    assert worst(["SUCCEEDED", "MISMATCH", "FAILED"]) == "critical"
+    assert worst([]) == "off"
+
+
+def tile(name: str, status: str) -> SimpleNamespace:
+    return SimpleNamespace(sensor=SimpleNamespace(name=name), status=status, sentence=f"{name} is {status}.")
+
+
+def test_the_fleet_stands_as_its_worst_sensor_and_names_it():
+    standing = worst_standing([tile("A", "normal"), tile("B", "serious"), tile("C", "serious")])
+    assert (standing.level, standing.word) == ("serious", "SERIOUS")
+    assert standing.sentence == "B: B is serious. 1 more alike."
+
+
+def test_a_fleet_without_sensors_says_so():
+    assert worst_standing([]).word == "NO SENSORS"
