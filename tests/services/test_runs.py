@@ -209,3 +209,13 @@ def test_the_log_tells_the_run_in_order_and_can_be_followed(session, launch):
     assert runs.log_lines(session, run.id, after_id=lines[0].id) == lines[1:]
     with pytest.raises(NotFoundError, match="no run 99"):
         runs.log_lines(session, 99)
+
+
+def test_a_result_keeps_the_models_order_however_the_store_sorts_its_keys():
+    names = ["f_m", "m0_px", "a1_rad"]
+    stored = {"parameter_names": names, "parameters": {"a1_rad": 3, "f_m": 1, "m0_px": 2}, "inputs": {"z": 1}}
+
+    ordered = runs._in_model_order(stored)
+
+    assert list(ordered["parameters"]) == names
+    assert ordered == stored

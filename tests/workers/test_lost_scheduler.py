@@ -46,10 +46,9 @@ def start_cluster():
         return pair
 
     yield start
-    for process in reversed(started):
-        process.terminate()
     for process in started:
-        process.wait(20)
+        process.kill()
+        process.wait()
 
 
 def test_a_run_on_a_killed_scheduler_is_computed_again_by_the_next(make_store, start_engine, start_cluster):
@@ -57,13 +56,13 @@ def test_a_run_on_a_killed_scheduler_is_computed_again_by_the_next(make_store, s
     (run_id,) = store.launch("slow")
     scheduler, _ = start_cluster(store)
     engine = start_engine(store)
-    store.wait_for(lambda: store.begun(run_id), 40)
+    store.wait_for(lambda: store.begun(run_id), 90)
     scheduler.send_signal(signal.SIGKILL)
     scheduler.wait()
     store.wait_for(lambda: store.states([run_id]) == ["QUEUED"], 20)  # long before its lease of 60 s lapses
     assert not store.log(run_id, "lost")
     start_cluster(store)
-    assert store.wait_until_ended([run_id], 40) == ["SUCCEEDED"]
+    assert store.wait_until_ended([run_id], 90) == ["SUCCEEDED"]
     assert store.run(run_id).attempt == 2
     assert store.ends(run_id) == ["SUCCEEDED"]
     engine.stop()

@@ -144,19 +144,6 @@ def test_a_run_that_was_asked_to_stop_ends_cancelled_whichever_way_it_ends(store
     assert store.run(run_id).result_sha256 is None
 
 
-def test_news_tells_every_change_of_state_once_and_in_order(store, make_rows):
-    rows = make_rows()
-    begin = rows.newest_event()
-    (run_id,) = store.launch("quick")
-    (held,) = take_one(rows, run_id)
-    middle, told = rows.news(begin)
-    assert [event["state"] for event in told] == ["QUEUED", "RUNNING"]
-    rows.settle([success(held)])
-    end, told = rows.news(middle)
-    assert [(event["run_id"], event["state"]) for event in told] == [(run_id, "SUCCEEDED")]
-    assert rows.news(end) == (end, [])
-
-
 def test_progress_is_dropped_when_the_result_is_there(store, make_rows):
     (run_id,) = store.launch("quick")
     rows = make_rows()

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from statistics import median
 from typing import Any
 
-from boresight.store import runs
+from boresight.store.run_lists import recent_summaries
 from boresight.store.sessions import Session
 
 FIRST_GUESS_S_PER_STAR = 5e-5
@@ -22,8 +22,8 @@ def seconds_per_star(session: Session, method: str) -> float:
     """Return the pace of the newest runs of a method; a careful guess before there is one."""
     paces = [
         summary["seconds"] / summary["stars"]
-        for summary in runs.recent_summaries(session, method)
-        if summary.get("seconds") and summary.get("stars") and not summary.get("replayed")
+        for summary in recent_summaries(session, method)
+        if summary.get("seconds") and summary.get("stars")
     ]
     return median(paces) if paces else FIRST_GUESS_S_PER_STAR
 

@@ -18,7 +18,7 @@ from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.run_estimates import pairs_of, predicted_s, seconds_per_star
-from boresight.store import run_events
+from boresight.store import run_events, run_lists
 from boresight.store import runs as rows
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
@@ -227,17 +227,19 @@ def list_runs(
     where = {name: value for name, value in where.items() if value is not None}
     if asked:
         where["state"] = asked
-    return rows.page_of_runs(session, where=where, before_id=before_id, limit=max(1, min(limit, LONGEST_PAGE)))
+    return run_lists.page_of_runs(session, where=where, before_id=before_id, limit=max(1, min(limit, LONGEST_PAGE)))
 
 
 def count_by_state(session: Session) -> dict[str, int]:
     """Count the runs in every state, zero where there are none."""
-    counted = rows.count_by_state(session)
+    counted = run_lists.count_by_state(session)
     return {state: counted.get(state, 0) for state in RUN_STATES}
 
 
 def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
     """Return a run's calibration JSON; while it computes what there is so far (status `running`), None when nothing is.
+
+    A simulated sensor's true parameters are added as `truth`.
 
     Raises
     ------
@@ -245,10 +247,25 @@ def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | 
         When there is no such run, or its file is missing.
     """
     run = get_run(session, run_id)
+    document: dict[str, Any] | None = (run.progress or {}).get("partial")
     if run.result_sha256 is not None:
-        document: dict[str, Any] = orjson.loads(blobs.read(run.result_sha256))
-        return document
-    return (run.progress or {}).get("partial")
+        document = orjson.loads(blobs.read(run.result_sha256))
+    return (
+        None
+        if document is None
+        else _in_model_order({**document, "truth": session.get_one(Sensor, run.sensor_id).truth})
+    )
+
+
+def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
+    """Put every object keyed by parameters into the order of the camera model; stored rows sort their keys."""
+    names = document.get("parameter_names") or list(document.get("parameters") or ())
+    ordered = {
+        key: {name: value[name] for name in names}
+        for key, value in document.items()
+        if isinstance(value, dict) and set(value) == set(names)
+    }
+    return document | ordered
 
 
 def log_lines(session: Session, run_id: int, *, after_id: int = 0) -> list[RunEvent]:

@@ -69,27 +69,6 @@ def find_run(session: Session, run_id: int) -> Run | None:
     return session.get(Run, run_id, populate_existing=True)
 
 
-def page_of_runs(session: Session, *, where: Mapping[str, Any], before_id: int | None, limit: int) -> list[Run]:
-    """Return up to `limit` runs, newest first, whose columns equal (or, given several values, are one of) `where`."""
-    query = sa.select(Run).order_by(Run.id.desc()).limit(limit)
-    for name, value in where.items():
-        column = getattr(Run, name)
-        query = query.where(column == value if isinstance(value, str | int) else column.in_(value))
-    return list(session.scalars(query if before_id is None else query.where(Run.id < before_id)))
-
-
-def count_by_state(session: Session) -> dict[str, int]:
-    """Count the runs of each state that has any."""
-    rows = session.execute(sa.select(Run.state, sa.func.count()).group_by(Run.state))
-    return {row[0]: row[1] for row in rows}
-
-
-def recent_summaries(session: Session, method: str, limit: int = 20) -> list[dict[str, Any]]:
-    """Return the summaries of the newest runs of a method that succeeded."""
-    query = sa.select(Run.summary).where(Run.state == "SUCCEEDED", Run.method == method, Run.summary.is_not(None))
-    return [summary for summary in session.scalars(query.order_by(Run.id.desc()).limit(limit)) if summary]
-
-
 def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
     """Stop a run: QUEUED ends at once, RUNNING becomes CANCELLING; any other state stays. Return the row."""
     row = session.execute(

@@ -10,30 +10,38 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from typing import Any
 
 import dask
-from distributed import Client, Event, Future, LocalCluster
+from distributed import Client, Event, KilledWorker, LocalCluster
 from distributed.system import MEMORY_LIMIT
 
 from boresight.settings import Settings
 from boresight.store.runs import Held
 from boresight.workers.link import TOPIC, cancel_event
-from boresight.workers.tasks import Inputs, execute_group
+from boresight.workers.tasks import Outcome, Work, execute_group
 from boresight.workers.warm import WarmUp
 
 log = logging.getLogger(__name__)
 
 CONNECT_S = 5
 CLOSE_S = 5
+FETCH_S = 2
 CHATTY = ("distributed", "distributed.client")  # what they tell, the engine writes to the run it concerns
+DIED = "its worker process died while computing it (killed, or out of memory)"
 MEMORY_SHARE = 0.8  # of the machine, over all worker processes; the rest is the server's and the system's
 CONFIGURATION = {
     "distributed.admin.low-level-log-length": 100,  # progress events the scheduler keeps; each may hold a history
     "distributed.diagnostics.nvml": False,
+    "distributed.scheduler.http.routes": [],
 }
+
+
+class LostTaskError(Exception):
+    """A task has no outcome; says why in a clause."""
 
 
 class Cluster:
@@ -71,14 +79,15 @@ class Cluster:
         """Whether the scheduler is still there."""
         return bool(self._client.status == "running")
 
-    def threads(self) -> int:
-        """Count the threads that can compute now."""
-        return sum(self._client.nthreads().values())
+    def workers(self) -> dict[str, int]:
+        """Return the addresses of the workers that are there now, with their numbers of threads."""
+        return dict(self._client.nthreads())
 
-    def submit(self, group: list[tuple[int, int, Inputs]], calculation: str, done: Callable[[], None]) -> Any:
-        """Hand over a group of runs; `done` is called from another thread when the task ended."""
-        key = "run-" + "-".join(str(number) for number in group[0][:2])
-        future = self._client.submit(execute_group, group, calculation, key=key, pure=False)
+    def submit(self, worker: str, group: list[Work], calculation: str, done: Callable[[], None]) -> Any:
+        """Give a group of runs to one worker; `done` is called from another thread when the task ended."""
+        run_id, attempt, _ = group[0]
+        key = f"run-{run_id}-{attempt}"
+        future = self._client.submit(execute_group, group, calculation, key=key, pure=False, workers=[worker])
         future.add_done_callback(lambda _: done())
         return future
 
@@ -90,38 +99,42 @@ class Cluster:
         """Drop the wish once the attempt has ended."""
         Event(cancel_event(*held), client=self._client).clear()
 
-    def kill(self, future: Any) -> None:
+    def kill(self, future: Any, worker: str) -> None:
         """End a task that does not answer, by ending its worker process; a new one takes its place."""
-        workers = [address for address, keys in self._client.processing().items() if future.key in keys]
         future.cancel()
-        threading.Thread(target=self._restart, args=(workers,), daemon=True, name="kill").start()
+        threading.Thread(target=self._restart, args=(worker,), daemon=True, name="boresight-kill").start()
 
-    def _restart(self, workers: list[str]) -> None:
-        """Restart worker processes; takes seconds, so beside the loop."""
+    def _restart(self, worker: str) -> None:
+        """Restart a worker process; takes seconds, so beside the loop."""
         try:
-            self._client.restart_workers(workers, raise_for_error=False)
+            self._client.restart_workers([worker], raise_for_error=False)
         except Exception:
-            log.exception("Workers %s could not be restarted", workers)
+            log.exception("Worker %s could not be restarted", worker)
 
-    def close(self) -> None:
-        """Let go of the scheduler, and end the workers that are ours."""
+    def close(self, unfinished: Collection[Held]) -> None:
+        """Ask what is still computing to stop, let go of the scheduler, and end the workers that are ours."""
+        with suppress(Exception):  # what is lost already cannot be closed in order
+            for held in unfinished if self.connected and self._local is None else ():
+                self.ask_to_stop(held)
         for part in (self._client, self._local):
             if part is not None:
-                with suppress(Exception):  # what is lost already cannot be closed in order
+                with suppress(Exception):
                     part.close(timeout=CLOSE_S)
 
 
-def outcome_of(future: Any) -> Any:
-    """Return a finished task's value, or the exception that ended it."""
+def outcome_of(future: Any) -> list[Outcome] | LostTaskError | None:
+    """Return a task's outcomes, that it was lost, or None when it has not ended."""
+    if not future.done():
+        return None
     try:
-        return future.result(timeout=30)
-    except Exception as error:  # noqa: BLE001 - the exception is the answer
-        return error
-
-
-def is_finished(future: Any) -> bool:
-    """Say whether a task ended in any way."""
-    return isinstance(future, Future) and bool(future.done())
+        outcomes: list[Outcome] = future.result(timeout=FETCH_S)
+    except (TimeoutError, CancelledError):  # its worker died after it had ended and before it was asked
+        return None
+    except KilledWorker:
+        return LostTaskError(DIED)
+    except Exception as error:  # noqa: BLE001 - whatever kept the worker from even beginning
+        return LostTaskError(f"its worker could not begin it, {type(error).__name__}: {error}")
+    return outcomes
 
 
 def _local_cluster(settings: Settings) -> Any:
@@ -135,7 +148,7 @@ def _local_cluster(settings: Settings) -> Any:
         dashboard_address=None,
         silence_logs=logging.CRITICAL,
         memory_limit=int(MEMORY_SHARE * MEMORY_LIMIT / settings.workers),
-        scheduler_kwargs={"allowed_failures": 0},
+        scheduler_kwargs={"allowed_failures": 0, "dashboard_address": "127.0.0.1:0"},  # else it takes port 8787
         local_directory=str(settings.data_folder / "scratch"),
         env={"NUMBA_CACHE_DIR": folder},
     )

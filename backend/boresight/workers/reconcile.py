@@ -8,7 +8,7 @@ two servers on one database cannot both end a run, and a result that comes too l
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,10 +19,12 @@ from boresight.store import run_events, runs
 from boresight.store.runs import Claimed, Held, Waiting
 from boresight.store.sessions import Engine as Database
 from boresight.store.sessions import Session, reading, writing
-from boresight.workers.planning import GROUP_RUNS, planned
+from boresight.workers.planning import planned
 from boresight.workers.tasks import Outcome
 
 log = logging.getLogger(__name__)
+
+LOOK_AHEAD = 256
 
 
 @dataclass(frozen=True)
@@ -120,45 +122,23 @@ class Reconciler:
                 }
                 runs.record_progress(session, *held, progress)
 
-    def take(self, slots: int) -> list[list[Claimed]]:
-        """Claim the oldest waiting runs for `slots` free threads, grouped into tasks."""
+    def waiting(self) -> list[Waiting]:
+        """Return the oldest runs that wait."""
         with reading(self.database) as session:
-            waiting = runs.waiting_runs(session, slots * GROUP_RUNS)
-            groups = planned(waiting, slots, _clock(session, waiting))
-        if not groups:
-            return []
+            return runs.waiting_runs(session, LOOK_AHEAD)
+
+    def take(self, waiting: Sequence[Waiting], slots: int) -> list[list[Claimed]]:
+        """Claim the oldest of the waiting runs for `slots` free threads, grouped into tasks."""
         with writing(self.database) as session:
+            groups = planned(waiting, slots, _clock(session, waiting))
             run_ids = [run_id for group in groups for run_id in group]
             claimed = runs.claim(session, self.owner, self.lease_s, len(run_ids), run_ids)
         ours = {run.run_id: run for run in claimed}
         kept = [[ours[run_id] for run_id in group if run_id in ours] for group in groups]
         return [group for group in kept if group]
 
-    def newest_event(self) -> int:
-        """Return where the log of all runs ends now."""
-        with reading(self.database) as session:
-            return run_events.newest_event_id(session)
 
-    def news(self, after_id: int) -> tuple[int, list[dict[str, Any]]]:
-        """Return the changes of state after a line of the log, whoever made them, and where the log ends now."""
-        with reading(self.database) as session:
-            events = run_events.state_events(session, after_id)
-        told = [
-            {
-                "kind": "run",
-                "id": event.id,
-                "run_id": event.run_id,
-                "attempt": event.attempt,
-                "state": event.message.partition(":")[0],
-                "message": event.message,
-                "at_utc": event.at_utc,
-            }
-            for event in events
-        ]
-        return max((event.id for event in events), default=after_id), told
-
-
-def _clock(session: Session, waiting: Sequence[Waiting]) -> Any:
+def _clock(session: Session, waiting: Sequence[Waiting]) -> Callable[[Waiting], float]:
     """Return a function that predicts the seconds of a waiting run."""
     paces = {method: seconds_per_star(session, method) for method in {run.method for run in waiting}}
     return lambda run: predicted_s(run.settings, run.frames, run.stars, paces[run.method])

@@ -54,8 +54,11 @@ class Outcome(TypedDict):
     log: list[str]
 
 
-def execute_group(group: list[tuple[int, int, Inputs]], calculation: str = CALCULATION) -> list[Outcome]:
-    """Compute several small runs one after the other in one task; each is (run id, attempt, inputs)."""
+Work = tuple[int, int, Inputs]  # run id, attempt, inputs
+
+
+def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[Outcome]:
+    """Compute several small runs one after the other in one task."""
     return [execute(run_id, attempt, inputs, calculation) for run_id, attempt, inputs in group]
 
 
