@@ -51,6 +51,7 @@ def header(
         "method": settings.method,
         "variant": settings.variant if settings.sequential else None,
         "camera_model": camera.name,
+        "parameter_names": list(names),  # a store may sort the keys of the objects below
         "free": [names[p] for p in parameters.free],
         "initial": dict(zip(names, numbers(sensor.initial), strict=True)),
         "typical_sigma": dict(zip(names, numbers(sensor.typical_sigma), strict=True)),

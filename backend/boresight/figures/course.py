@@ -60,7 +60,7 @@ def _matrix(rows: Any, n_steps: int, n_parameters: int) -> FloatArray:
 
 def course_of(result: Result) -> Course | None:
     """Read the course of a run, or None while it has none."""
-    names = tuple(result.get("parameters") or result.get("initial") or ())
+    names = parameter_names(result)
     for axis, key in (("frame", "history"), ("iteration", "trace")):
         record = result.get(key)
         if record and record.get(axis):
@@ -70,6 +70,11 @@ def course_of(result: Result) -> Course | None:
             free = tuple(name for name in free_names(result) if name in names)
             return Course(axis, x, names, free, value, sigma, record)
     return None
+
+
+def parameter_names(result: Result) -> tuple[str, ...]:
+    """Name the parameters in model order, which is the order of every column."""
+    return tuple(result.get("parameter_names") or result.get("parameters") or result.get("initial") or ())
 
 
 def free_names(result: Result) -> tuple[str, ...]:
