@@ -250,11 +250,10 @@ def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | 
     document: dict[str, Any] | None = (run.progress or {}).get("partial")
     if run.result_sha256 is not None:
         document = orjson.loads(blobs.read(run.result_sha256))
-    return (
-        None
-        if document is None
-        else _in_model_order({**document, "truth": session.get_one(Sensor, run.sensor_id).truth})
-    )
+    if document is None:
+        return None
+    truth = session.get_one(Sensor, run.sensor_id).truth
+    return _in_model_order(document if truth is None else {**document, "truth": truth})
 
 
 def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
