@@ -11,6 +11,7 @@ const PROBE_MS = 8000;
 const STALE_AFTER_MS = 20000;
 
 const light = document.getElementById("link-state");
+const said = document.getElementById("link-said"); // for screen readers: changes only, not every second
 let source = null;
 let broken = false;
 let heardAt = Date.now();
@@ -26,6 +27,7 @@ function show() {
   const state = broken ? "disconnected" : silent > STALE_AFTER_MS ? "stale" : "live";
   const word = state === "stale" ? `STALE ${Math.round(silent / 1000)} s` : state.toUpperCase();
   if (light.textContent !== word) light.textContent = word;
+  if (light.dataset.state !== state && light.dataset.state !== "connecting") said.textContent = `Link ${state}`;
   light.dataset.state = state;
   document.body.dataset.link = state;
 }

@@ -47,6 +47,7 @@ function showRefusal(answer) {
 
 function finish(answer) {
   rest();
+  scrollTo({ top: 0 });
   if (answer.status === 201) location.assign(answer.getResponseHeader("Location"));
   else if (answer.responseURL.includes("/login")) location.assign("/login?next=/telemetry");
   else showRefusal(answer);

@@ -8,6 +8,7 @@ from urllib.parse import quote
 
 import pytest
 
+from boresight.pages.fleet import fleet_standing
 from boresight.pages.frame import FLASH_COOKIE, NAVIGATION
 
 PAGES = ("/sensors", "/sensors/1", "/telemetry", "/audit", "/users")
@@ -104,3 +105,16 @@ def test_a_frame_stands_where_the_store_cannot_be_read(house, monkeypatch):
     page = visitor.get("/audit")
     assert "The store could not be read." in page
     assert "disk I/O" not in page
+
+
+def test_the_frame_has_read_the_store_before_the_page_holds_a_connection(house, monkeypatch):
+    held = []
+
+    def watched(session):
+        held.append(house.engine.pool.checkedout())
+        return fleet_standing(session)
+
+    monkeypatch.setattr("boresight.pages.frame.fleet_standing", watched)
+    for path in PAGES:
+        house.visitor("ada").get(path)
+    assert held == [0] * len(PAGES)

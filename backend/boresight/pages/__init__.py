@@ -5,13 +5,15 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Depends
 from fastapi.responses import HTMLResponse
+
+from boresight.pages.frame import know_fleet
 
 
 def _assemble() -> APIRouter:
     """Join the `router` of every page file."""
-    joined = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
+    joined = APIRouter(include_in_schema=False, default_response_class=HTMLResponse, dependencies=[Depends(know_fleet)])
     for found in iter_modules(__path__):
         page = import_module(f"{__name__}.{found.name}")
         if hasattr(page, "router"):

@@ -58,6 +58,8 @@ class Drawing:
         A vertical line with its meaning, or None.
     rows
         The same as a table: label and count.
+    is_map
+        Whether the bars are cells of a map, with their counts written in them and no grid behind.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Drawing:
     rows: Sequence[tuple[str, int]]
     mark_x: float | None = None
     mark_title: str = ""
+    is_map: bool = False
 
 
 def round_steps(low: float, high: float, ticks: int = TICKS) -> list[float]:
@@ -186,6 +189,7 @@ def detector_map(coverage: Mapping[str, Any]) -> Drawing:
         right=WIDTH - RIGHT,
         bottom=bottom,
         rows=rows,
+        is_map=True,
     )
 
 

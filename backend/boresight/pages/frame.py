@@ -1,13 +1,16 @@
 """What every page shows around its content: mode, fleet, approvals waiting, person, navigation, flash line.
 
-The values come from `request.state` (who is logged in), the settings, and one short read of the store. A page that
-reports a failure must not fail for the same cause: where the store cannot be read, the frame says so and goes on.
+The values come from `request.state` (who is logged in), the settings, and one short read of the store, made by
+`know_fleet` before a page opens its own transaction: a page that held one connection while it waited for a second could
+take the last of them from another that does the same. A page that reports a failure must not fail for the same cause:
+where the store cannot be read, the frame says so and goes on.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -15,6 +18,8 @@ from urllib.parse import unquote
 
 from fastapi import Request
 
+from boresight.api.dependencies import current_actor
+from boresight.errors import UnauthenticatedError
 from boresight.pages.fleet import Standing, fleet_standing
 from boresight.pages.formats import day_of_year
 from boresight.pages.states import LEVELS
@@ -78,12 +83,21 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None]
     """Read the fleet's standing and how many requests wait for a signature; nobody logged in learns neither."""
     if actor is None:
         return UNREAD, None
+    known: tuple[Standing, int] | None = getattr(request.state, "fleet", None)
+    if known is not None:
+        return known
     try:
         with reading(request.app.state.engine) as session:
             return fleet_standing(session)
     except Exception:
         log.exception("The frame could not read the store")
         return UNREAD, None
+
+
+def know_fleet(request: Request) -> None:
+    """Read what the frame shows of the store, for a request by somebody who is logged in."""
+    with suppress(UnauthenticatedError):
+        request.state.fleet = _fleet(request, current_actor(request))
 
 
 def frame_of(request: Request) -> Frame:

@@ -27,16 +27,20 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 EXAMPLE = """{
   "name": "ST16-7",
-  "detector": { "rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6 },
+  "detector": {
+    "rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6
+  },
   "camera_model": "inverted_wang",
   "parity": 1,
   "centroid_sigma_px": 0.1,
   "initial": {
-    "f_m": 0.016, "m0_px": 971.5, "n0_px": 1295.5, "b4_per_m4": 0, "b2_per_m2": 0,
+    "f_m": 0.016, "m0_px": 971.5, "n0_px": 1295.5,
+    "b4_per_m4": 0, "b2_per_m2": 0,
     "a1_rad": 0, "a2_rad": 0, "g_y": 1
   },
   "typical_sigma": {
-    "f_m": 3e-5, "m0_px": 25, "n0_px": 25, "b4_per_m4": 1e6, "b2_per_m2": 60,
+    "f_m": 3e-5, "m0_px": 25, "n0_px": 25,
+    "b4_per_m4": 1e6, "b2_per_m2": 60,
     "a1_rad": 0.005, "a2_rad": 0.005, "g_y": 0.0002
   },
   "magnitude_limit": 5.75
