@@ -18,6 +18,7 @@ export PYTHONUNBUFFERED := 1
 
 # Debian keeps PostgreSQL's own programs off the path.
 PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest
+# What starts processes, kills them or drives a browser has the machine for itself; the rest shares it.
 PARALLEL := --numprocesses 2 --dist loadfile
 ALONE := tests/workers tests/browser tests/test_wheel.py
 
@@ -39,12 +40,13 @@ lint: $(MADE)/dev  ## style, format, types and import contracts
 
 pytest: $(MADE)/dev
 	@mkdir -p artefacts
-	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --junit-xml=artefacts/tests.xml
-	$(PYTEST) $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml
+	$(PYTEST) --durations 10 $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --junit-xml=artefacts/tests.xml
+	$(PYTEST) --durations 10 $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml
 
-bench: $(MADE)/dev  ## measure speed beside peers
+bench: $(MADE)/dev  ## measure speed beside peers, and accuracy against theory (minutes)
 	@mkdir -p artefacts
 	$(BIN)/boresight bench --json artefacts/bench.json
+	$(BIN)/python benchmarks/accuracy.py
 
 clean:  ## remove what was built, cached and demonstrated; the virtual environment stays
 	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels
