@@ -17,7 +17,7 @@ export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/kernels
 export PYTHONUNBUFFERED := 1
 
 # Debian keeps PostgreSQL's own programs off the path.
-PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest
+PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10
 # What starts processes, kills them or drives a browser has the machine for itself; the rest shares it.
 PARALLEL := --numprocesses 2 --dist loadfile
 ALONE := tests/workers tests/browser tests/test_wheel.py
@@ -40,8 +40,10 @@ lint: $(MADE)/dev  ## style, format, types and import contracts
 
 pytest: $(MADE)/dev
 	@mkdir -p artefacts
-	$(PYTEST) --durations 10 $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --junit-xml=artefacts/tests.xml
-	$(PYTEST) --durations 10 $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml
+	failed=0; \
+	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --junit-xml=artefacts/tests.xml || failed=1; \
+	$(PYTEST) $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml || failed=1; \
+	exit $$failed
 
 bench: $(MADE)/dev  ## measure speed beside peers, and accuracy against theory (minutes)
 	@mkdir -p artefacts
