@@ -14,7 +14,7 @@ from boresight.services import sensors, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.services.parameter_sets import create_from_run
 from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Engine, Session, migrate, open_engine, utc_now, writing
+from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
 
 PASSWORD = "correct horse battery"
@@ -93,7 +93,7 @@ def blobs(tmp_path: Path) -> BlobStore:
 @pytest.fixture
 def people(engine: Engine) -> Mapping[str, Actor]:
     """Everyone, as they act under a log-in."""
-    with writing(engine) as session:
+    with reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
         return {name: users.actor_of_session(session, row.id, row.session_epoch) for name, row in rows.items()}
 

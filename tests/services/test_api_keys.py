@@ -1,0 +1,114 @@
+"""API keys: shown once, kept hashed, never more than their owner, never beyond their scopes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pytest
+
+from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
+from boresight.services import api_keys, parameter_sets, users
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.store.sessions import Engine, Session, reading, utc_after, writing
+from boresight.store.tables import ApiKey, ParameterSet
+
+
+@pytest.fixture
+def key(session: Session, people: Mapping[str, Actor]) -> tuple[ApiKey, str]:
+    return api_keys.create_key(session, people["ana"], label="downlink", scopes=["runs"])
+
+
+def test_a_secret_lets_its_program_act_as_the_owner_within_its_scopes(
+    session: Session, people: Mapping[str, Actor], key: tuple[ApiKey, str]
+) -> None:
+    row, secret = key
+    actor = api_keys.actor_of_key(session, secret)
+    assert (actor.user_id, actor.roles) == (people["ana"].user_id, people["ana"].roles)
+    assert (actor.credential, actor.scopes) == (f"key:{row.prefix}", {"runs"})
+
+
+def test_the_secret_itself_is_not_kept(key: tuple[ApiKey, str]) -> None:
+    row, secret = key
+    assert secret.startswith(f"bs_{row.prefix}_")
+    kept = [str(getattr(row, column.key)) for column in ApiKey.__table__.columns]
+    assert all(secret.split("_", 2)[2] not in value for value in kept)
+
+
+def test_a_secret_with_one_letter_changed_is_unknown(session: Session, key: tuple[ApiKey, str]) -> None:
+    secret = key[1]
+    for wrong in (secret[:-1] + ("A" if secret[-1] != "A" else "B"), secret[:-1], "", "bs_", "bs_a_b", "é_é_é"):
+        with pytest.raises(UnauthenticatedError, match="copied whole"):
+            api_keys.actor_of_key(session, wrong)
+
+
+def test_a_key_loses_what_its_owner_loses(
+    session: Session, people: Mapping[str, Actor], key: tuple[ApiKey, str]
+) -> None:
+    ana = people["ana"].user_id
+    assert ana is not None
+    users.change_roles(session, people["root"], ana, ["viewer"])
+    assert api_keys.actor_of_key(session, key[1]).roles == {"viewer"}
+    users.disable_user(session, people["root"], ana)
+    with pytest.raises(UnauthenticatedError, match=r"owner .* is disabled"):
+        api_keys.actor_of_key(session, key[1])
+
+
+def test_an_expired_and_a_revoked_key_are_told_apart(
+    session: Session, people: Mapping[str, Actor], key: tuple[ApiKey, str]
+) -> None:
+    row, secret = key
+    row.expires_utc = utc_after(-1.0)
+    with pytest.raises(UnauthenticatedError, match="expired at"):
+        api_keys.actor_of_key(session, secret)
+    api_keys.revoke_key(session, people["ana"], row.id)
+    with pytest.raises(UnauthenticatedError, match="was revoked"):
+        api_keys.actor_of_key(session, secret)
+
+
+def test_only_owner_and_administrator_revoke(
+    session: Session, people: Mapping[str, Actor], key: tuple[ApiKey, str]
+) -> None:
+    with pytest.raises(ForbiddenError, match="owner or an administrator"):
+        api_keys.revoke_key(session, people["bo"], key[0].id)
+    assert api_keys.revoke_key(session, people["root"], key[0].id).revoked_utc is not None
+    with pytest.raises(NotFoundError):
+        api_keys.revoke_key(session, people["root"], 99)
+
+
+def test_a_key_makes_no_key(session: Session, key: tuple[ApiKey, str]) -> None:
+    with pytest.raises(ForbiddenError, match="Only a person"):
+        api_keys.create_key(session, api_keys.actor_of_key(session, key[1]), label="child")
+    with pytest.raises(ForbiddenError, match="Only a person"):
+        api_keys.create_key(session, COMMAND_LINE, label="child")
+
+
+@pytest.mark.parametrize(
+    ("choices", "says"),
+    [
+        ({"label": "x", "scopes": ["everything"]}, "no scope everything; the scopes are"),
+        ({"label": "  "}, "needs a label"),
+        ({"label": "x", "expires_days": 0}, "lasts 1 to 3650 days"),
+    ],
+)
+def test_a_key_that_cannot_be_is_refused(
+    session: Session, people: Mapping[str, Actor], choices: dict[str, object], says: str
+) -> None:
+    with pytest.raises(RefusedInputError, match=says):
+        api_keys.create_key(session, people["ana"], **choices)  # type: ignore[arg-type]
+    assert api_keys.list_keys(session) == []
+
+
+def test_what_a_key_changed_is_on_record_as_the_key(
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+) -> None:
+    row = candidate()
+    with writing(engine) as session:
+        key, secret = api_keys.create_key(session, people["ana"], label="robot", scopes=["parameter-sets"])
+    with writing(engine) as session:
+        robot = api_keys.actor_of_key(session, secret)
+        assert api_keys.last_changes(session) == {}
+        parameter_sets.submit(session, robot, row.id, "better", row.version)
+    with reading(engine) as session:
+        assert list(api_keys.last_changes(session)) == [key.prefix]
+        assert [listed.id for listed in api_keys.list_keys(session, people["ana"].user_id)] == [key.id]
+        assert api_keys.list_keys(session, people["bo"].user_id) == []

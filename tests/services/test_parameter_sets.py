@@ -1,0 +1,348 @@
+"""Parameter sets: what they are made of, who moves them, and that one is baseline whoever races."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+
+from boresight.errors import (
+    BoresightError,
+    ConflictError,
+    ForbiddenError,
+    NotFoundError,
+    PreconditionRequiredError,
+    RefusedInputError,
+    StaleError,
+)
+from boresight.services import approvals, audit, parameter_sets
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.store.blobs import BlobStore
+from boresight.store.documents import sha256_of
+from boresight.store.sessions import Engine, Session, reading, writing
+from boresight.store.tables import Approval, ParameterSet, Promotion, Run
+
+PASSWORD = "correct horse battery"
+People = Mapping[str, Actor]
+Candidate = Callable[..., ParameterSet]
+FinishedRun = Callable[..., Run]
+
+
+@pytest.fixture
+def submitted(engine: Engine, people: People, candidate: Candidate) -> Callable[[], ParameterSet]:
+    def make() -> ParameterSet:
+        row = candidate()
+        with writing(engine) as session:
+            parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+            return parameter_sets.get_parameter_set(session, row.id)
+
+    return make
+
+
+@pytest.fixture
+def approved(engine: Engine, people: People, submitted: Callable[[], ParameterSet]) -> Callable[[], ParameterSet]:
+    def make() -> ParameterSet:
+        row = submitted()
+        with writing(engine) as session:
+            _approve(session, people["cy"], row.id)
+            return parameter_sets.get_parameter_set(session, row.id)
+
+    return make
+
+
+def _approve(session: Session, approver: Actor, set_id: int) -> None:
+    approval = approvals.list_approvals(session, parameter_set_id=set_id, state="OPEN")[0]
+    approvals.sign(session, approver, approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+
+
+def _promote(engine: Engine, actor: Actor, row: ParameterSet) -> ParameterSet:
+    with writing(engine) as session:
+        return parameter_sets.promote(session, actor, row.id, row.version)
+
+
+def _states(engine: Engine) -> dict[str, str]:
+    with reading(engine) as session:
+        return {row.name: row.ground_state for row in parameter_sets.list_parameter_sets(session)}
+
+
+def test_a_candidate_says_all_that_it_is_and_is_named_by_its_hash(engine: Engine, candidate: Candidate) -> None:
+    row = candidate()
+    with reading(engine) as session:
+        run = session.get_one(Run, row.run_id)
+        document = parameter_sets.get_parameter_set(session, row.id).document
+    assert (row.name, row.ground_state, row.onboard_state) == ("PS-ST16-1-1", "CANDIDATE", "NOT SENT")
+    assert sha256_of(document) == row.sha256
+    assert document["parameters"]["f_m"] == 0.016001
+    assert (document["run_id"], document["result_sha256"]) == (run.id, run.result_sha256)
+    assert document["units"]["f_m"] == "m"
+    assert {"sensor", "camera_model", "sigma", "covariance", "inputs", "status", "advice", "name"} <= set(document)
+
+
+def test_the_same_run_makes_one_set(engine: Engine, people: People, blobs: BlobStore, candidate: Candidate) -> None:
+    row = candidate()
+    with writing(engine) as session:
+        assert row.run_id is not None
+        assert parameter_sets.create_from_run(session, people["bo"], blobs, row.run_id).id == row.id
+
+
+def test_numbers_follow_one_another(candidate: Candidate) -> None:
+    assert [candidate().number for _ in range(3)] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("made", "error", "says"),
+    [
+        ({"state": "FAILED"}, ConflictError, r"is FAILED; a parameter set is made of a run that SUCCEEDED"),
+        ({"state": "RUNNING"}, ConflictError, r"is RUNNING"),
+        (
+            {"status": "diverged", "advice": ["Use more stars."]},
+            RefusedInputError,
+            r"ended diverged.* Use more stars\.",
+        ),
+        ({"status": "rank_deficient"}, RefusedInputError, r"ended rank_deficient"),
+        ({"status": "too_few_stars"}, RefusedInputError, r"ended too_few_stars"),
+        ({"parameters": {"f_m": 0.016, "m0_px": None}}, RefusedInputError, r"no number for m0_px, n0_px"),
+    ],
+)
+def test_a_run_that_is_no_calibration_makes_no_set(
+    session: Session,
+    people: People,
+    blobs: BlobStore,
+    finished_run: FinishedRun,
+    made: dict[str, Any],
+    error: type[BoresightError],
+    says: str,
+) -> None:
+    run = finished_run(session, **made)
+    with pytest.raises(error, match=says):
+        parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
+    assert len(parameter_sets.list_parameter_sets(session)) == 1
+
+
+def test_max_iterations_makes_a_set_that_says_so(
+    session: Session, people: People, blobs: BlobStore, finished_run: FinishedRun
+) -> None:
+    run = finished_run(session, status="max_iterations", advice=["It had not come to rest."])
+    document = parameter_sets.create_from_run(session, people["ana"], blobs, run.id).document
+    assert (document["status"], document["advice"]) == ("max_iterations", ["It had not come to rest."])
+
+
+def test_a_result_altered_on_the_disk_makes_no_set(
+    session: Session, people: People, blobs: BlobStore, finished_run: FinishedRun
+) -> None:
+    run = finished_run(session)
+    blobs.path(str(run.result_sha256)).write_bytes(b"{}")
+    with pytest.raises(ConflictError, match="altered"):
+        parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
+
+
+def test_what_does_not_exist_is_not_found(session: Session, people: People, blobs: BlobStore) -> None:
+    with pytest.raises(NotFoundError, match="no run 99"):
+        parameter_sets.create_from_run(session, people["ana"], blobs, 99)
+    with pytest.raises(NotFoundError, match="no parameter set 99"):
+        parameter_sets.get_parameter_set(session, 99)
+
+
+@pytest.mark.parametrize("name", ["cy", "dee", "eve", "root"])
+def test_only_an_analyst_makes_and_submits(
+    session: Session, people: People, blobs: BlobStore, finished_run: FinishedRun, name: str
+) -> None:
+    run = finished_run(session)
+    with pytest.raises(ForbiddenError, match="role analyst"):
+        parameter_sets.create_from_run(session, people[name], blobs, run.id)
+    row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
+    with pytest.raises(ForbiddenError, match="role analyst"):
+        parameter_sets.submit(session, people[name], row.id, "better", row.version)
+    assert row.ground_state == "CANDIDATE"
+
+
+def test_nobody_in_particular_cannot_submit(engine: Engine, candidate: Candidate) -> None:
+    row = candidate()
+    with writing(engine) as session, pytest.raises(ForbiddenError, match="answer for this"):
+        parameter_sets.submit(session, COMMAND_LINE, row.id, "better", row.version)
+
+
+@pytest.mark.parametrize("name", ["ana", "bo", "cy", "eve", "root"])
+def test_only_an_operator_promotes(
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], name: str
+) -> None:
+    row = approved()
+    with pytest.raises(ForbiddenError, match="role operator"):
+        _promote(engine, people[name], row)
+    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
+
+
+def test_a_request_binds_set_run_and_incumbent(engine: Engine, submitted: Callable[[], ParameterSet]) -> None:
+    row = submitted()
+    with reading(engine) as session:
+        approval = approvals.list_approvals(session)[0]
+        incumbent = parameter_sets.baseline_of(session, row.sensor_id)
+        run = session.get_one(Run, row.run_id)
+        assert incumbent is not None
+    assert approval.bound == {
+        "set_sha256": row.sha256,
+        "run_result_sha256": run.result_sha256,
+        "incumbent_sha256": incumbent.sha256,
+    }
+
+
+def test_a_transition_needs_the_version_that_was_seen(engine: Engine, people: People, candidate: Candidate) -> None:
+    row = candidate()
+    with writing(engine) as session, pytest.raises(PreconditionRequiredError, match="If-Match"):
+        parameter_sets.submit(session, people["ana"], row.id, "better", None)
+
+
+def test_an_old_version_is_told_who_changed_what_and_when(
+    engine: Engine, people: People, submitted: Callable[[], ParameterSet]
+) -> None:
+    row = submitted()
+    with writing(engine) as session, pytest.raises(StaleError) as refusal:
+        parameter_sets.withdraw(session, people["ana"], row.id, 1)
+    assert "you saw v1, it is v2" in str(refusal.value)
+    assert "Ana submitted it at 20" in str(refusal.value)
+
+
+def test_a_submission_needs_its_reason(engine: Engine, people: People, candidate: Candidate) -> None:
+    row = candidate()
+    with writing(engine) as session, pytest.raises(RefusedInputError, match="Give the reason"):
+        parameter_sets.submit(session, people["ana"], row.id, "  ", row.version)
+
+
+def test_what_is_submitted_is_not_submitted_again(
+    engine: Engine, people: People, submitted: Callable[[], ParameterSet]
+) -> None:
+    row = submitted()
+    with writing(engine) as session, pytest.raises(ConflictError, match="is SUBMITTED: Ana submitted it"):
+        parameter_sets.submit(session, people["bo"], row.id, "better", row.version)
+
+
+def test_the_submitter_withdraws_and_may_submit_again(
+    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+) -> None:
+    row = approved()
+    with writing(engine) as session:
+        withdrawn = parameter_sets.withdraw(session, people["ana"], row.id, row.version, "found a mistake")
+        assert withdrawn.ground_state == "WITHDRAWN"
+        assert approvals.list_approvals(session)[0].state == "WITHDRAWN"
+        assert parameter_sets.submit(session, people["ana"], row.id, "no mistake", withdrawn.version).state == "OPEN"
+
+
+def test_another_analyst_does_not_withdraw(
+    engine: Engine, people: People, submitted: Callable[[], ParameterSet]
+) -> None:
+    row = submitted()
+    with writing(engine) as session, pytest.raises(ForbiddenError, match="administrator"):
+        parameter_sets.withdraw(session, people["bo"], row.id, row.version)
+
+
+def test_a_candidate_has_nothing_to_withdraw_or_promote(engine: Engine, people: People, candidate: Candidate) -> None:
+    row = candidate()
+    with writing(engine) as session, pytest.raises(ConflictError, match="not submitted"):
+        parameter_sets.withdraw(session, people["ana"], row.id, row.version)
+    with pytest.raises(ConflictError, match="is CANDIDATE, not APPROVED"):
+        _promote(engine, people["dee"], row)
+
+
+def test_promotion_supersedes_points_and_records_in_one(
+    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+) -> None:
+    row = approved()
+    promoted = _promote(engine, people["dee"], row)
+    assert _states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "BASELINE"}
+    with reading(engine) as session:
+        ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
+        assert ground.baseline_to_utc == promoted.baseline_from_utc
+        promotions = session.scalars(sa.select(Promotion).order_by(Promotion.id)).all()
+        assert [entry.parameter_set_id for entry in promotions] == [ground.id, row.id]
+        assert promotions[1].promoted_by == people["dee"].user_id
+        record = audit.last_change(session, f"parameter-sets/{row.id}")
+        assert record is not None
+        assert (record.action, record.after["sha256"]) == ("promoted", row.sha256)  # type: ignore[index]
+        assert audit.verify(session).ok
+
+
+def test_a_promotion_that_fails_at_its_end_leaves_the_old_baseline(
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = approved()
+
+    def break_down(*_: object) -> None:
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(parameter_sets, "make_others_stale", break_down)
+    with pytest.raises(OSError, match="disk"):
+        _promote(engine, people["dee"], row)
+    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
+
+
+def test_of_two_promotions_at_once_one_wins_and_one_baseline_is_left(
+    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+) -> None:
+    rows = [approved() for _ in range(4)]
+
+    def promote(row: ParameterSet) -> str:
+        try:
+            return _promote(engine, people["dee"], row).name
+        except StaleError:
+            return "stale"
+
+    with ThreadPoolExecutor(4) as pool:
+        outcomes = list(pool.map(promote, rows))
+    states = _states(engine)
+    assert sorted(outcomes)[1:] == ["stale"] * 3
+    assert [name for name, state in states.items() if state == "BASELINE"] == [min(outcomes)]
+    assert sorted(states.values()) == ["BASELINE", "CANDIDATE", "CANDIDATE", "CANDIDATE", "SUPERSEDED"]
+    with reading(engine) as session:
+        assert audit.verify(session).ok
+
+
+def test_another_promotion_makes_every_request_of_the_sensor_stale(
+    engine: Engine, people: People, submitted: Callable[[], ParameterSet], approved: Callable[[], ParameterSet]
+) -> None:
+    waiting, signed, winner = submitted(), approved(), approved()
+    _promote(engine, people["dee"], winner)
+    with reading(engine) as session:
+        states = {row.parameter_set_id: row.state for row in approvals.list_approvals(session)}
+    assert states == {waiting.id: "STALE", signed.id: "STALE", winner.id: "APPROVED"}
+    assert _states(engine)[signed.name] == "CANDIDATE"
+
+
+def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(
+    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+) -> None:
+    row = approved()
+    with writing(engine) as session:  # as if the incumbent had been exchanged past the services
+        approval = session.scalars(sa.select(Approval)).one()
+        approval.bound = approval.bound | {"incumbent_sha256": "0" * 64}
+    with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-0: .* Submit it again"):
+        _promote(engine, people["dee"], row)
+    with reading(engine) as session:
+        assert approvals.list_approvals(session)[0].state == "STALE"
+    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "CANDIDATE"}
+
+
+def test_rollback_is_a_new_request_for_an_older_set(
+    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+) -> None:
+    row = approved()
+    _promote(engine, people["dee"], row)
+    with writing(engine) as session:
+        ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
+        parameter_sets.submit(session, people["ana"], ground.id, "the new one drifts", ground.version)
+        _approve(session, people["cy"], ground.id)
+        parameter_sets.promote(session, people["dee"], ground.id, ground.version)
+    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "SUPERSEDED"}
+
+
+def test_a_rollback_withdrawn_stays_superseded(
+    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+) -> None:
+    _promote(engine, people["dee"], approved())
+    with writing(engine) as session:
+        ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
+        parameter_sets.submit(session, people["ana"], ground.id, "the new one drifts", ground.version)
+        parameter_sets.withdraw(session, people["ana"], ground.id, ground.version)
+        assert ground.ground_state == "SUPERSEDED"
