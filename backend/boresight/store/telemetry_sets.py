@@ -16,7 +16,7 @@ def set_with_bytes(session: Session, sensor_id: int, original_sha256: str) -> Te
     return session.scalar(query.where(TelemetrySet.original_sha256 == original_sha256))
 
 
-def sets(  # noqa: PLR0913 - one argument a filter
+def sets(
     session: Session, *, sensor_id: int | None, purpose: str | None, archived: bool, before_id: int | None, limit: int
 ) -> Sequence[TelemetrySet]:
     """Return a page of sets, newest first."""
