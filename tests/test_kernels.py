@@ -76,6 +76,13 @@ def test_arc_errors_and_their_sums_equal_the_plain_form():
     np.testing.assert_allclose(tail_rms(field, np.stack([TRUTH])), np.sqrt(np.mean(plain**2)), rtol=1e-9)
 
 
+def _padded(values):
+    """Zero beyond the given size, as the filter hands its arrays over."""
+    padded = np.zeros((8,) * values.ndim, order="F")
+    padded[tuple(slice(0, n) for n in values.shape)] = values
+    return padded
+
+
 def _random_upper(rng, n, spread):
     S = np.triu(rng.normal(size=(n, n)))
     S[np.diag_indices(n)] = 10.0 ** rng.uniform(-spread, spread, n)
@@ -92,7 +99,13 @@ def test_carlsons_update_equals_the_covariance_update(n, seed, spread):
     K = P @ h / alpha
     expected_z, expected_P = z - K * innovation, P - np.outer(K, K) * alpha
 
-    nis = kernels.carlson_update(z, S, h, innovation, np.empty(n), np.empty(n))
+    z, S, h = _padded(z), _padded(S), _padded(h)
+
+    nis = kernels.carlson_update(z, S, h, innovation, np.empty(8), np.empty(8))
+
+    assert not z[n:].any()
+    assert not S[n:].any()
+    z, S = z[:n], S[:n, :n]
 
     np.testing.assert_allclose(z, expected_z, rtol=1e-9, atol=1e-9 * np.abs(K * innovation).max())
     np.testing.assert_allclose(S @ S.T, expected_P, atol=1e-9 * np.abs(P).max())
@@ -101,12 +114,12 @@ def test_carlsons_update_equals_the_covariance_update(n, seed, spread):
 
 
 def test_carlsons_update_leaves_a_zero_covariance_alone():
-    S, z = np.zeros((3, 3)), np.ones(3)
+    S, z = np.zeros((8, 8), order="F"), np.ones(8)
 
-    kernels.carlson_update(z, S, np.ones(3), 5.0, np.empty(3), np.empty(3))
+    kernels.carlson_update(z, S, np.ones(8), 5.0, np.empty(8), np.empty(8))
 
-    np.testing.assert_array_equal(z, np.ones(3))
-    np.testing.assert_array_equal(S, np.zeros((3, 3)))
+    np.testing.assert_array_equal(z, np.ones(8))
+    np.testing.assert_array_equal(S, np.zeros((8, 8)))
 
 
 @given(n=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))

@@ -253,15 +253,17 @@ def whitened_rows(x, pitch, star_start, row_px, col_px, phi, band, free, scale, 
 
 @_jit
 def carlson_update(z, S, h, innovation, f, gain):
-    """Take in one whitened scalar measurement; z (n,) and upper triangular S (n, n) change in place.
+    """Take in one whitened scalar measurement; z (8,) and upper triangular S (8, 8) change in place.
+
+    Fewer than eight free parameters leave the last rows and columns zero: loops of constant length run twice as fast.
 
     f = S^T h (erratum to E Eq 87), alpha = 1 + f.f, and column by column S becomes S (I - f f^T / alpha)^(1/2)
     (erratum to E Eq 84) in Carlson's form, which stays triangular. Returns the normalised innovation squared.
     """
-    n = z.shape[0]
+    n = N_PARAMETERS
     for j in range(n):
         value = 0.0
-        for i in range(j + 1):
+        for i in range(n):
             value += S[i, j] * h[i]
         f[j] = value
         gain[j] = 0.0
@@ -269,9 +271,10 @@ def carlson_update(z, S, h, innovation, f, gain):
     for j in range(n):
         before = alpha
         alpha += f[j] * f[j]
-        keep = math.sqrt(before / alpha)
-        move = f[j] / math.sqrt(before * alpha)
-        for i in range(j + 1):
+        root = 1.0 / math.sqrt(before * alpha)
+        keep = before * root  # sqrt(before / alpha), with one root and one division between them
+        move = f[j] * root
+        for i in range(n):
             old = S[i, j]
             S[i, j] = keep * old - move * gain[i]
             gain[i] += old * f[j]
@@ -300,13 +303,12 @@ def inflate(S, q, M):
 
 
 @_jit
-def _prior_cost(S, z, z_prior, y):
+def _prior_cost(S, z, z_prior, n_free, y):
     """|S^-1 (z - z_prior)|^2 by back substitution, the prior's share of a frame's cost."""
-    n = z.shape[0]
     cost = 0.0
-    for i in range(n - 1, -1, -1):
+    for i in range(n_free - 1, -1, -1):
         value = z[i] - z_prior[i]
-        for j in range(i + 1, n):
+        for j in range(i + 1, n_free):
             value -= S[i, j] * y[j]
         y[i] = value / S[i, i]
         cost += y[i] * y[i]
@@ -331,7 +333,7 @@ def square_root_filter(
     x, z, S, q, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
-    """Run the Carlson filter over frames; x (8,), z (n_free,) and S (n_free, n_free) change in place.
+    """Run the Carlson filter over frames; x (8,), z (8,) and S (8, 8) change in place, zero beyond the free parameters.
 
     Called by `estimation.filters.square_root`, which derives it. z is the step of the free parameters from their start in
     typical sigmas. Frame k owns exposures `frame_start[k]:frame_start[k + 1]`. A frame is linearised again at its own posterior
@@ -347,14 +349,17 @@ def square_root_filter(
         k0, k1 = frame_start[k], frame_start[k + 1]
         most_arcs = max(most_arcs, 2 * (star_start[k1] - star_start[k0]) - 3 * (k1 - k0))
     w, h = np.empty((most_stars, _STAR)), np.empty(N_PARAMETERS)
-    e, H, post = np.empty(most_arcs), np.empty((most_arcs, n_free)), np.empty(most_arcs)
-    z_prior, z_at, S_prior = np.empty(n_free), np.empty(n_free), np.empty((n_free, n_free))
-    f, gain, M, x0 = np.empty(n_free), np.empty(n_free), np.empty((n_free, n_free)), np.empty(n_free)
+    e, H, post = np.empty(most_arcs), np.zeros((most_arcs, N_PARAMETERS)), np.empty(most_arcs)
+    z_prior, z_at, S_prior = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty((N_PARAMETERS, N_PARAMETERS)).T
+    f, gain, M, x0 = (
+        np.empty(N_PARAMETERS),
+        np.empty(N_PARAMETERS),
+        np.empty((N_PARAMETERS, N_PARAMETERS)),
+        np.empty(n_free),
+    )
     for p in range(n_free):
         x0[p] = x[free[p]] - scale[p] * z[p]
-    noisy = False
-    for p in range(n_free):
-        noisy = noisy or q[p] > 0.0
+    noisy = q.max() > 0.0
     for k in range(n_frames):
         if noisy:
             inflate(S, q, M)
@@ -380,21 +385,19 @@ def square_root_filter(
             frame_nis = 0.0
             for a in range(n_arcs):
                 innovation = e[a]
-                for p in range(n_free):
-                    innovation += H[a, p] * (
-                        z[p] - z_at[p]
-                    )  # the innovation moves inside the frame (erratum to E Eq 83)
+                for p in range(N_PARAMETERS):
+                    innovation += H[a, p] * (z[p] - z_at[p])  # it moves inside the frame (erratum to E Eq 83)
                 frame_nis += carlson_update(z, S, H[a], innovation, f, gain)
             for p in range(n_free):
                 x[free[p]] = x0[p] + scale[p] * z[p]
-            before = _prior_cost(S_prior, z_at, z_prior, f)
+            before = _prior_cost(S_prior, z_at, z_prior, n_free, f)
             for a in range(n_arcs):
                 before += e[a] * e[a]
             for _ in range(_HALVINGS):
                 total = _frame_residuals(
                     x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
                 )
-                after = _prior_cost(S_prior, z, z_prior, f)
+                after = _prior_cost(S_prior, z, z_prior, n_free, f)
                 for a in range(n_arcs):
                     after += post[a] * post[a]
                 if after <= before * (1.0 + 1e-9):
@@ -406,7 +409,7 @@ def square_root_filter(
             worst = 0.0
             for a in range(n_arcs):
                 predicted = e[a]
-                for p in range(n_free):
+                for p in range(N_PARAMETERS):
                     predicted += H[a, p] * (z[p] - z_at[p])
                 worst = max(worst, abs(post[a] - predicted))
             if worst < rest:
@@ -427,67 +430,76 @@ def square_root_filter(
 def arcs_and_factors(star_start, s, sigma, phi, band, bad):
     """Catalogue arcs `phi` (n_arcs,) and the banded factors of R (n_arcs, 5) for directions `s` (n_stars, 3), `sigma` rad.
 
-    Called by `estimation.arcs`, which derives R. `bad` (n_exposures,) is set where R is not positive definite.
+    Called by `estimation.arcs`, which derives R. `bad` (n_exposures,) is set where R is not positive definite. cos psi of
+    E Eq 18 is taken as the product of the unit tangents with which the two arcs leave their common star: no trigonometry,
+    and no cancellation for short arcs.
     """
+    tangents = np.empty((2 * _largest_exposure(star_start), 6))
     for k in range(star_start.shape[0] - 1):
         s0, s1 = star_start[k], star_start[k + 1]
         a0 = 2 * s0 - 3 * k
         n = s1 - s0
         for a in range(2 * n - 3):
             i = s0 + a // 2
-            phi[a0 + a] = _separation(s, i, i + 1 + a % 2)
-        bad[k] = _factor(n, s[s0:s1], sigma[s0:s1], phi[a0 : a0 + 2 * n - 3], band[a0 : a0 + 2 * n - 3])
+            phi[a0 + a] = _catalogue_arc(s, i, i + 1 + a % 2, tangents[a])
+        bad[k] = _factor(n, sigma[s0:s1], tangents, band[a0 : a0 + 2 * n - 3])
 
 
 @_jit
-def _separation(s, i, j):
-    """Arclength between catalogue directions i and j."""
+def _catalogue_arc(s, i, j, tangent):
+    """Arclength between directions i and j; fills its unit tangents (6,) at i, towards j, and at j, towards i."""
     cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
     cy = s[i, 2] * s[j, 0] - s[i, 0] * s[j, 2]
     cz = s[i, 0] * s[j, 1] - s[i, 1] * s[j, 0]
-    return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2])
+    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
+    cosine = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
+    inverse = 1.0 / sine
+    for axis in range(3):
+        tangent[axis] = (s[j, axis] - cosine * s[i, axis]) * inverse
+        tangent[3 + axis] = (s[i, axis] - cosine * s[j, axis]) * inverse
+    return math.atan2(sine, cosine)
 
 
 @_jit
-def _factor(n, s, sigma, phi, band):
+def _factor(n, sigma, tangents, band):
     """Banded Cholesky factor of one exposure's R; returns True when a pivot is not positive."""
     n_arcs = 2 * n - 3
     for a in range(n_arcs):
-        ai, aj = a // 2, a // 2 + 1 + a % 2
-        for d in range(min(a, HALF_BANDWIDTH), -1, -1):
-            b = a - d
-            value = _covariance(s, sigma, phi, ai, aj, b // 2, b // 2 + 1 + b % 2, a, b)
-            for m in range(max(0, a - HALF_BANDWIDTH), b):
+        first = max(0, a - HALF_BANDWIDTH)
+        for b in range(first, a):
+            value = _covariance(sigma, tangents, a, b)
+            for m in range(first, b):
                 value -= band[a, 4 - a + m] * band[b, 4 - b + m]
-            if d > 0:
-                band[a, 4 - d] = value / band[b, 4]
-            elif value > 0.0:
-                band[a, 4] = math.sqrt(value)
-            else:
-                return True
+            band[a, 4 - a + b] = value / band[b, 4]
+        i = a // 2
+        pivot = sigma[i] * sigma[i] + sigma[i + 1 + a % 2] * sigma[i + 1 + a % 2]  # E Eq 16
+        for m in range(first, a):
+            pivot -= band[a, 4 - a + m] * band[a, 4 - a + m]
+        if not pivot > 0.0:
+            return True
+        band[a, 4] = math.sqrt(pivot)
         for d in range(a + 1, _BAND):
             band[a, 4 - d] = 0.0
     return False
 
 
 @_jit
-def _covariance(s, sigma, phi, ai, aj, bi, bj, a, b):
-    """Covariance of arc a = (ai, aj) with arc b = (bi, bj): E Eq 16 on the diagonal, Eqs 17 (erratum) and 18 off it."""
-    if a == b:
-        return sigma[ai] * sigma[ai] + sigma[aj] * sigma[aj]
+def _covariance(sigma, tangents, a, b):
+    """Covariance of arcs a > b at the star they share, sigma_j^2 cos psi (E Eq 17 with its erratum); 0 when they share none."""
+    ai, bi = a // 2, b // 2
+    aj, bj = ai + 1 + a % 2, bi + 1 + b % 2
     if ai == bi:
-        j, i, k = ai, aj, bj
+        star, end_a, end_b = ai, 0, 0
     elif ai == bj:
-        j, i, k = ai, aj, bi
-    elif aj == bi:
-        j, i, k = aj, ai, bj
+        star, end_a, end_b = ai, 0, 3
     elif aj == bj:
-        j, i, k = aj, ai, bi
+        star, end_a, end_b = aj, 3, 3
     else:
         return 0.0
-    far = s[i, 0] * s[k, 0] + s[i, 1] * s[k, 1] + s[i, 2] * s[k, 2]
-    cosine = (far - math.cos(phi[a]) * math.cos(phi[b])) / (math.sin(phi[a]) * math.sin(phi[b]))
-    return sigma[j] * sigma[j] * cosine
+    cosine = 0.0
+    for axis in range(3):
+        cosine += tangents[a, end_a + axis] * tangents[b, end_b + axis]
+    return sigma[star] * sigma[star] * cosine
 
 
 @_jit

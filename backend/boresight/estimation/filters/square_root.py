@@ -52,8 +52,7 @@ def square_root_filter(
         Linearisations and process noise.
     """
     n, n_free = arcs.n_frames, len(free)
-    x, z, S = state.x.copy(), state.z.copy(), state.S.copy()
-    q = np.full(n_free, tuning.process_noise)
+    x, z, S, q = state.x.copy(), _padded(state.z), _padded(state.S), _padded(np.full(n_free, tuning.process_noise))
     states, sigmas = np.empty((n, len(x))), np.empty((n, n_free))
     nis, dof, squares, passes = np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
     done = kernels.square_root_filter(
@@ -62,5 +61,12 @@ def square_root_filter(
     )  # fmt: skip
     return FilterHistory(
         states[:done], sigmas[:done], nis[:done], dof[:done], squares[:done], passes[:done],
-        FilterState(x, z, S), done == n,
+        FilterState(x, z[:n_free], S[:n_free, :n_free]), done == n,
     )  # fmt: skip
+
+
+def _padded(values: FloatArray) -> FloatArray:
+    """Copy into the kernel's fixed size with zeros beyond, columns contiguous: Carlson's update walks down them."""
+    padded = np.zeros((kernels.N_PARAMETERS,) * values.ndim, order="F")
+    padded[tuple(slice(0, n) for n in values.shape)] = values
+    return padded
