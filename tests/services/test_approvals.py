@@ -1,0 +1,259 @@
+"""Approvals: a second person, in person, on what was shown; one refusal blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pytest
+import sqlalchemy as sa
+
+from boresight.errors import (
+    BoresightError,
+    ConflictError,
+    ForbiddenError,
+    NotFoundError,
+    PreconditionRequiredError,
+    RefusedInputError,
+    StaleError,
+    UnauthenticatedError,
+)
+from boresight.services import api_keys, approvals, audit, parameter_sets, users
+from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
+from boresight.store.sessions import Engine, reading, writing
+from boresight.store.tables import Approval, LoginFailure, ParameterSet, Signature
+
+PASSWORD = "correct horse battery"
+People = Mapping[str, Actor]
+
+
+@pytest.fixture
+def request_of(engine: Engine, people: People, candidate: Callable[..., ParameterSet]) -> Callable[..., Approval]:
+    """Submit a candidate: by whom, of a run that whom launched."""
+
+    def make(submitted_by: str = "ana", launched_by: str = "ana") -> Approval:
+        row = candidate(launched_by)
+        with writing(engine) as session:
+            return parameter_sets.submit(session, people[submitted_by], row.id, "better", row.version)
+
+    return make
+
+
+def _sign(engine: Engine, actor: Actor, approval: Approval, decision: str = "APPROVE", **changes: object) -> Signature:
+    values = {"meaning": "I decide", "comment": "seen", "password": PASSWORD, "seen_version": approval.version}
+    with writing(engine) as session:
+        return approvals.sign(session, actor, approval.id, decision, **(values | changes))  # type: ignore[arg-type]
+
+
+def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
+    """Return the states of request and set."""
+    with reading(engine) as session:
+        row = session.get_one(Approval, approval.id)
+        return row.state, session.get_one(ParameterSet, row.parameter_set_id).ground_state
+
+
+def test_one_approval_by_a_second_person_approves(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    approval = request_of()
+    signature = _sign(engine, people["cy"], approval)
+    assert _states(engine, approval) == ("APPROVED", "APPROVED")
+    assert (signature.printed_name, signature.decision, signature.meaning) == ("Cy", "APPROVE", "I decide")
+    assert signature.shown_sha256 == approvals.shown_sha256(approval)
+    with reading(engine) as session:
+        assert [row.id for row in approvals.signatures_of(session, approval.id)] == [signature.id]
+        assert audit.verify(session).ok
+
+
+def test_one_refusal_blocks(engine: Engine, people: People, request_of: Callable[..., Approval]) -> None:
+    approval = request_of()
+    _sign(engine, people["cy"], approval, "REFUSE", comment="too few stars at the rim")
+    assert _states(engine, approval) == ("REJECTED", "REJECTED")
+    with reading(engine) as session:
+        row = session.get_one(ParameterSet, approval.parameter_set_id)
+        record = audit.last_change(session, f"parameter-sets/{row.id}")
+    assert record is not None
+    assert "too few stars at the rim" in str(record.reason)
+    with writing(engine) as session, pytest.raises(ConflictError, match="is REJECTED: Cy refused it"):
+        parameter_sets.submit(session, people["ana"], row.id, "once more", row.version)
+
+
+def test_a_refusal_stops_even_what_another_approved(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    approval = request_of()
+    _sign(engine, people["cy"], approval)
+    with pytest.raises(ConflictError, match="is APPROVED"):
+        _sign(engine, people["bo"], approval, seen_version=2)
+    _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
+    assert _states(engine, approval) == ("REJECTED", "REJECTED")
+    with writing(engine) as session, pytest.raises(ConflictError, match="not APPROVED"):
+        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 4)
+
+
+def test_a_refusal_comes_too_late_after_the_promotion(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    approval = request_of()
+    _sign(engine, people["cy"], approval)
+    with writing(engine) as session:
+        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 3)
+    with pytest.raises(ConflictError, match="is APPROVED: Cy approved it"):
+        _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
+    assert _states(engine, approval) == ("APPROVED", "BASELINE")
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("ana", "role approver; Ana has analyst"),
+        ("dee", "role approver; Dee has operator"),
+        ("eve", "role approver; Eve has viewer"),
+        ("root", "An administrator cannot sign"),
+    ],
+)
+def test_who_is_no_approver_does_not_sign(
+    engine: Engine, people: People, request_of: Callable[..., Approval], name: str, says: str
+) -> None:
+    approval = request_of()
+    with pytest.raises(ForbiddenError, match=says):
+        _sign(engine, people[name], approval)
+    assert _states(engine, approval) == ("OPEN", "SUBMITTED")
+
+
+@pytest.mark.parametrize(
+    ("submitted_by", "launched_by", "says"),
+    [("bo", "ana", "You submitted this set"), ("ana", "bo", "You launched run 1")],
+)
+def test_the_first_pair_of_eyes_is_not_the_second(
+    engine: Engine,
+    people: People,
+    request_of: Callable[..., Approval],
+    submitted_by: str,
+    launched_by: str,
+    says: str,
+) -> None:
+    approval = request_of(submitted_by, launched_by)
+    with pytest.raises(ForbiddenError, match=says):
+        _sign(engine, people["bo"], approval)
+    _sign(engine, people["cy"], approval)
+
+
+def test_a_set_submitted_by_a_key_is_submitted_by_its_owner(
+    engine: Engine, people: People, candidate: Callable[..., ParameterSet]
+) -> None:
+    row = candidate()
+    with writing(engine) as session:
+        secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
+    with writing(engine) as session:
+        robot = api_keys.actor_of_key(session, secret)
+        approval = parameter_sets.submit(session, robot, row.id, "better", row.version)
+    with pytest.raises(ForbiddenError, match="You submitted this set"):
+        _sign(engine, people["bo"], approval)
+
+
+def test_no_key_signs_whatever_its_owner_may(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    approval = request_of()
+    with writing(engine) as session:
+        secret = api_keys.create_key(session, people["cy"], label="robot", scopes=["parameter-sets"])[1]
+        robot = api_keys.actor_of_key(session, secret)
+    for actor in (robot, SYSTEM, COMMAND_LINE):
+        with pytest.raises(ForbiddenError, match="Only a person"):
+            _sign(engine, actor, approval)
+    assert _states(engine, approval) == ("OPEN", "SUBMITTED")
+
+
+def test_a_wrong_password_signs_nothing_and_counts_as_a_failed_log_in(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    approval = request_of()
+    with pytest.raises(UnauthenticatedError, match="do not fit"):
+        _sign(engine, people["cy"], approval, password="wrong horse battery")
+    assert _states(engine, approval) == ("OPEN", "SUBMITTED")
+    with reading(engine) as session:
+        assert session.scalars(sa.select(LoginFailure.name)).all() == ["cy"]
+        assert not approvals.signatures_of(session, approval.id)
+
+
+@pytest.mark.parametrize(
+    ("decision", "changes", "error", "says"),
+    [
+        ("PERHAPS", {}, RefusedInputError, "APPROVE or REFUSE, not 'PERHAPS'"),
+        ("APPROVE", {"meaning": " "}, RefusedInputError, "what your signature means"),
+        ("REFUSE", {"comment": " "}, RefusedInputError, "why you refuse"),
+        ("APPROVE", {"seen_version": None}, PreconditionRequiredError, "If-Match"),
+        ("APPROVE", {"seen_version": 7}, StaleError, "you saw v7, it is v1"),
+    ],
+)
+def test_a_signature_that_lacks_something_is_refused(
+    engine: Engine,
+    people: People,
+    request_of: Callable[..., Approval],
+    decision: str,
+    changes: dict[str, object],
+    error: type[BoresightError],
+    says: str,
+) -> None:
+    approval = request_of()
+    with pytest.raises(error, match=says):
+        _sign(engine, people["cy"], approval, decision, **changes)
+    assert _states(engine, approval) == ("OPEN", "SUBMITTED")
+
+
+def test_nobody_signs_twice(engine: Engine, people: People, request_of: Callable[..., Approval]) -> None:
+    approval = request_of()
+    _sign(engine, people["cy"], approval)
+    with pytest.raises(ConflictError, match="You signed this request already"):
+        _sign(engine, people["cy"], approval, "REFUSE", seen_version=2)
+
+
+def test_hashes_that_moved_make_the_request_stale_and_its_set_free(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    approval = request_of()
+    with writing(engine) as session:  # as if the incumbent had been exchanged past the services
+        row = session.get_one(Approval, approval.id)
+        row.bound = row.bound | {"incumbent_sha256": "0" * 64}
+    with pytest.raises(StaleError, match=r"incumbent moved .* Submit it again"):
+        _sign(engine, people["cy"], approval)
+    assert _states(engine, approval) == ("STALE", "CANDIDATE")
+    with pytest.raises(StaleError, match="is STALE"):
+        _sign(engine, people["cy"], approval, seen_version=2)
+
+
+def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    approval = request_of()
+    with reading(engine) as session:
+        reasons = {name: approvals.why_not_sign(session, actor, approval.id) for name, actor in people.items()}
+    assert {name for name, reason in reasons.items() if reason is None} == {"bo", "cy"}
+    _sign(engine, people["cy"], approval)
+    with reading(engine) as session:
+        assert "already" in str(approvals.why_not_sign(session, people["cy"], approval.id))
+
+
+def test_a_person_who_lost_the_role_meanwhile_does_not_sign(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    approval, cy = request_of(), people["cy"]
+    assert cy.user_id is not None
+    with writing(engine) as session:
+        users.change_roles(session, people["root"], cy.user_id, ["viewer"])
+        now = users.actor_of_session(session, cy.user_id, users.session_epoch(session, cy))
+    with pytest.raises(ForbiddenError, match="role approver"):
+        _sign(engine, now, approval)
+
+
+def test_requests_are_listed_by_state_newest_first(
+    engine: Engine, people: People, request_of: Callable[..., Approval]
+) -> None:
+    first, second = request_of(), request_of()
+    _sign(engine, people["cy"], first)
+    with reading(engine) as session:
+        assert [row.id for row in approvals.list_approvals(session)] == [second.id, first.id]
+        assert [row.id for row in approvals.list_approvals(session, state="OPEN")] == [second.id]
+        assert [row.id for row in approvals.list_approvals(session, before_id=second.id)] == [first.id]
+        with pytest.raises(NotFoundError, match="no request"):
+            approvals.get_approval(session, 99)

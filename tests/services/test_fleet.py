@@ -1,0 +1,128 @@
+"""The fleet at a glance: the worst that is known of a sensor, with the sentence why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pytest
+
+from boresight.services import parameter_sets, uplinks
+from boresight.services.actors import Actor
+from boresight.services.fleet import STATUS_WORDS, Known, SensorTile, findings, fleet_overview
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, Session, reading, utc_after, writing
+from boresight.store.tables import ParameterSet, Run
+
+NOTHING = Known(baseline=None, last_run=None, onboard=(), waiting=None, telemetry_sets=0, days=None)
+
+
+def _tile(engine: Engine) -> SensorTile:
+    with reading(engine) as session:
+        return fleet_overview(session)[0]
+
+
+def test_a_new_sensor_is_off_for_want_of_telemetry(engine: Engine) -> None:
+    tile = _tile(engine)
+    assert (tile.status, tile.telemetry_sets, tile.last_run) == ("off", 0, None)
+    assert "upload" in tile.sentence
+    assert tile.baseline is not None
+    assert tile.baseline.number == 0
+    assert 0.0 <= tile.days_since_calibration < 1.0  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("made", "status", "says"),
+    [
+        ({}, "normal", "Run 1 converged"),
+        ({"status": "max_iterations"}, "caution", "stopped at max iterations"),
+        ({"status": "rank_deficient"}, "serious", "ended rank deficient"),
+        ({"status": "diverged"}, "serious", "ended diverged"),
+        ({"state": "FAILED"}, "serious", "Run 1 failed"),
+        ({"state": "LOST"}, "serious", "Run 1 lost"),
+        ({"state": "QUEUED"}, "standby", "Run 1 is queued"),
+        ({"state": "RUNNING"}, "standby", "Run 1 is running"),
+        ({"state": "CANCELLED"}, "standby", "Run 1 was cancelled"),
+    ],
+)
+def test_the_newest_run_speaks_for_the_sensor(
+    engine: Engine, finished_run: Callable[..., Run], made: dict[str, str], status: str, says: str
+) -> None:
+    with writing(engine) as session:
+        finished_run(session, **made)
+    tile = _tile(engine)
+    assert tile.status == status
+    assert says in tile.sentence
+
+
+def test_an_older_failure_does_not_speak_for_the_sensor(engine: Engine, finished_run: Callable[..., Run]) -> None:
+    with writing(engine) as session:
+        finished_run(session, state="FAILED")
+        finished_run(session)
+    assert _tile(engine).status == "normal"
+
+
+def test_a_request_that_waits_is_a_caution(
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+) -> None:
+    row = candidate()
+    with writing(engine) as session:
+        parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+    tile = _tile(engine)
+    assert (tile.status, tile.sentence) == ("caution", f"{row.name} waits for a signature.")
+
+
+def test_a_mismatch_on_board_is_critical_above_all(
+    engine: Engine, people: Mapping[str, Actor], finished_run: Callable[..., Run]
+) -> None:
+    with writing(engine) as session:
+        finished_run(session, state="FAILED")
+        for state in ("SENT", "MISMATCH"):
+            uplinks.record(session, people["dee"], 1, state, "pass 4711")
+    tile = _tile(engine)
+    assert tile.status == "critical"
+    assert "PS-ST16-1-0 does not match" in tile.sentence
+
+
+def test_an_active_set_that_is_not_the_baseline_is_a_caution(
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+) -> None:
+    row = candidate()
+    with writing(engine) as session:
+        for state in ("SENT", "LOADED", "VERIFIED", "ACTIVE"):
+            uplinks.record(session, people["dee"], 1, state, "pass 4711")
+        ground = session.get_one(ParameterSet, 1)
+        ground.ground_state = "SUPERSEDED"
+        session.flush()
+        session.get_one(ParameterSet, row.id).ground_state = "BASELINE"
+    tile = _tile(engine)
+    assert tile.active is not None
+    assert tile.active.id == 1
+    assert (tile.status, f"baseline is {row.name}" in tile.sentence) == ("caution", True)
+
+
+def test_an_old_baseline_asks_for_calibration(engine: Engine, finished_run: Callable[..., Run]) -> None:
+    with writing(engine) as session:
+        finished_run(session)
+        session.get_one(ParameterSet, 1).baseline_from_utc = utc_after(-200 * 86400.0)
+    tile = _tile(engine)
+    assert tile.status == "caution"
+    assert "200 days old; recalibrate" in tile.sentence
+
+
+def test_telemetry_without_a_run_is_on_standby() -> None:
+    baseline = ParameterSet(name="PS-X-0", run_id=None)
+    known = Known(baseline=baseline, last_run=None, onboard=(), waiting=None, telemetry_sets=1, days=1.0)
+    assert dict(findings(known)) == {"standby": "There is telemetry and no calibration yet; launch a run."}
+
+
+def test_every_finding_is_one_of_the_words_and_there_always_is_one(
+    session: Session, finished_run: Callable[..., Run], blobs: BlobStore
+) -> None:
+    assert blobs.folder.parent.is_dir()
+    for number in range(2):
+        for run in (None, finished_run(session), finished_run(session, state="QUEUED")):
+            known = Known(baseline=None, last_run=run, onboard=(), waiting=None, telemetry_sets=number, days=None)
+            found = list(findings(known))
+            assert found
+            assert all(word in STATUS_WORDS and sentence.endswith(".") for word, sentence in found)
+    assert [word for word, _ in findings(NOTHING)] == ["serious", "off"]

@@ -1,0 +1,204 @@
+"""Telemetry sets: kept as they came and as the table, once; a refusal stores nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+
+from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.services import audit, telemetry_sets
+from boresight.services.actors import Actor
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, reading, writing
+from boresight.store.tables import AuditRecord, Blob, TelemetrySet
+
+People = Mapping[str, Actor]
+HEADER = "frame,exposure,row_px,col_px,star_id,ra_deg,dec_deg,note\n"
+
+
+def _csv(frames: int = 3, stars: int = 5) -> str:
+    rng = np.random.default_rng(20261121)
+    lines = [
+        f"{frame},0,{rng.uniform(0, 1900):.3f},{rng.uniform(0, 2500):.3f},{star + 1},{10 + star}.0,{star}.5,ok"
+        for frame in range(frames)
+        for star in range(stars)
+    ]
+    return HEADER + "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """An upload as a door keeps it: without the sender's suffix."""
+    path = tmp_path / "upload"
+    path.write_text(_csv(), encoding="utf-8")
+    return path
+
+
+def _add(
+    engine: Engine,
+    actor: Actor,
+    blobs: BlobStore,
+    path: Path,
+    file_name: str = "pass 12.csv",
+    purpose: str = "calibration",
+    sensor_id: int = 1,
+) -> TelemetrySet:
+    with writing(engine) as session:
+        return telemetry_sets.add_telemetry_set(session, actor, blobs, None, sensor_id, path, file_name, purpose)
+
+
+def _stored(engine: Engine, blobs: BlobStore) -> tuple[int, int, int, int]:
+    """Count files, their rows, sets and audit records."""
+    files = sum(path.is_file() for path in blobs.folder.rglob("*")) if blobs.folder.exists() else 0
+    with reading(engine) as session:
+        rows = [
+            session.scalar(sa.select(sa.func.count()).select_from(table)) or 0
+            for table in (Blob, TelemetrySet, AuditRecord)
+        ]
+    return (files, *rows)  # type: ignore[return-value]
+
+
+def test_an_upload_is_kept_as_it_came_and_as_a_table(
+    engine: Engine, people: People, blobs: BlobStore, file: Path
+) -> None:
+    row = _add(engine, people["ana"], blobs, file)
+    assert (row.name, row.purpose, row.frames, row.stars) == ("pass 12.csv", "calibration", 3, 15)
+    assert blobs.read(row.original_sha256, verify=True) == file.read_bytes()
+    assert blobs.read(row.table_sha256, verify=True)[:4] == b"PAR1"
+    assert row.uploaded_by == people["ana"].user_id
+    assert row.quality["frames"] == 3
+    with reading(engine) as session:
+        record = audit.last_change(session, f"telemetry-sets/{row.id}")
+        assert record is not None
+        assert record.action == "uploaded"
+
+
+def test_the_table_reads_back_as_what_was_sent(engine: Engine, people: People, blobs: BlobStore, file: Path) -> None:
+    row = _add(engine, people["ana"], blobs, file)
+    with reading(engine) as session:
+        telemetry = telemetry_sets.load_telemetry(session, blobs, row.id)
+    sent = np.genfromtxt(file, delimiter=",", skip_header=1, usecols=(0, 2, 3, 5))
+    assert np.array_equal(telemetry.frame, sent[:, 0])
+    assert np.array_equal(telemetry.row_px, sent[:, 1])
+    assert np.array_equal(telemetry.col_px, sent[:, 2])
+    assert np.allclose(telemetry.ra_rad, np.radians(sent[:, 3]), rtol=1e-15)  # type: ignore[arg-type]
+    assert telemetry.unknown == {"note": ["ok"] * 15}
+
+
+def test_the_same_bytes_again_are_the_set_that_is_there(
+    engine: Engine, people: People, blobs: BlobStore, file: Path
+) -> None:
+    first = _add(engine, people["ana"], blobs, file)
+    before = _stored(engine, blobs)
+    again = _add(engine, people["bo"], blobs, file, file_name="another name.csv")
+    assert (again.id, again.name) == (first.id, first.name)
+    assert _stored(engine, blobs) == before
+
+
+def test_the_same_bytes_prepared_twice_at_once_are_stored_once(
+    engine: Engine, people: People, blobs: BlobStore, file: Path
+) -> None:
+    with reading(engine) as session:
+        document = telemetry_sets.get_sensor(session, 1).document
+    ids = set()
+    with (
+        telemetry_sets.prepared(document, None, file, "a.csv") as one,
+        telemetry_sets.prepared(document, None, file, "b.csv") as other,
+    ):
+        for upload in (one, other):
+            with writing(engine) as session:
+                ids.add(telemetry_sets.store_prepared(session, people["ana"], blobs, 1, upload).id)
+    assert len(ids) == 1
+
+
+def test_an_archived_set_comes_back_with_its_bytes(
+    engine: Engine, people: People, blobs: BlobStore, file: Path
+) -> None:
+    row = _add(engine, people["ana"], blobs, file)
+    with writing(engine) as session:
+        telemetry_sets.archive_telemetry_set(session, people["ana"], row.id)
+        assert telemetry_sets.list_telemetry_sets(session) == []
+        assert len(telemetry_sets.list_telemetry_sets(session, archived=True)) == 1
+    assert _add(engine, people["ana"], blobs, file).archived_utc is None
+
+
+@pytest.mark.parametrize(
+    ("content", "file_name", "says"),
+    [
+        (b"", "a.csv", "empty"),
+        (b"frame,exposure\n1,0\n", "a.csv", "row_px"),
+        (_csv().replace("1,0,", "one,0,", 1).encode(), "a.csv", "frame"),
+        (b"PAR1 and nothing more", "a.parquet", "(?i)parquet"),
+        (_csv().encode("utf-16"), "a.csv", "UTF-8"),
+    ],
+)
+def test_a_file_that_cannot_be_read_stores_nothing(
+    engine: Engine, people: People, blobs: BlobStore, file: Path, content: bytes, file_name: str, says: str
+) -> None:
+    file.write_bytes(content)
+    before = _stored(engine, blobs)
+    with pytest.raises(RefusedInputError, match=says):
+        _add(engine, people["ana"], blobs, file, file_name)
+    assert _stored(engine, blobs) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "error", "says"),
+    [
+        ("dee", {}, ForbiddenError, "role analyst"),
+        ("ana", {"sensor_id": 99}, NotFoundError, "no sensor 99"),
+        ("ana", {"purpose": "decoration"}, RefusedInputError, "calibration or validation"),
+    ],
+)
+def test_an_upload_that_is_not_allowed_stores_nothing(
+    engine: Engine,
+    people: People,
+    blobs: BlobStore,
+    file: Path,
+    name: str,
+    changes: dict[str, object],
+    error: type[BoresightError],
+    says: str,
+) -> None:
+    before = _stored(engine, blobs)
+    with pytest.raises(error, match=says):
+        _add(engine, people[name], blobs, file, **changes)  # type: ignore[arg-type]
+    assert _stored(engine, blobs) == before
+
+
+def test_a_database_that_fails_after_the_bytes_leaves_no_row(
+    engine: Engine, people: People, blobs: BlobStore, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = _stored(engine, blobs)
+
+    def break_down(*_: object) -> None:
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(audit, "append", break_down)
+    with pytest.raises(OSError, match="disk"):
+        _add(engine, people["ana"], blobs, file)
+    assert _stored(engine, blobs)[1:] == before[1:]
+
+
+@pytest.mark.parametrize(
+    ("sent", "kept"), [("C:\\data\\a.csv", "a.csv"), ("../../etc/a.csv", "a.csv"), ("a.csv", "a.csv")]
+)
+def test_the_folders_of_the_sender_are_not_kept(
+    engine: Engine, people: People, blobs: BlobStore, file: Path, sent: str, kept: str
+) -> None:
+    assert _add(engine, people["ana"], blobs, file, sent).name == kept
+
+
+def test_sets_are_listed_by_purpose(engine: Engine, people: People, blobs: BlobStore, file: Path) -> None:
+    first = _add(engine, people["ana"], blobs, file)
+    file.write_text(_csv(frames=4), encoding="utf-8")
+    second = _add(engine, people["ana"], blobs, file, purpose="validation")
+    with reading(engine) as session:
+        assert [row.id for row in telemetry_sets.list_telemetry_sets(session, sensor_id=1)] == [second.id, first.id]
+        assert [row.id for row in telemetry_sets.list_telemetry_sets(session, purpose="validation")] == [second.id]
+        with pytest.raises(NotFoundError, match="no telemetry set 99"):
+            telemetry_sets.get_telemetry_set(session, 99)
