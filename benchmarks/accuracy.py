@@ -1,6 +1,6 @@
 """Accuracy by Monte Carlo: errors against the Cramer-Rao bound, NEES, and predicted against empirical sigma.
 
-    python benchmarks/accuracy.py --seeds 60 --sensors 1,2
+    python benchmarks/accuracy.py --seeds 60
 
 Each seed is a new simulated calibration set of the sensor (200 frames, two exposures, about eleven stars each, real catalogue).
 The bound knows nothing of arcs: it is the Fisher information of the centroids with each exposure's attitude as nuisance,
@@ -27,9 +27,9 @@ from boresight.calibration.problem import build_problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.consistency import chi_square
-from boresight.sky.catalogue import load_catalogue
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
+from boresight.sky.catalogue import load_catalogue
 
 ESTIMATORS = {
     "batch": CalibrationSettings(method="batch"),
@@ -69,14 +69,14 @@ def trial(number, seed, catalogue):
     sensor, truth = st16_sensor(number), st16_truth(number)
     bound = cramer_rao(build_problem(telemetry, sensor, catalogue), truth)
     found = {}
-    for name, settings in ESTIMATORS.items():
+    for estimator, settings in ESTIMATORS.items():
         document = calibrate(telemetry, sensor, catalogue, settings)
         names = CAMERA_MODELS[sensor.camera_model].parameter_names
         error = np.array([document["parameters"][p] for p in names]) - truth
         P = np.array(document["covariance"]["matrix"]) / np.outer(sensor.typical_sigma, sensor.typical_sigma)
         scaled = error / sensor.typical_sigma
         sigma = np.array([document["sigma"][p] for p in names])
-        found[name] = (error, sigma, scaled @ np.linalg.solve(P, scaled))
+        found[estimator] = (error, sigma, scaled @ np.linalg.solve(P, scaled))
     return bound, found
 
 
@@ -84,34 +84,43 @@ def main(arguments=None):
     """Run the trials and print a table a sensor."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=60)
-    parser.add_argument("--sensors", default="1,2", help="numbers of E Table III")
+    parser.add_argument("--sensors", default="1,2,3,4,5,6", help="numbers of E Table III")
     options = parser.parse_args(arguments)
     catalogue = load_catalogue(None)
     console = Console()
+    pooled = []
     for number in map(int, options.sensors.split(",")):
-        trials = [
-            trial(number, seed, catalogue)
-            for seed in track(range(options.seeds), f"sensor {number}", console=Console(stderr=True))
-        ]
-        console.print(summary(number, trials))
+        progress = track(range(options.seeds), f"sensor {number}", console=Console(stderr=True))
+        trials = [trial(number, seed, catalogue) for seed in progress]
+        console.print(summary(f"ST16-{number}", trials))
+        pooled += trials
+    if len(pooled) > options.seeds:
+        console.print(summary("all sensors", pooled))
     return 0
 
 
-def summary(number, trials):
+def summary(name, trials):
     """One table: a row an estimator."""
     seeds = len(trials)
     expected = chi_square(8.0 * seeds, 8 * seeds)
     table = Table(
-        title=f"ST16-{number}, {seeds} sets; mean NEES should lie in {8 * expected.lower:.2f} to {8 * expected.upper:.2f}"
+        title=f"{name}, {seeds} sets; mean NEES should lie in {8 * expected.lower:.2f} to {8 * expected.upper:.2f}"
     )
-    for column in ("estimator", "RMSE / bound", "worst parameter", "mean NEES", "median NEES", "sigma predicted / empirical"):
+    for column in (
+        "estimator",
+        "RMSE / bound",
+        "worst parameter",
+        "mean NEES",
+        "median NEES",
+        "sigma predicted / empirical",
+    ):
         table.add_column(column, justify="left" if column == "estimator" else "right")
-    for name in ESTIMATORS:
-        ratios = np.sqrt(np.mean([(found[name][0] / bound) ** 2 for bound, found in trials], axis=0))
-        nees = [found[name][2] for _, found in trials]
-        whitened = np.sqrt(np.mean([(found[name][0] / found[name][1]) ** 2 for _, found in trials], axis=0))
+    for estimator in ESTIMATORS:
+        ratios = np.sqrt(np.mean([(found[estimator][0] / bound) ** 2 for bound, found in trials], axis=0))
+        nees = [found[estimator][2] for _, found in trials]
+        whitened = np.sqrt(np.mean([(found[estimator][0] / found[estimator][1]) ** 2 for _, found in trials], axis=0))
         table.add_row(
-            name,
+            estimator,
             f"{np.exp(np.mean(np.log(ratios))):.3f}",
             f"{ratios.max():.3f}",
             f"{np.mean(nees):.2f}",
