@@ -1,0 +1,127 @@
+"""The whole way on PostgreSQL: what the services promise on SQLite holds there with the same code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from boresight.errors import StaleError, UnauthenticatedError
+from boresight.services import approvals, audit, parameter_sets, sensors, telemetry_sets, uplinks, users
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.store.blobs import BlobStore
+from boresight.store.documents import canonical
+from boresight.store.sessions import Engine, reading, writing
+from boresight.store.tables import ParameterSet, Run
+
+PASSWORD = "correct horse battery"
+PEOPLE: Mapping[str, tuple[str, ...]] = {"ana": ("analyst",), "cy": ("approver",), "dee": ("operator",)}
+NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
+INITIAL = dict(zip(NAMES, (0.016, 971.5, 1295.5, 0.0, 0.0, 0.0, 0.0, 1.0), strict=True))
+SPREAD = dict(zip(NAMES, (5e-5, 50.0, 50.0, 1e6, 50.0, 0.01, 0.01, 0.001), strict=True))
+SENSOR: dict[str, Any] = {
+    "name": "ST16-1",
+    "detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6},
+    "camera_model": "inverted_wang",
+    "parity": 1,
+    "centroid_sigma_px": 0.1,
+    "initial": INITIAL,
+    "typical_sigma": SPREAD,
+}
+CSV = "frame,exposure,row_px,col_px,ra_deg,dec_deg\n" + "".join(f"1,0,{n}.5,{n * n}.0,{n}.0,1.0\n" for n in range(5))
+
+
+@pytest.fixture
+def people(postgresql: Engine) -> Mapping[str, Actor]:
+    with writing(postgresql) as session:
+        rows = {
+            name: users.create_user(
+                session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
+            )
+            for name, roles in PEOPLE.items()
+        }
+        sensors.register_sensor(session, COMMAND_LINE, SENSOR)
+        return {name: users.actor_of_session(session, row.id, row.session_epoch) for name, row in rows.items()}
+
+
+def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: float) -> ParameterSet:
+    """Upload, and make a candidate of a run that ended with a focal length."""
+    (folder / "a.csv").write_text(CSV, encoding="utf-8")
+    names = list(NAMES)
+    result = {
+        "camera_model": "inverted_wang",
+        "parameters": INITIAL | {"f_m": f_m},
+        "sigma": SPREAD,
+        "covariance": {"names": names, "matrix": [[1e-12] * 8] * 8},
+        "status": "converged",
+    }
+    with writing(engine) as session:
+        telemetry = telemetry_sets.add_telemetry_set(session, ana, blobs, None, 1, folder / "a.csv", "a.csv")
+        sha256 = blobs.put(canonical(result).encode())
+        telemetry_sets.register_blob(session, blobs, sha256, "application/json")
+        run = Run(
+            sensor_id=1,
+            telemetry_set_id=telemetry.id,
+            method="batch",
+            settings={},
+            sensor_document=SENSOR,
+            state="SUCCEEDED",
+            launched_utc=telemetry.uploaded_utc,
+            launched_by=ana.user_id,
+            result_sha256=sha256,
+        )
+        session.add(run)
+        session.flush()
+        return parameter_sets.create_from_run(session, ana, blobs, run.id)
+
+
+def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet) -> int:
+    """Have a candidate submitted and signed, and return its version."""
+    with writing(engine) as session:
+        approval = parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+        approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+        return parameter_sets.get_parameter_set(session, row.id).version
+
+
+def test_promotions_at_once_leave_one_baseline_and_one_chain(
+    postgresql: Engine, people: Mapping[str, Actor], tmp_path: Path
+) -> None:
+    blobs = BlobStore(tmp_path / "blobs")
+    rows = [_candidate(postgresql, people["ana"], blobs, tmp_path, 0.016 + n * 1e-6) for n in range(3)]
+    versions = [_approve(postgresql, people, row) for row in rows]
+
+    def promote(number: int) -> str:
+        try:
+            with writing(postgresql) as session:
+                return parameter_sets.promote(session, people["dee"], rows[number].id, versions[number]).name
+        except StaleError:
+            return "stale"
+
+    with ThreadPoolExecutor(3) as pool:
+        outcomes = sorted(pool.map(promote, range(3)))
+    assert outcomes[1:] == ["stale", "stale"]
+    with reading(postgresql) as session:
+        listed = parameter_sets.list_parameter_sets(session)
+        assert [row.name for row in listed if row.ground_state == "BASELINE"] == outcomes[:1]
+        assert audit.verify(session).ok
+
+
+def test_the_ladder_and_the_question_of_when_work(postgresql: Engine, people: Mapping[str, Actor]) -> None:
+    with writing(postgresql) as session:
+        for state in ("SENT", "LOADED", "VERIFIED", "ACTIVE"):
+            uplinks.record(session, people["dee"], 1, state, "pass 4711")
+    with reading(postgresql) as session:
+        assert uplinks.baseline_at(session, 1, "2000-01-01") is None
+        assert [row.name for row, _ in uplinks.onboard_at(session, 1, "2100-01-01")] == ["PS-ST16-1-0"]
+        tile = sensors.fleet_overview(session)[0]
+    assert (tile.status, tile.active is not None) == ("off", True)
+
+
+def test_a_failed_log_in_is_remembered(postgresql: Engine, people: Mapping[str, Actor]) -> None:
+    assert set(people) == set(PEOPLE)
+    for says in ("do not fit", "wait a minute"):
+        with pytest.raises(UnauthenticatedError, match=says), writing(postgresql) as session:
+            users.authenticate(session, "ana", "wrong horse battery", attempts_per_minute=1)
