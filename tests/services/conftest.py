@@ -10,9 +10,8 @@ from typing import Any
 import orjson
 import pytest
 
-from boresight.services import sensors, users
+from boresight.services import approvals, parameter_sets, sensors, users
 from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.parameter_sets import create_from_run
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
@@ -136,7 +135,38 @@ def candidate(
             made.append(launched_by)
             parameters = SENSOR["initial"] | {"f_m": 0.016 + 1e-6 * len(made)}
             run = finished_run(session, people[launched_by].user_id, parameters=parameters)
-            return create_from_run(session, people["ana"], blobs, run.id)
+            return parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
+
+    return make
+
+
+@pytest.fixture
+def submitted(
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+) -> Callable[[], ParameterSet]:
+    """Make a candidate and have Ana submit it."""
+
+    def make() -> ParameterSet:
+        row = candidate()
+        with writing(engine) as session:
+            parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+            return parameter_sets.get_parameter_set(session, row.id)
+
+    return make
+
+
+@pytest.fixture
+def approved(
+    engine: Engine, people: Mapping[str, Actor], submitted: Callable[[], ParameterSet]
+) -> Callable[[], ParameterSet]:
+    """Make a submitted set and have Cy sign it."""
+
+    def make() -> ParameterSet:
+        row = submitted()
+        with writing(engine) as session:
+            approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+            approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+            return parameter_sets.get_parameter_set(session, row.id)
 
     return make
 

@@ -1,13 +1,11 @@
-"""Parameter sets: what they are made of, who moves them, and that one is baseline whoever races."""
+"""Parameter sets: what they are made of, and who submits and withdraws them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
-import sqlalchemy as sa
 
 from boresight.errors import (
     BoresightError,
@@ -18,54 +16,16 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import approvals, audit, parameter_sets
+from boresight.services import approvals, parameter_sets
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore
 from boresight.store.documents import sha256_of
 from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import Approval, ParameterSet, Promotion, Run
+from boresight.store.tables import ParameterSet, Run
 
-PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
 Candidate = Callable[..., ParameterSet]
 FinishedRun = Callable[..., Run]
-
-
-@pytest.fixture
-def submitted(engine: Engine, people: People, candidate: Candidate) -> Callable[[], ParameterSet]:
-    def make() -> ParameterSet:
-        row = candidate()
-        with writing(engine) as session:
-            parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
-            return parameter_sets.get_parameter_set(session, row.id)
-
-    return make
-
-
-@pytest.fixture
-def approved(engine: Engine, people: People, submitted: Callable[[], ParameterSet]) -> Callable[[], ParameterSet]:
-    def make() -> ParameterSet:
-        row = submitted()
-        with writing(engine) as session:
-            _approve(session, people["cy"], row.id)
-            return parameter_sets.get_parameter_set(session, row.id)
-
-    return make
-
-
-def _approve(session: Session, approver: Actor, set_id: int) -> None:
-    approval = approvals.list_approvals(session, parameter_set_id=set_id, state="OPEN")[0]
-    approvals.sign(session, approver, approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
-
-
-def _promote(engine: Engine, actor: Actor, row: ParameterSet) -> ParameterSet:
-    with writing(engine) as session:
-        return parameter_sets.promote(session, actor, row.id, row.version)
-
-
-def _states(engine: Engine) -> dict[str, str]:
-    with reading(engine) as session:
-        return {row.name: row.ground_state for row in parameter_sets.list_parameter_sets(session)}
 
 
 def test_a_candidate_says_all_that_it_is_and_is_named_by_its_hash(engine: Engine, candidate: Candidate) -> None:
@@ -165,16 +125,6 @@ def test_nobody_in_particular_cannot_submit(engine: Engine, candidate: Candidate
         parameter_sets.submit(session, COMMAND_LINE, row.id, "better", row.version)
 
 
-@pytest.mark.parametrize("name", ["ana", "bo", "cy", "eve", "root"])
-def test_only_an_operator_promotes(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet], name: str
-) -> None:
-    row = approved()
-    with pytest.raises(ForbiddenError, match="role operator"):
-        _promote(engine, people[name], row)
-    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
-
-
 def test_a_request_binds_set_run_and_incumbent(engine: Engine, submitted: Callable[[], ParameterSet]) -> None:
     row = submitted()
     with reading(engine) as session:
@@ -242,107 +192,5 @@ def test_a_candidate_has_nothing_to_withdraw_or_promote(engine: Engine, people: 
     row = candidate()
     with writing(engine) as session, pytest.raises(ConflictError, match="not submitted"):
         parameter_sets.withdraw(session, people["ana"], row.id, row.version)
-    with pytest.raises(ConflictError, match="is CANDIDATE, not APPROVED"):
-        _promote(engine, people["dee"], row)
-
-
-def test_promotion_supersedes_points_and_records_in_one(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
-) -> None:
-    row = approved()
-    promoted = _promote(engine, people["dee"], row)
-    assert _states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "BASELINE"}
-    with reading(engine) as session:
-        ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        assert ground.baseline_to_utc == promoted.baseline_from_utc
-        promotions = session.scalars(sa.select(Promotion).order_by(Promotion.id)).all()
-        assert [entry.parameter_set_id for entry in promotions] == [ground.id, row.id]
-        assert promotions[1].promoted_by == people["dee"].user_id
-        record = audit.last_change(session, f"parameter-sets/{row.id}")
-        assert record is not None
-        assert (record.action, record.after["sha256"]) == ("promoted", row.sha256)  # type: ignore[index]
-        assert audit.verify(session).ok
-
-
-def test_a_promotion_that_fails_at_its_end_leaves_the_old_baseline(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    row = approved()
-
-    def break_down(*_: object) -> None:
-        raise OSError("the disk is full")
-
-    monkeypatch.setattr(parameter_sets, "make_others_stale", break_down)
-    with pytest.raises(OSError, match="disk"):
-        _promote(engine, people["dee"], row)
-    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
-
-
-def test_of_two_promotions_at_once_one_wins_and_one_baseline_is_left(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
-) -> None:
-    rows = [approved() for _ in range(4)]
-
-    def promote(row: ParameterSet) -> str:
-        try:
-            return _promote(engine, people["dee"], row).name
-        except StaleError:
-            return "stale"
-
-    with ThreadPoolExecutor(4) as pool:
-        outcomes = list(pool.map(promote, rows))
-    states = _states(engine)
-    assert sorted(outcomes)[1:] == ["stale"] * 3
-    assert [name for name, state in states.items() if state == "BASELINE"] == [min(outcomes)]
-    assert sorted(states.values()) == ["BASELINE", "CANDIDATE", "CANDIDATE", "CANDIDATE", "SUPERSEDED"]
-    with reading(engine) as session:
-        assert audit.verify(session).ok
-
-
-def test_another_promotion_makes_every_request_of_the_sensor_stale(
-    engine: Engine, people: People, submitted: Callable[[], ParameterSet], approved: Callable[[], ParameterSet]
-) -> None:
-    waiting, signed, winner = submitted(), approved(), approved()
-    _promote(engine, people["dee"], winner)
-    with reading(engine) as session:
-        states = {row.parameter_set_id: row.state for row in approvals.list_approvals(session)}
-    assert states == {waiting.id: "STALE", signed.id: "STALE", winner.id: "APPROVED"}
-    assert _states(engine)[signed.name] == "CANDIDATE"
-
-
-def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
-) -> None:
-    row = approved()
-    with writing(engine) as session:  # as if the incumbent had been exchanged past the services
-        approval = session.scalars(sa.select(Approval)).one()
-        approval.bound = approval.bound | {"incumbent_sha256": "0" * 64}
-    with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-0: .* Submit it again"):
-        _promote(engine, people["dee"], row)
-    with reading(engine) as session:
-        assert approvals.list_approvals(session)[0].state == "STALE"
-    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "CANDIDATE"}
-
-
-def test_rollback_is_a_new_request_for_an_older_set(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
-) -> None:
-    row = approved()
-    _promote(engine, people["dee"], row)
-    with writing(engine) as session:
-        ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        parameter_sets.submit(session, people["ana"], ground.id, "the new one drifts", ground.version)
-        _approve(session, people["cy"], ground.id)
-        parameter_sets.promote(session, people["dee"], ground.id, ground.version)
-    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "SUPERSEDED"}
-
-
-def test_a_rollback_withdrawn_stays_superseded(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
-) -> None:
-    _promote(engine, people["dee"], approved())
-    with writing(engine) as session:
-        ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        parameter_sets.submit(session, people["ana"], ground.id, "the new one drifts", ground.version)
-        parameter_sets.withdraw(session, people["ana"], ground.id, ground.version)
-        assert ground.ground_state == "SUPERSEDED"
+    with writing(engine) as session, pytest.raises(ConflictError, match="is CANDIDATE, not APPROVED"):
+        parameter_sets.promote(session, people["dee"], row.id, row.version)
