@@ -216,3 +216,12 @@ class TestRealSky:
         assert "m0 and a2 move together" in said
         assert document["sigma"]["m0_px"] > 5
         assert document["sigma"]["n0_px"] > 5
+
+
+def test_telemetry_of_another_camera_is_said_to_be_so_before_all_else(sensor, catalogue, telemetry_of):
+    longer = TRUTH.copy()
+    longer[0] *= 2
+
+    document = calibrate(telemetry_of(15, truth=longer), sensor, catalogue, CalibrationSettings())
+
+    assert document["status"] == "diverged" or "hardly comes from this sensor" in document["advice"][0]

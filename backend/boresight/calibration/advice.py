@@ -14,6 +14,8 @@ from boresight.estimation.observability import Observability
 
 #: Shift from the start, in typical sigmas, beyond which a parameter deserves a second look; E Table III stays within 10.
 FAR = 15.0
+#: Shift beyond which it is another sensor: no launch moves a focal length by a hundred times the spread of its make.
+ANOTHER_SENSOR = 100.0
 #: Claimed over available information beyond which a filter is called over-confident.
 OVERCLAIM = 1.5
 
@@ -40,16 +42,18 @@ def advice(
     """Collect every sentence that applies."""
     return [
         *_of_status(estimate, observed),
+        *_of_shift(problem, parameters, estimate),
         *_of_weak_directions(observed, estimate),
         *_of_consistency(fit, nis, problem, settings, estimate),
-        *_of_shift(problem, parameters, estimate),
         *_of_data(problem),
     ]
 
 
 def too_few(problem: Problem, minimum_stars: int) -> list[str]:
     """Say that nothing can be estimated, and what was missing."""
-    reasons = [f"{item.count} {item.what}: {item.reason}" for item in problem.left_out]
+    reasons = [
+        f"{item.count} {item.what[: -1 if item.count == 1 else None]}: {item.reason}" for item in problem.left_out
+    ]
     missing = "; ".join(reasons) or "the set is empty"
     sentence = (
         f"No exposure has {minimum_stars} usable matched stars off one line, so nothing was estimated; "
@@ -123,10 +127,14 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> I
     if estimate.status == "diverged":
         return
     shift = (estimate.x - problem.sensor.initial)[parameters.free] / parameters.scale
-    for place, steps in zip(parameters.free, shift, strict=True):
-        if abs(steps) > FAR:
-            name = problem.camera.parameter_names[place]
-            yield f"{name} moved {steps:+.0f} typical sigmas: check the sensor file's start and typical_sigma."
+    moved = [(problem.camera.parameter_names[p], steps) for p, steps in zip(parameters.free, shift, strict=True)]
+    far = ", ".join(f"{name} {steps:+.0f}" for name, steps in moved if abs(steps) > FAR)
+    if not far:
+        return
+    if np.abs(shift).max() > ANOTHER_SENSOR:
+        yield f"This telemetry hardly comes from this sensor (moved in typical sigmas: {far}): choose the right sensor."
+    else:
+        yield f"Moved far from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma."
 
 
 def _of_data(problem: Problem) -> Iterator[str]:

@@ -28,8 +28,6 @@ from boresight.estimation.observability import observability
 FloatArray = NDArray[np.float64]
 
 SCHEMA = "boresight.calibration/1"
-#: Statuses under which the numbers are no calibration.
-FAILED = ("diverged", "too_few_stars")
 
 
 def numbers(values: FloatArray) -> list[Any]:

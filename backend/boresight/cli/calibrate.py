@@ -14,6 +14,9 @@ from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings, use_kernel_folder
 
+#: Statuses under which the numbers are no calibration.
+FAILED = ("diverged", "too_few_stars")
+
 
 @click.command()
 @click.argument("telemetry", type=click.Path(path_type=Path))
@@ -34,7 +37,8 @@ from boresight.settings import read_settings, use_kernel_folder
 def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_file: str | None, **choices: Any) -> None:
     """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet).
 
-    Prints the parameters with their sigmas, what the fit is worth, and advice.
+    Prints the parameters with their sigmas, what the fit is worth, and advice. A set from which nothing could be
+    estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
     """
     check_writable(json_file)
     use_kernel_folder(read_settings())
@@ -42,8 +46,10 @@ def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_fi
     with progress("reading the telemetry") as report:
         result = _calibrate(telemetry, sensor_file, validate, settings, report)
     write_json(result, json_file)
-    if json_file != "-":
+    if json_file != "-" and result["status"] != "too_few_stars":
         click.echo("\n".join(_lines(result)))
+    if result["status"] in FAILED:
+        raise RefusedInputError(result["advice"][0])
 
 
 def _settings(choices: dict[str, Any]) -> Any:

@@ -41,6 +41,8 @@ def _print_refusal(error: BoresightError) -> None:
     """Print the sentence, then the places it speaks of."""
     click.echo(f"boresight: {error}", err=True)
     faults = error.faults if isinstance(error, RefusedInputError) else ()
+    if len(faults) == 1:  # the sentence has said it
+        return
     for fault in faults[:FAULTS_SHOWN]:
         click.echo(f"  {fault}", err=True)
     if len(faults) > FAULTS_SHOWN:
