@@ -174,6 +174,8 @@ def duration(seconds: Any) -> str:
     """Print a span of time with its two largest units: `3 d 4 h`."""
     if not _is_number(seconds):
         return MISSING
+    if 0 < seconds < 0.1:
+        return f"{1000 * seconds:.1f}{NARROW_SPACE}ms"
     if seconds < 10:
         return f"{max(seconds, 0):.1f}{NARROW_SPACE}s"
     whole = round(seconds)
