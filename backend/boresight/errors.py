@@ -62,7 +62,7 @@ class PreconditionRequiredError(BoresightError):
 
 
 class ForbiddenError(BoresightError):
-    """This person or key may not do this; says who may."""
+    """The person or key may not do it; says who may."""
 
 
 class UnauthenticatedError(BoresightError):

@@ -1,3 +1,5 @@
+"""`boresight calibrate` and `check`: what they print, write and refuse."""
+
 import hashlib
 import json
 

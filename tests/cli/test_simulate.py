@@ -1,3 +1,5 @@
+"""`boresight simulate`: the files it writes agree with the truth beside them."""
+
 import json
 
 import pytest

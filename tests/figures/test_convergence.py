@@ -1,3 +1,5 @@
+"""Convergence shows each parameter with its three-sigma band, and says what is missing."""
+
 import numpy as np
 import pytest
 

@@ -1,3 +1,5 @@
+"""The report is one file that needs nothing else, and shows what it was given without running it."""
+
 import re
 
 import pytest

@@ -1,3 +1,5 @@
+"""Thinning keeps the extremes, whatever the data."""
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -18,8 +18,8 @@ def audit() -> None:
 @click.pass_context
 def verify(context: click.Context, head: str | None) -> None:
     """Walk the whole chain; exit code 1 when a record is not as it was written."""
-    from boresight.services import audit as chain  # noqa: PLC0415 - loads SQLAlchemy
-    from boresight.store.sessions import migrate, open_engine, reading  # noqa: PLC0415 - loads SQLAlchemy
+    from boresight.services import audit as chain
+    from boresight.store.sessions import migrate, open_engine, reading
 
     engine = open_engine(read_settings().database_url)
     migrate(engine)

@@ -20,7 +20,7 @@ def bench(frames: int, json_file: str | None) -> None:
     check_writable(json_file)
     use_kernel_folder(read_settings())
     with progress("compiling") as report:
-        from boresight.studies.speed import measure  # noqa: PLC0415 - loads Numba
+        from boresight.studies.speed import measure
 
         measured = measure(frames, lambda fraction, message: report(message, fraction))
     write_json(measured, json_file)

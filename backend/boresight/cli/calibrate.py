@@ -54,7 +54,7 @@ def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_fi
 
 def _settings(choices: dict[str, Any]) -> Any:
     """Read the choices; one that does not exist is wrong usage."""
-    from boresight.calibration.settings import CalibrationSettings  # noqa: PLC0415 - loads the estimators
+    from boresight.calibration.settings import CalibrationSettings
 
     free = choices.pop("free")
     if free is not None:
@@ -67,10 +67,10 @@ def _settings(choices: dict[str, Any]) -> Any:
 
 def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settings: Any, report: Any) -> dict[str, Any]:
     """Read the files and run the estimator."""
-    from boresight.calibration import calibrate as estimator  # noqa: PLC0415 - loads Numba
-    from boresight.sky.catalogue import load_catalogue  # noqa: PLC0415 - loads NumPy
-    from boresight.telemetry.readers import read_telemetry  # noqa: PLC0415 - loads pyarrow
-    from boresight.telemetry.sensors import read_sensor  # noqa: PLC0415 - loads NumPy
+    from boresight.calibration import calibrate as estimator
+    from boresight.sky.catalogue import load_catalogue
+    from boresight.telemetry.readers import read_telemetry
+    from boresight.telemetry.sensors import read_sensor
 
     sensor = read_sensor(sensor_file)
     stars = read_telemetry(telemetry)
@@ -92,7 +92,7 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
 
 def _lines(result: dict[str, Any]) -> Iterator[str]:
     """Lay a result out for a terminal."""
-    from boresight.figures.parameter_rows import HEADINGS, parameter_rows  # noqa: PLC0415 - loads Plotly
+    from boresight.figures.parameter_rows import HEADINGS, parameter_rows
 
     words = [result["method"], result["variant"], result["status"].replace("_", " ")]
     counts = ", ".join(f"{result[key]:,} {key}" for key in ("frames", "exposures", "stars", "pairs"))

@@ -19,10 +19,10 @@ from boresight.settings import read_settings
 @json_option
 def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
     """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
-    from boresight.sky.catalogue import load_catalogue  # noqa: PLC0415 - loads NumPy
-    from boresight.telemetry.quality import quality_report  # noqa: PLC0415 - loads NumPy
-    from boresight.telemetry.readers import read_telemetry  # noqa: PLC0415 - loads pyarrow
-    from boresight.telemetry.sensors import read_sensor  # noqa: PLC0415 - loads NumPy
+    from boresight.sky.catalogue import load_catalogue
+    from boresight.telemetry.quality import quality_report
+    from boresight.telemetry.readers import read_telemetry
+    from boresight.telemetry.sensors import read_sensor
 
     check_writable(json_file)
     with progress("reading the telemetry") as report:

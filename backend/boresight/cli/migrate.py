@@ -11,7 +11,7 @@ from boresight.settings import read_settings
 @click.option("--down", "revision", metavar="REV", help="Go back to this revision; base removes every table.")
 def migrate(revision: str | None) -> None:
     """Bring the database's schema up to date, or back to a revision."""
-    from boresight.store import sessions  # noqa: PLC0415 - loads SQLAlchemy
+    from boresight.store import sessions
 
     settings = read_settings()
     engine = sessions.open_engine(settings.database_url)

@@ -45,8 +45,8 @@ class _Bar:
     """The bar itself; loads its library only in a terminal."""
 
     def __init__(self, message: str) -> None:
-        from rich import progress as rich  # noqa: PLC0415 - only a terminal needs it
-        from rich.console import Console  # noqa: PLC0415 - only a terminal needs it
+        from rich import progress as rich
+        from rich.console import Console
 
         columns = (
             rich.SpinnerColumn(),

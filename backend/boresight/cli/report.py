@@ -18,7 +18,7 @@ from boresight.settings import read_settings
 @click.option("--out", "out_file", required=True, metavar="FILE.html", help="The report to write.")
 def report(source: str, out_file: str) -> None:
     """Write the report of a stored run, by its number, or of a calibration JSON file."""
-    from boresight.figures.report import write_report  # noqa: PLC0415 - loads Plotly
+    from boresight.figures.report import write_report
 
     check_writable(out_file)
     write_report(_document(source), Path(out_file))
@@ -44,9 +44,9 @@ def _document(source: str) -> dict[str, Any]:
 
 def _stored(run_id: int) -> dict[str, Any]:
     """Read a run's calibration from the store."""
-    from boresight.services import runs  # noqa: PLC0415 - loads SQLAlchemy
-    from boresight.store.blobs import BlobStore  # noqa: PLC0415 - loads SQLAlchemy
-    from boresight.store.sessions import migrate, open_engine, reading  # noqa: PLC0415 - loads SQLAlchemy
+    from boresight.services import runs
+    from boresight.store.blobs import BlobStore
+    from boresight.store.sessions import migrate, open_engine, reading
 
     settings = read_settings()
     engine = open_engine(settings.database_url)

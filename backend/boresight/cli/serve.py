@@ -80,7 +80,7 @@ def _claim_port(settings: Settings) -> None:
 def _serve(settings: Settings) -> None:
     """Run the server; Ctrl-C is its ordinary end."""
     use_kernel_folder(settings)
-    from boresight.server import serve as run  # noqa: PLC0415 - loads everything
+    from boresight.server import serve as run
 
     try:
         run(settings)
@@ -91,10 +91,10 @@ def _serve(settings: Settings) -> None:
 def _populate(settings: Settings) -> None:
     """Make the demonstration as soon as the server answers, so that its first page does not wait for it."""
     _wait_until_served(settings)
-    from boresight.services.demonstration import LOG_INS, create_demonstration  # noqa: PLC0415 - the server loaded it
-    from boresight.sky.catalogue import load_catalogue  # noqa: PLC0415 - the server loaded it
-    from boresight.store.blobs import BlobStore  # noqa: PLC0415 - the server loaded it
-    from boresight.store.sessions import open_engine  # noqa: PLC0415 - the server loaded it
+    from boresight.services.demonstration import LOG_INS, create_demonstration
+    from boresight.sky.catalogue import load_catalogue
+    from boresight.store.blobs import BlobStore
+    from boresight.store.sessions import open_engine
 
     click.echo(f"\n  Boresight demonstration: {_address(settings)}\n\n  Log in as")
     for person in LOG_INS:

@@ -39,7 +39,7 @@ def simulate(scenario: str, folder: Path, frames: int | None, seed: int | None, 
 
 def _scenarios(name: str, frames: int | None, seed: int | None) -> tuple[Any, Any]:
     """Read the calibration scenario and the validation scenario that goes with it."""
-    from boresight.simulation.scenes import calibration_scenario, parse_scenario, validation_scenario  # noqa: PLC0415
+    from boresight.simulation.scenes import calibration_scenario, parse_scenario, validation_scenario
 
     if name in BUILT_IN:
         number = BUILT_IN.index(name) + 1
@@ -56,7 +56,7 @@ def _scenarios(name: str, frames: int | None, seed: int | None) -> tuple[Any, An
 
 def _later(calibration: Any) -> Any:
     """Repeat a scenario hours later with other noise, for a set that took no part in the calibration."""
-    import numpy as np  # noqa: PLC0415 - only simulation needs it here
+    import numpy as np
 
     start = calibration.orbit.start_utc + np.timedelta64(VALIDATION_DELAY_H, "h")
     return replace(calibration, orbit=replace(calibration.orbit, start_utc=start), seed=calibration.seed + 1)
@@ -75,11 +75,11 @@ def _read(path: Path) -> Any:
 
 def _write(folder: Path, scenarios: dict[str, Any], suffix: str, report: Any) -> list[tuple[str, str, str]]:
     """Simulate and write every file; return a row a telemetry file."""
-    import numpy as np  # noqa: PLC0415 - only simulation needs it here
+    import numpy as np
 
-    from boresight.simulation.scenes import scenario_document, simulate  # noqa: PLC0415
-    from boresight.sky.catalogue import load_catalogue  # noqa: PLC0415
-    from boresight.telemetry.readers import write_csv, write_parquet  # noqa: PLC0415 - loads pyarrow
+    from boresight.simulation.scenes import scenario_document, simulate
+    from boresight.sky.catalogue import load_catalogue
+    from boresight.telemetry.readers import write_csv, write_parquet
 
     catalogue = load_catalogue(read_settings().catalogue_folder)
     _make(folder)

@@ -27,9 +27,9 @@ def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin:
     administrator (people and keys; cannot sign).
     """
     password = _password(from_stdin=password_stdin)
-    from boresight.services import users  # noqa: PLC0415 - loads SQLAlchemy
-    from boresight.services.actors import COMMAND_LINE  # noqa: PLC0415 - loads SQLAlchemy
-    from boresight.store.sessions import migrate, open_engine, writing  # noqa: PLC0415 - loads SQLAlchemy
+    from boresight.services import users
+    from boresight.services.actors import COMMAND_LINE
+    from boresight.store.sessions import migrate, open_engine, writing
 
     engine = open_engine(read_settings().database_url)
     migrate(engine)
