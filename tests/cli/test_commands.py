@@ -77,6 +77,14 @@ def test_the_schema_goes_forward_and_back(store):
     assert store("migrate", "--down", "base").stdout.endswith("-> empty\n")
 
 
+def test_a_schema_revision_that_is_not_there_is_refused_in_one_line(store):
+    store("migrate")
+    done = store("migrate", "--down", "xyz")
+    assert done.exit_code == 1
+    assert done.stderr.startswith("boresight: There is no schema revision 'xyz' to go back to; name base or 0001")
+    assert done.stderr.count("\n") == 1
+
+
 def test_a_person_is_added_once_and_the_audit_chain_knows(store):
     words = ("user", "add", "ada", "--role", "analyst", "--role", "approver", "--printed-name", "Ada L.")
     done = store(*words, "--password-stdin", stdin=f"{PASSWORD}\n")

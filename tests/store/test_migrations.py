@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
-from boresight.errors import ConflictError
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.store.sessions import (
     Engine,
     current_revision,
@@ -174,7 +174,24 @@ def test_a_database_of_a_newer_version_is_refused_and_left_alone(store: Engine) 
         connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
     with pytest.raises(ConflictError, match="newer version"):
         migrate(store)
+    with pytest.raises(ConflictError, match="newer version"):
+        downgrade(store, "0001")
     assert current_revision(store) == "9999"
+
+
+@pytest.mark.parametrize("revision", ["xyz", "", "-1", "+1", "9999", "base:head"])
+def test_a_way_back_to_no_revision_is_refused_with_those_there_are(store: Engine, revision: str) -> None:
+    with pytest.raises(RefusedInputError, match=r"; name base or 0001( or \d{4})*\.$"):
+        downgrade(store, revision)
+    assert current_revision(store) == head_revision()
+
+
+def test_an_empty_store_goes_back_to_base_only(engine: Engine) -> None:
+    downgrade(engine, "base")
+    with pytest.raises(RefusedInputError, match=r"'0001' to go back to; name base\.$"):
+        downgrade(engine, "0001")
+    downgrade(engine, "base")
+    assert current_revision(engine) is None
 
 
 @pytest.mark.parametrize("table", ["audit", "signatures", "uplinks", "promotions", "parameter_sets"])

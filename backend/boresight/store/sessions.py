@@ -171,6 +171,11 @@ def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
     """Open a transaction for a migration: alone, all or nothing, with SQLite's foreign keys checked at its end.
 
     SQLite alters a table by copying and dropping it, which with foreign keys on would take the rows that refer to it.
+
+    Raises
+    ------
+    ConflictError
+        When the database was written by a newer version of Boresight, or its rows would no longer refer to anything.
     """
     with engine.execution_options(begin="IMMEDIATE").connect() as connection:
         sqlite = connection.dialect.name == "sqlite"
@@ -183,6 +188,10 @@ def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
                 yield connection
                 if sqlite and (broken := connection.exec_driver_sql("PRAGMA foreign_key_check").fetchall()):
                     raise ConflictError(f"The migration would leave rows that refer to nothing: {broken[:3]}.")
+        except CommandError as error:
+            raise ConflictError(
+                f"The database is of a newer version of Boresight ({error}); install that version or restore a backup."
+            ) from error
         finally:
             if driver is not None:
                 driver.execute("PRAGMA foreign_keys=ON")
@@ -197,18 +206,32 @@ def migrate(engine: Engine) -> None:
         When the database was written by a newer version of Boresight.
     """
     with _changing_schema(engine) as connection:
-        try:
-            command.upgrade(_config(connection), "head")
-        except CommandError as error:
-            raise ConflictError(
-                f"The database is of a newer version of Boresight ({error}); install that version or restore a backup."
-            ) from error
+        command.upgrade(_config(connection), "head")
 
 
 def downgrade(engine: Engine, revision: str) -> None:
-    """Take the schema back to a revision; `base` removes every table."""
+    """Take the schema back to a revision; `base` removes every table.
+
+    Raises
+    ------
+    RefusedInputError
+        When there is no such revision on the way back; names those there are.
+    ConflictError
+        When the database was written by a newer version of Boresight.
+    """
+    behind = _revisions_behind(current_revision(engine))
+    if revision not in behind:
+        raise RefusedInputError(f"There is no schema revision {revision!r} to go back to; name {' or '.join(behind)}.")
     with _changing_schema(engine) as connection:
         command.downgrade(_config(connection), revision)
+
+
+def _revisions_behind(current: str | None) -> list[str]:
+    """Return the revisions from `base` to the schema's own; all there are where the schema's own is not known."""
+    known = [script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()][::-1]
+    if current is None:
+        return ["base"]
+    return ["base", *known[: known.index(current) + 1]] if current in known else ["base", *known]
 
 
 def current_revision(engine: Engine) -> str | None:
