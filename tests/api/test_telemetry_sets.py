@@ -86,6 +86,15 @@ def test_what_is_no_telemetry_is_refused_in_a_sentence(house: House, content: by
     assert answer.json()["detail"].endswith(".")
 
 
+@pytest.mark.parametrize("content", [b"", b" \n", b"\xff\xfe\x00", b"PK\x03\x04", b"frame\n1\n", b"frame\n\xff\n"])
+def test_a_refused_file_is_called_what_its_sender_calls_it(house: House, content: bytes) -> None:
+    answer = house.upload(
+        house.person("ada"), house.new_sensor()["id"], content, file_name="C:\\downlink\\pass 7 (2).csv"
+    )
+    assert answer.status_code == 422
+    assert answer.json()["detail"].startswith("pass 7 (2).csv")
+
+
 def test_a_request_without_a_file_says_how_to_send_one(house: House) -> None:
     client = house.person("ada")
     wrong = client.post("/api/v1/telemetry-sets", json={"sensor_id": 1})

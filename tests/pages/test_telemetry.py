@@ -78,9 +78,9 @@ def test_a_refused_file_shows_row_and_column_and_keeps_the_choices(house, table,
 @pytest.mark.parametrize(
     ("content", "name", "fields", "sentence"),
     [
-        (b"", "empty.csv", {}, "empty"),
-        (b"a,b\n1,2\n", "columns.csv", {}, "frame"),
-        (b"PAR1", "cut.parquet", {}, "parquet"),
+        (b"", "void.csv", {}, "void.csv is empty"),
+        (b"a,b\n1,2\n", "columns.csv", {}, "columns.csv: column frame: the column is missing"),
+        (b"PAR1", "cut.parquet", {}, "cut.parquet"),
         (b"x", "pass.csv", {"sensor_id": ""}, "Choose the sensor"),
         (b"x", "", {}, "No file was chosen"),
     ],

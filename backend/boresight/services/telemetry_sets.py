@@ -85,8 +85,7 @@ def prepared(
     RefusedInputError
         When the file cannot be read, with rows and columns.
     """
-    with _called(path, file_name) as named:
-        telemetry = read_telemetry(named)
+    telemetry = read_telemetry(path, _base_name(file_name))
     sensor = parse_sensor(sensor_document)
     check_against_sensor(telemetry, sensor)
     with tempfile.TemporaryDirectory() as folder:
@@ -210,19 +209,6 @@ def _base_name(file_name: str) -> str:
     return file_name.replace("\\", "/").rsplit("/", 1)[-1] or "telemetry"
 
 
-@contextmanager
-def _called(path: Path, file_name: str) -> Iterator[Path]:
-    """Give a file a name with the sender's suffix, by which readers know what it is."""
-    suffix = PurePath(_base_name(file_name)).suffix
-    if path.suffix == suffix:
-        yield path
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        named = Path(folder) / f"telemetry{suffix}"
-        named.symlink_to(path.resolve())
-        yield named
-
-
 def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
     """Return a set.
 
@@ -270,8 +256,7 @@ def load_telemetry(session: Session, blobs: BlobStore, set_id: int) -> Telemetry
         When there is no such set, or its bytes are missing.
     """
     row = get_telemetry_set(session, set_id)
-    with _called(blobs.path(row.table_sha256), "table.parquet") as named:
-        return read_telemetry(named)
+    return read_telemetry(blobs.path(row.table_sha256))
 
 
 def _subject(row: TelemetrySet) -> str:

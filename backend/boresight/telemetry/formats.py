@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from boresight.errors import RefusedInputError
 
@@ -12,8 +12,15 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path, name: str) -> bytes:
     """Return the content of a file.
+
+    Parameters
+    ----------
+    path
+        Where it is.
+    name
+        What refusals of its content call it.
 
     Raises
     ------
@@ -29,14 +36,14 @@ def read_bytes(path: Path) -> bytes:
     except OSError as error:
         raise RefusedInputError(f"{path} cannot be read ({error.strerror}): check its permissions.") from error
     if not data:
-        raise RefusedInputError(f"{path.name} is empty: download it again.")
+        raise RefusedInputError(f"{name} is empty: download it again.")
     text = data.removeprefix(_BYTE_ORDER_MARK)
     if not text or text.isspace():
-        raise RefusedInputError(f"{path.name} holds nothing but blanks: download it again.")
+        raise RefusedInputError(f"{name} holds nothing but blanks: download it again.")
     return data
 
 
-def format_of(path: Path, data: bytes) -> str:
+def format_of(name: str, data: bytes) -> str:
     """Return `CSV`, `JSON Lines` or `Parquet`.
 
     A file without one of the known suffixes is what its bytes are; content-addressed files have no suffix.
@@ -47,15 +54,15 @@ def format_of(path: Path, data: bytes) -> str:
         When the suffix promises something else than the bytes hold.
     """
     if _is_wide_text(data):
-        raise RefusedInputError(f"{path.name} is UTF-16 or UTF-32 text: save it as UTF-8.")
+        raise RefusedInputError(f"{name} is UTF-16 or UTF-32 text: save it as UTF-8.")
     found = _sniff(data)
-    promised = _SUFFIXES.get(path.suffix.lower(), found)
+    promised = _SUFFIXES.get(PurePath(name).suffix.lower(), found)
     if promised != found:
         raise RefusedInputError(
-            f"{path.name} is named as {promised} but its content looks like {found}: rename it or export it again."
+            f"{name} is named as {promised} but its content looks like {found}: rename it or export it again."
         )
     if found not in _SUFFIXES.values():
-        raise RefusedInputError(f"{path.name} holds {found}: export it as CSV, JSON Lines or Parquet.")
+        raise RefusedInputError(f"{name} holds {found}: export it as CSV, JSON Lines or Parquet.")
     return found
 
 

@@ -26,29 +26,32 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def read_telemetry(path: Path) -> Telemetry:
+def read_telemetry(path: Path, name: str | None = None) -> Telemetry:
     """Read a telemetry file.
 
     Parameters
     ----------
     path
-        CSV, JSON Lines or Parquet; a file without suffix is what its bytes are.
+        Where it is.
+    name
+        What its sender called it, and refusals call it; None for the name it has. The suffix says CSV, JSON Lines or
+        Parquet; without one a file is what its bytes are.
 
     Raises
     ------
     RefusedInputError
         When the file cannot be used; the first twenty faults name row and column.
     """
-    path = Path(path)
-    data = read_bytes(path)
-    match format_of(path, data):
+    name = name or path.name
+    data = read_bytes(path, name)
+    match format_of(name, data):
         case "Parquet":
-            table, first_row = parquet.read_parquet(path.name, data), parquet.FIRST_ROW
+            table, first_row = parquet.read_parquet(name, data), parquet.FIRST_ROW
         case "JSON Lines":
-            table, first_row = json_lines.read_json_lines(path.name, text_of(path.name, data)), json_lines.FIRST_ROW
+            table, first_row = json_lines.read_json_lines(name, text_of(name, data)), json_lines.FIRST_ROW
         case _:
-            table, first_row = comma_separated.read_csv(path.name, text_of(path.name, data)), comma_separated.FIRST_ROW
-    return telemetry_of(table, Faults(path.name, first_row))
+            table, first_row = comma_separated.read_csv(name, text_of(name, data)), comma_separated.FIRST_ROW
+    return telemetry_of(table, Faults(name, first_row))
 
 
 def telemetry_of(table: pa.Table, faults: Faults) -> Telemetry:

@@ -83,7 +83,7 @@ def read_sensor(path: Path) -> Sensor:
         When there is no such file, it is not JSON, or a field is wrong; names the field.
     """
     path = Path(path)
-    text = text_of(path.name, read_bytes(path))
+    text = text_of(path.name, read_bytes(path, path.name))
     try:
         document = json.loads(text)
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
