@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData
@@ -96,9 +96,13 @@ def typed_form(form: FormData, fleet: Sequence[Sensor]) -> Typed:
     return Typed(**{**DEFAULTS, **{name: value for name, value in named.items() if value}}, free=free)
 
 
-def first_choice(session: Session, fleet: Sequence[Sensor], clone: int | None, sensor_id: int | None) -> Typed:
-    """Fill the form anew: from a run to clone, else with a sensor's newest sets, the first sensor's by default."""
+def first_choice(
+    session: Session, fleet: Sequence[Sensor], clone: int | None, sensor_id: int | None, set_id: int | None
+) -> Typed:
+    """Fill the form anew: from a run to clone, with a set, or with a sensor's newest sets, by default the first one's."""
     free = {sensor.id: _free_of(sensor) for sensor in fleet}
+    if clone is None and set_id is not None:
+        return Typed(**_sets_with(session, set_id), free=free)
     if clone is None:
         return Typed(**_newest_sets(session, fleet[0].id if sensor_id is None and fleet else sensor_id), free=free)
     run = runs.get_run(session, clone)
@@ -132,6 +136,13 @@ def _newest_sets(session: Session, sensor_id: int | None) -> dict[str, str]:
         "telemetry_set_id": newest.get("calibration", ""),
         "validation_set_id": newest.get("validation", ""),
     }
+
+
+def _sets_with(session: Session, set_id: int) -> dict[str, str]:
+    """Choose this set for its purpose, and the newest of its sensor for the other."""
+    known = telemetry_sets.get_telemetry_set(session, set_id)
+    place = "telemetry_set_id" if known.purpose == "calibration" else "validation_set_id"
+    return {**_newest_sets(session, known.sensor_id), place: str(known.id)}
 
 
 def _free_of(sensor: Sensor) -> list[str]:
@@ -183,11 +194,18 @@ def _launch(session: Session, actor: Actor, typed: Typed, *, validate_only: bool
 
 
 @router.get("/runs/new", response_class=HTMLResponse)
-def launch_page(request: Request, session: Reading, actor: Who, clone: str = "", sensor: str = "") -> HTMLResponse:
-    """Show the form, empty or filled from a run."""
+def launch_page(
+    request: Request,
+    session: Reading,
+    actor: Who,
+    clone: str = "",
+    sensor: str = "",
+    set_id: Annotated[str, Query(alias="set")] = "",
+) -> HTMLResponse:
+    """Show the form, empty or filled from a run or a telemetry set."""
     fleet = sensors.list_sensors(session)
-    cloned = int(clone) if clone.isdecimal() else None
-    typed = first_choice(session, fleet, cloned, int(sensor) if sensor.isdecimal() else None)
+    cloned, of_sensor, with_set = (int(text) if text.isdecimal() else None for text in (clone, sensor, set_id))
+    typed = first_choice(session, fleet, cloned, of_sensor, with_set)
     return _page(request, session, actor, typed, clone=cloned)
 
 
