@@ -69,6 +69,14 @@ class UnauthenticatedError(BoresightError):
     """Nobody is logged in, or the log-in has expired."""
 
 
+class TooManyAttemptsError(BoresightError):
+    """It was tried too often; may be tried again after `wait_s` whole seconds."""
+
+    def __init__(self, sentence: str, wait_s: int) -> None:
+        super().__init__(sentence)
+        self.wait_s = wait_s
+
+
 class TooLargeError(BoresightError):
     """The upload is over the size limit."""
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
+import httpx
 import pytest
 from fastapi import Response
 
 from boresight.api.cookies import SESSION_COOKIE, LogInCookie, read_secret
 from boresight.errors import UnauthenticatedError
 
-from .conftest import PASSWORD, House, settings_in
+from .conftest import PASSWORD, House, add_people, serving, settings_in
 
 
 def test_the_cookie_is_out_of_reach_of_scripts_and_of_other_sites(house: House) -> None:
@@ -43,6 +44,17 @@ def test_a_wrong_password_and_an_unknown_name_get_the_same_answer(house: House) 
     assert [answer.status_code for answer in answers] == [401, 401]
     assert answers[0].json()["detail"] == answers[1].json()["detail"]
     assert all("set-cookie" not in answer.headers for answer in answers)
+
+
+def test_too_many_failures_are_told_how_long_to_wait(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path, login_attempts="1")
+    add_people(settings)
+    with serving(settings) as (address, _):
+        answers = [httpx.post(f"{address}/api/v1/sessions", json={"name": "ada", "password": "no"}) for _ in range(2)]
+    assert [answer.status_code for answer in answers] == [401, 429]
+    assert answers[1].headers["content-type"] == "application/problem+json"
+    assert 1 <= int(answers[1].headers["retry-after"]) <= 60
+    assert "www-authenticate" not in answers[1].headers
 
 
 def test_logging_out_takes_the_cookie_away(house: House) -> None:

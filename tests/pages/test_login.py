@@ -43,7 +43,10 @@ def test_a_wrong_name_and_a_wrong_password_sound_the_same_and_the_name_stays(str
 def test_too_many_failures_make_the_name_wait(stranger, read):
     for _ in range(5):
         log_in(stranger, password="wrong")
-    assert "wait a minute" in read(log_in(stranger).text)
+    answer = log_in(stranger)
+    assert "wait a minute" in read(answer.text)
+    assert answer.status_code == 429
+    assert 1 <= int(answer.headers["retry-after"]) <= 60
 
 
 def test_another_site_cannot_log_a_browser_in(stranger):

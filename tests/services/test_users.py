@@ -13,6 +13,7 @@ from boresight.errors import (
     ForbiddenError,
     NotFoundError,
     RefusedInputError,
+    TooManyAttemptsError,
     UnauthenticatedError,
 )
 from boresight.services import audit, users
@@ -52,8 +53,18 @@ def test_a_wrong_name_and_a_wrong_password_get_the_same_answer(engine: Engine) -
 @pytest.mark.parametrize("name", ["ana", "nobody"])
 def test_too_many_failures_make_a_name_wait_whether_it_exists_or_not(engine: Engine, name: str) -> None:
     _fail(engine, name, times=3)
-    with pytest.raises(UnauthenticatedError, match="wait a minute"):
+    with pytest.raises(TooManyAttemptsError, match="wait a minute") as refusal:
         _log_in(engine, name, PASSWORD)
+    assert 55 <= refusal.value.wait_s <= 60
+
+
+def test_the_wait_ends_when_so_few_failures_count_that_another_attempt_is_allowed(engine: Engine) -> None:
+    with writing(engine) as session:
+        for seconds_ago in (50.0, 40.0, 30.0, 20.0, 70.0):
+            session.add(LoginFailure(name="ana", at_utc=utc_after(-seconds_ago)))
+    with pytest.raises(TooManyAttemptsError) as refusal:
+        _log_in(engine, "ana", PASSWORD)
+    assert refusal.value.wait_s in {19, 20}  # of four within the minute two must lapse: the second 40 s ago
 
 
 def test_failures_of_one_name_do_not_hold_up_another(engine: Engine) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from boresight.errors import StaleError, UnauthenticatedError
+from boresight.errors import StaleError, TooManyAttemptsError, UnauthenticatedError
 from boresight.services import approvals, audit, parameter_sets, sensors, telemetry_sets, uplinks, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore
@@ -122,6 +122,6 @@ def test_the_ladder_and_the_question_of_when_work(postgresql: Engine, people: Ma
 
 def test_a_failed_log_in_is_remembered(postgresql: Engine, people: Mapping[str, Actor]) -> None:
     assert set(people) == set(PEOPLE)
-    for says in ("do not fit", "wait a minute"):
-        with pytest.raises(UnauthenticatedError, match=says), writing(postgresql) as session:
+    for kind, says in ((UnauthenticatedError, "do not fit"), (TooManyAttemptsError, "wait a minute")):
+        with pytest.raises(kind, match=says), writing(postgresql) as session:
             users.authenticate(session, "ana", "wrong horse battery", attempts_per_minute=1)

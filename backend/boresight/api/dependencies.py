@@ -154,7 +154,9 @@ def log_in_person(
     Raises
     ------
     UnauthenticatedError
-        When they do not belong together, or too many attempts were made.
+        When they do not belong together.
+    TooManyAttemptsError
+        When too many attempts were made with this name.
     """
     attempts = request.app.state.settings.login_attempts
     actor = users.authenticate(

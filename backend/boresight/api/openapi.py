@@ -58,6 +58,7 @@ SENTENCES = {
     413: "The upload is over the size limit.",
     422: "The input is refused; `errors` says where.",
     428: "`If-Match` is missing.",
+    429: "Too many wrong passwords; `Retry-After` says how many seconds to wait.",
     503: "Not ready yet.",
 }
 

@@ -44,6 +44,7 @@ KINDS: Mapping[type[Exception], Kind] = {
     errors.PreconditionRequiredError: Kind(428, "Precondition required"),
     errors.ForbiddenError: Kind(403, "Forbidden"),
     errors.UnauthenticatedError: Kind(401, "Unauthenticated"),
+    errors.TooManyAttemptsError: Kind(429, "Too many attempts"),
     errors.TooLargeError: Kind(413, "Too large"),
     errors.CancelledError: Kind(409, "Cancelled"),
 }
@@ -73,7 +74,7 @@ def problem_of(error: Exception) -> Problem:
         return Problem(_kind_of_status(error.status_code), str(error.detail), headers=error.headers)
     for kind in type(error).__mro__:
         if kind in KINDS:
-            return Problem(KINDS[kind], str(error), _faults(error), _headers(KINDS[kind].status))
+            return Problem(KINDS[kind], str(error), _faults(error), _headers(error))
     return Problem(UNFORESEEN, "The server failed in a way nobody foresaw; report the request id with what you did.")
 
 
@@ -105,9 +106,11 @@ def _faults(error: Exception) -> list[dict[str, Any]]:
     return [{"row": fault.row, "column": fault.column, "detail": fault.detail} for fault in faults]
 
 
-def _headers(status: int) -> dict[str, str] | None:
-    """Say how to authenticate where that is what is missing."""
-    return {"WWW-Authenticate": "Bearer"} if status == HTTPStatus.UNAUTHORIZED else None
+def _headers(error: Exception) -> dict[str, str] | None:
+    """Say how to authenticate where that is what is missing, and how long to wait where that helps."""
+    if isinstance(error, errors.TooManyAttemptsError):
+        return {"Retry-After": str(error.wait_s)}
+    return {"WWW-Authenticate": "Bearer"} if isinstance(error, errors.UnauthenticatedError) else None
 
 
 def problem_response(request: Request, problem: Problem) -> Response:

@@ -6,7 +6,7 @@ nothing of a refused change is kept, and only then becomes words on the page.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -15,6 +15,7 @@ from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 
 from boresight.api.dependencies import write_session
+from boresight.api.problems import problem_of
 from boresight.errors import BoresightError, Fault, NotFoundError
 
 T = TypeVar("T")
@@ -23,10 +24,18 @@ _transaction = asynccontextmanager(write_session)
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a change was not made: the sentence, and the places it names."""
+    """Why a change was not made: the sentence, the places it names, and how HTTP says it."""
 
     sentence: str
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[Fault, ...]
+    status: int
+    headers: Mapping[str, str]
+
+    @classmethod
+    def of(cls, error: BoresightError) -> Refusal:
+        """Turn a refusal that was raised into one to show."""
+        problem = problem_of(error)
+        return cls(str(error), tuple(getattr(error, "faults", ())), problem.status, problem.headers or {})
 
 
 @dataclass(frozen=True)
@@ -56,4 +65,4 @@ async def attempt(request: Request, change: Callable[..., T]) -> Outcome[T]:
     except NotFoundError:
         raise
     except BoresightError as error:
-        return Outcome(None, Refusal(str(error), tuple(getattr(error, "faults", ()))))
+        return Outcome(None, Refusal.of(error))

@@ -44,12 +44,14 @@ async def log_in(
     if request.headers.get("sec-fetch-site") == "cross-site":
         raise ForbiddenError("This log-in was sent by another site; open Boresight's own log-in page.")
     response = redirect(local_path(next))
-    outcome = await attempt(request, partial(_check, request, response, name, password))
-    if outcome.refusal is None:
+    refusal = (await attempt(request, partial(_check, request, response, name, password))).refusal
+    if refusal is None:
         return response
-    return render(
-        request, "login.html", status_code=401, next=local_path(next), name=name, refusal=outcome.refusal.sentence
+    page = render(
+        request, "login.html", status_code=refusal.status, next=local_path(next), name=name, refusal=refusal.sentence
     )
+    page.headers.update(refusal.headers)
+    return page
 
 
 def _check(request: Request, response: Response, name: str, password: str, session: Session) -> None:

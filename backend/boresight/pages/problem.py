@@ -23,6 +23,7 @@ ADVICE = {
     413: "Split the file, or ask an administrator to raise the limit.",
     422: "Nothing was stored. Go back, correct what is named here, and send it again.",
     428: "Go back, reload the page and do it from there.",
+    429: "Wait as long as the sentence says; nothing of this request was stored.",
     500: "Nothing of this request was stored. Try again; if it fails again, report the request id below.",
 }
 

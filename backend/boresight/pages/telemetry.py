@@ -144,7 +144,7 @@ async def _attempt(request: Request, actor: Actor, upload: Upload) -> Outcome[Te
         async with contextmanager_in_threadpool(_prepared(request, actor, upload)) as ready:
             return await attempt(request, partial(_store, request, actor, upload, ready))
     except BoresightError as error:
-        return Outcome(None, Refusal(str(error), tuple(getattr(error, "faults", ()))))
+        return Outcome(None, Refusal.of(error))
 
 
 @contextmanager

@@ -104,7 +104,7 @@ def sign(
 
     Raises
     ------
-    ForbiddenError, UnauthenticatedError
+    ForbiddenError, UnauthenticatedError, TooManyAttemptsError
         When this person may not sign, or the password is wrong.
     RefusedInputError
         When decision, meaning or comment is missing.

@@ -6,13 +6,21 @@ failures make a name wait, whether it exists or not, so that an answer does not 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Sequence
+from datetime import UTC, datetime, timedelta
 
 from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError, UnauthenticatedError
+from boresight.errors import (
+    ConflictError,
+    NotFoundError,
+    RefusedInputError,
+    TooManyAttemptsError,
+    UnauthenticatedError,
+)
 from boresight.services import audit
 from boresight.services.actors import Actor, require_person, require_role, require_scope
 from boresight.store import users as rows
@@ -22,6 +30,7 @@ from boresight.store.tables import ROLES, LoginFailure, User
 MINIMUM_PASSWORD_LENGTH = 12
 MAXIMUM_PASSWORD_LENGTH = 256  # a longer one only costs time
 LOGIN_ATTEMPTS_PER_MINUTE = 5
+FAILURE_COUNTS_S = 60.0
 LOGIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
 
 _HASHER = PasswordHasher()
@@ -91,7 +100,9 @@ def authenticate(
     Raises
     ------
     UnauthenticatedError
-        When name and password do not fit, the person is disabled, or there were too many failures.
+        When name and password do not fit, or the person is disabled.
+    TooManyAttemptsError
+        When there were too many failures within a minute.
     """
     user = rows.user_named(session, name.strip())
     _check_password(session, name.strip(), user, password, attempts_per_minute)
@@ -102,14 +113,23 @@ def authenticate(
 
 def _check_password(session: Session, name: str, user: User | None, password: str, attempts_per_minute: int) -> None:
     """Refuse a wrong password, after as much work as a right one costs, and count the failure."""
-    if rows.failures_since(session, name, utc_after(-60.0)) >= attempts_per_minute:
-        raise UnauthenticatedError("Too many failed log-ins with this name; wait a minute and try again.")
+    _refuse_too_many(rows.failures_since(session, name, utc_after(-FAILURE_COUNTS_S)), attempts_per_minute)
     if _fits(user.password_hash if user else _UNKNOWN, password) and user is not None:
         return
     rows.forget_failures(session, before_utc=utc_after(-3600.0))
     session.add(LoginFailure(name=name, at_utc=utc_now()))
     keep_despite_refusal(session)
     raise UnauthenticatedError("Name and password do not fit; try again or ask an administrator.")
+
+
+def _refuse_too_many(failed_utc: Sequence[str], attempts_per_minute: int) -> None:
+    """Refuse while so many failures count, the newest first, until so few do that another attempt is allowed."""
+    if len(failed_utc) < attempts_per_minute:
+        return
+    last_to_lapse = failed_utc[attempts_per_minute - 1] if attempts_per_minute else utc_now()
+    lapsed = datetime.fromisoformat(last_to_lapse) + timedelta(seconds=FAILURE_COUNTS_S)
+    wait_s = math.ceil((lapsed - datetime.now(UTC)).total_seconds())
+    raise TooManyAttemptsError("Too many failed log-ins with this name; wait a minute and try again.", max(wait_s, 1))
 
 
 def _fits(password_hash: str, password: str) -> bool:
@@ -152,7 +172,9 @@ def verify_password(
     Raises
     ------
     UnauthenticatedError
-        When the password is wrong or there were too many failures.
+        When the password is wrong.
+    TooManyAttemptsError
+        When there were too many failures within a minute.
     """
     user = get_user(session, require_person(actor, "confirm with a password"))
     _check_password(session, user.name, user, password, attempts_per_minute)

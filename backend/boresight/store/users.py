@@ -20,10 +20,10 @@ def users(session: Session) -> Sequence[User]:
     return session.scalars(sa.select(User).order_by(User.name)).all()
 
 
-def failures_since(session: Session, name: str, since_utc: str) -> int:
-    """Count a name's failed log-ins after a time."""
-    query = sa.select(sa.func.count()).select_from(LoginFailure)
-    return session.scalar(query.where(LoginFailure.name == name, LoginFailure.at_utc > since_utc)) or 0
+def failures_since(session: Session, name: str, since_utc: str) -> Sequence[str]:
+    """Return the times of a name's failed log-ins after a time, the newest first."""
+    query = sa.select(LoginFailure.at_utc).where(LoginFailure.name == name, LoginFailure.at_utc > since_utc)
+    return session.scalars(query.order_by(LoginFailure.at_utc.desc())).all()
 
 
 def forget_failures(session: Session, *, before_utc: str) -> None:

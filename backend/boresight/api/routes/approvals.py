@@ -19,7 +19,7 @@ from boresight.store.sessions import Session
 
 router = APIRouter(prefix="/approvals", tags=["approvals"])
 
-TRANSITION = refusals(404, 409, 412, 428)
+TRANSITION = refusals(404, 409, 412, 428, 429)
 
 
 class Signing(BaseModel):

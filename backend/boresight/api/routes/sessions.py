@@ -10,6 +10,7 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import json_response
 from boresight.api.dependencies import Who, Writing, log_in_person, log_out_person
+from boresight.api.openapi import refusals
 from boresight.services.actors import Actor
 
 router = APIRouter(prefix="/sessions", tags=["sessions"])
@@ -36,7 +37,9 @@ def _shown(actor: Actor, csrf_token: str | None) -> Response:
     return json_response(body, headers={"Cache-Control": "no-store"})
 
 
-@router.post("", name="log_in", summary="Log in", status_code=201, response_model=schemas.Session)
+@router.post(
+    "", name="log_in", summary="Log in", status_code=201, response_model=schemas.Session, responses=refusals(429)
+)
 def log_in(credentials: Credentials, session: Writing, request: Request) -> Response:
     """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Too many failures make a name wait."""
     carrier = Response()

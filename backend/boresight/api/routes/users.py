@@ -127,7 +127,7 @@ def enable_user(user_id: int, actor: Who, once: Idempotent, session: Writing) ->
     name="change_password",
     summary="Set a password",
     response_model=schemas.User,
-    responses=refusals(404),
+    responses=refusals(404, 429),
 )
 def change_password(user_id: int, given: Password, actor: Who, session: Writing) -> Response:
     """Set one's own password, knowing the current one, or as an administrator another's. Every log-in then ends."""
