@@ -7,7 +7,8 @@ import re
 import pytest
 
 from boresight.services import runs
-from boresight.store.sessions import reading
+from boresight.store.sessions import reading, utc_now, writing
+from boresight.store.tables import Blob, TelemetrySet
 
 FORM = {
     "sensor_id": "1",
@@ -30,6 +31,31 @@ def test_the_form_begins_with_the_newest_set_of_either_purpose_and_the_sensor_s_
     calibration = page[page.index('id="telemetry_set_id"') : page.index('id="validation_set_id"')]
     assert 'data-purpose="calibration" selected' in calibration
     assert len(re.findall(r'name="free-1" value="\w+" checked', page)) == 8
+
+
+@pytest.mark.parametrize(("number", "place", "other"), [(3, "telemetry", "validation"), (4, "validation", "telemetry")])
+def test_the_set_whose_page_one_came_from_is_chosen_for_its_purpose(house, number, place, other):
+    with writing(house.engine) as session:
+        for purpose in ("calibration", "validation", "calibration", "validation"):
+            sha256 = house.blobs.put(f"{purpose} {number} {session.query(TelemetrySet).count()}".encode())
+            session.add(Blob(sha256=sha256, size_bytes=1, media_type="text/csv", created_utc=utc_now()))
+            session.flush()
+            first = session.get_one(TelemetrySet, 1)
+            columns = {"sensor_id": 1, "frames": 40, "stars": 760, "quality": first.quality, "uploaded_utc": utc_now()}
+            session.add(
+                TelemetrySet(name="TS", purpose=purpose, original_sha256=sha256, table_sha256=sha256, **columns)
+            )
+            session.flush()
+    page = house.visitor("ada").get(f"/runs/new?sensor=1&set={number}")
+    newest = {"telemetry": 5, "validation": 6}[other]
+    assert _chosen(page, f"{place}_set_id") == str(number)
+    assert _chosen(page, f"{other}_set_id") == str(newest)
+
+
+def _chosen(page, field):
+    """Return the value that is selected in a field of the form."""
+    select = page[page.index(f'id="{field}"') :]
+    return re.search(r'<option value="(\d+)"[^>]*selected', select[: select.index("</select>")])[1]
 
 
 def test_a_check_says_what_would_run_and_queues_nothing(house, read):
