@@ -124,6 +124,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "cancel_run": lambda house: ("ada", {"run_id": house.launched()["id"]}),
     "get_run_result": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
     "list_figures": lambda house: ("victor", {"run_id": house.finished()}),
     "get_figure": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
     "get_figure_data": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
 import pytest
 
-from boresight.figures import FIGURES
 from boresight.store.sessions import writing
 from boresight.store.tables import Run
 
@@ -109,54 +105,20 @@ def test_a_partial_result_is_shown_while_it_computes(house: House) -> None:
     assert client.get(f"/api/v1/runs/{run['id']}").json()["progress"] == {"fraction": 0.1, "message": "frame 3"}
 
 
-@pytest.mark.parametrize("name", FIGURES)
-def test_every_figure_is_drawn_alone_compared_and_with_nothing_to_draw(house: House, name: str) -> None:
-    client, first, second, waiting = (
-        house.person("victor"),
-        house.finished(),
-        house.finished(),
-        house.launched()["id"],
-    )
-    alone = client.get(f"/api/v1/runs/{first}/figures/{name}")
-    assert alone.status_code == 200
-    assert alone.json()["data"]
-    both = client.get(f"/api/v1/runs/{first}/figures/{name}", params={"compare": f"{second},{first}"})
-    assert f"Run {second}" in both.text
-    assert f"Run {second}" not in alone.text
-    nothing = client.get(f"/api/v1/runs/{waiting}/figures/{name}")
-    assert nothing.status_code == 200
-    assert "layout" in nothing.json()
-
-
-@pytest.mark.parametrize("name", FIGURES)
-def test_the_numbers_behind_every_figure_come_as_csv(house: House, name: str) -> None:
+def test_the_report_is_one_file_to_keep(house: House) -> None:
     run_id = house.finished()
-    answer = house.person("victor").get(f"/api/v1/runs/{run_id}/figures/{name}/data")
-    assert answer.headers["content-type"] == "text/csv; charset=utf-8"
-    assert f'filename="run-{run_id}-{name}.csv"' in answer.headers["content-disposition"]
-    rows = list(csv.reader(io.StringIO(answer.text)))
-    table = FIGURES[name].table(house.result)
-    assert rows[0] == list(table)
-    assert len(rows) == 1 + max(len(column) for column in table.values())
+    answer = house.person("victor").get(f"/api/v1/runs/{run_id}/report")
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+    assert answer.headers["content-disposition"] == f'attachment; filename="run-{run_id}-report.html"'
+    assert house.result["sensor"] in answer.text
+    assert "default-src 'none'" in answer.text
 
 
-def test_figures_are_listed_with_how_to_read_them(house: House) -> None:
-    run_id = house.finished()
-    items = house.person("victor").get(f"/api/v1/runs/{run_id}/figures").json()["items"]
-    assert [item["name"] for item in items] == list(FIGURES)
-    assert all(house.person("victor").get(item["href"]).status_code == 200 for item in items)
-
-
-def test_an_unknown_figure_names_the_ones_there_are(house: House) -> None:
-    answer = house.person("victor").get(f"/api/v1/runs/{house.finished()}/figures/pie")
-    assert answer.status_code == 404
-    assert "convergence" in answer.json()["detail"]
-
-
-@pytest.mark.parametrize("compare", ["a", "1;2", ",".join(["1"] * 30)])
-def test_runs_to_compare_that_are_none_are_refused(house: House, compare: str) -> None:
-    answer = house.person("victor").get(f"/api/v1/runs/{house.finished()}/figures/rms", params={"compare": compare})
-    assert answer.status_code == 422
+def test_a_run_without_a_result_has_no_report_and_says_its_state(house: House) -> None:
+    run_id = house.launched()["id"]
+    answer = house.person("victor").get(f"/api/v1/runs/{run_id}/report")
+    assert answer.status_code == 409
+    assert answer.json()["detail"].startswith(f"Run {run_id} is QUEUED and has no result;")
 
 
 def test_two_hundred_launches_at_once_are_all_queued(house: House) -> None:

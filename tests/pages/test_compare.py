@@ -18,6 +18,8 @@ def test_every_figure_overlays_the_other_runs_on_the_reference(house):
     page = house.visitor("victor").get("/compare?runs=1,2&reference=2")
     for name in FIGURES:
         assert f'src="/api/v1/runs/2/figures/{name}?compare=1"' in page
+        assert f'href="/api/v1/runs/2/figures/{name}/data?compare=1" download="run-2-1-{name}.csv"' in page
+        assert f'data-figure-table="/api/v1/runs/2/figures/{name}/data?compare=1"' in page
 
 
 def test_only_what_differs_is_shown_unless_asked_for(house, read):

@@ -52,7 +52,4 @@ def _stored(run_id: int) -> dict[str, Any]:
     engine = open_engine(settings.database_url)
     migrate(engine)
     with reading(engine) as session:
-        document = runs.result(session, BlobStore(settings.blob_folder), run_id)
-    if document is None:
-        raise RefusedInputError(f"Run {run_id} has no result yet: wait until it has ended.")
-    return document
+        return runs.final_result(session, BlobStore(settings.blob_folder), run_id)

@@ -1,13 +1,11 @@
-"""What a run gives to take along: its report as one HTML file, its log as text, the sensor file as it was at launch."""
+"""What a run gives to take along: its log as text, the sensor file as it was at launch."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request
-from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse
+from fastapi import APIRouter, Depends
+from fastapi.responses import JSONResponse, PlainTextResponse
 
 from boresight.api.dependencies import Reading, current_actor
-from boresight.errors import ConflictError
-from boresight.figures.report import render_report
 from boresight.services import runs
 
 router = APIRouter(dependencies=[Depends(current_actor)])
@@ -15,22 +13,6 @@ router = APIRouter(dependencies=[Depends(current_actor)])
 
 def _attachment(name: str) -> dict[str, str]:
     return {"Content-Disposition": f'attachment; filename="{name}"'}
-
-
-@router.get("/runs/{run_id:int}/report")
-def report(request: Request, session: Reading, run_id: int) -> HTMLResponse:
-    """Give the report of a run that has a result.
-
-    Raises
-    ------
-    ConflictError
-        When there is no result yet, or none was reached.
-    """
-    run = runs.get_run(session, run_id)
-    result = runs.result(session, request.app.state.blobs, run_id)
-    if run.result_sha256 is None or result is None:
-        raise ConflictError(f"Run {run_id} is {run.state} and has no result; there is nothing to report.")
-    return HTMLResponse(render_report(result), headers=_attachment(f"run-{run_id}-report.html"))
 
 
 @router.get("/runs/{run_id:int}/log")

@@ -256,6 +256,23 @@ def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | 
     return _in_model_order(document if truth is None else {**document, "truth": truth})
 
 
+def final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
+    """Return the calibration JSON of a run that has ended with one.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run, or its file is missing.
+    ConflictError
+        When there is no result yet, or none was reached.
+    """
+    run = get_run(session, run_id)
+    document = result(session, blobs, run_id)
+    if run.result_sha256 is None or document is None:
+        raise ConflictError(f"Run {run_id} is {run.state} and has no result; wait for its end, or launch it again.")
+    return document
+
+
 def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
     """Put every object keyed by parameters into the order of the camera model; stored rows sort their keys."""
     names = document.get("parameter_names") or list(document.get("parameters") or ())

@@ -1,12 +1,11 @@
-"""Runs: launch, follow, stop; the calibration, its log, its figures and their data."""
+"""Runs: launch, follow, stop; the calibration, its log and its report."""
 
 from __future__ import annotations
 
-import csv
-import io
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Query
+from fastapi.responses import HTMLResponse
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
@@ -16,17 +15,12 @@ from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, Who, Writing
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
-from boresight.errors import NotFoundError, RefusedInputError
-from boresight.figures import FIGURES, Figure, Trace, figure_json
-from boresight.services import runs, sensors
+from boresight.figures.report import render_report
+from boresight.services import runs
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 
 router = APIRouter(prefix="/runs", tags=["runs"])
-
-MOST_OVERLAID = 20
-FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
-
 
 DryRunAsked = Annotated[bool, Query(description="As in the body: check everything, change nothing.")]
 
@@ -147,7 +141,7 @@ def get_run_result(
     request: Request,
 ) -> Response:
     """Read the calibration JSON; while the run computes, what there is so far with status `running`."""
-    return json_response(_result(session, request.app.state.blobs, run_id))
+    return json_response(result_so_far(session, request.app.state.blobs, run_id))
 
 
 @router.get(
@@ -168,80 +162,26 @@ def get_run_log(
     return json_response(page.cut(lines[: page.limit + 1], lambda line: schemas.written(schemas.LogLine, line)))
 
 
-@router.get("/{run_id}/figures", name="list_figures", summary="List the figures", responses=refusals(404))
-def list_figures(run_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
-    """List the figures of a run with how to read each."""
-    runs.get_run(session, run_id)
-    items = [
-        {
-            "name": figure.name,
-            "title": figure.title,
-            "guide": figure.guide,
-            "href": f"/api/v1/runs/{run_id}/figures/{name}",
-        }
-        for name, figure in FIGURES.items()
-    ]
-    return json_response({"items": items, "next": None})
-
-
-@router.get("/{run_id}/figures/{name}", name="get_figure", summary="Read a figure", responses=refusals(404))
-def get_figure(
-    run_id: int,
-    name: FigureName,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
-    session: Reading,
-    request: Request,
-    compare: Annotated[str, Query(description="Other runs to draw over it: `2,3`.", examples=["2,3"])] = "",
-) -> Response:
-    """Read a figure as Plotly JSON, of one run or of several over one another."""
-    figure, blobs = _figure(name), request.app.state.blobs
-    ids = [run_id, *(other for other in _numbers(compare) if other != run_id)]
-    traces = [Trace(_label(session, number), _result(session, blobs, number)) for number in ids]
-    return Response(figure_json(figure.draw(traces)), media_type="application/json")
-
-
 @router.get(
-    "/{run_id}/figures/{name}/data",
-    name="get_figure_data",
-    summary="Read a figure's numbers",
-    response_class=Response,
-    responses={**refusals(404), 200: {"content": {"text/csv": {}}, "description": "The columns in SI, never thinned."}},
+    "/{run_id}/report",
+    name="get_run_report",
+    summary="Read the report",
+    response_class=HTMLResponse,
+    responses=refusals(404, 409),
 )
-def get_figure_data(
+def get_run_report(
     run_id: int,
-    name: FigureName,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     request: Request,
-) -> Response:
-    """Read the numbers behind a figure as CSV."""
-    table = _figure(name).table(_result(session, request.app.state.blobs, run_id))
-    headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-{name}.csv"'}
-    return Response(_csv(table), headers=headers, media_type="text/csv; charset=utf-8")
+) -> HTMLResponse:
+    """Read the report of a run that has ended: one HTML file that needs nothing else, figures included."""
+    report = render_report(runs.final_result(session, request.app.state.blobs, run_id))
+    headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}
+    return HTMLResponse(report, headers=headers)
 
 
-def _figure(name: str) -> Figure:
-    """Find a figure of the registry."""
-    if name not in FIGURES:
-        raise NotFoundError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
-    return FIGURES[name]
-
-
-def _numbers(text: str) -> list[int]:
-    """Read the numbers of the runs to compare with."""
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    if len(words) >= MOST_OVERLAID or not all(word.isdecimal() for word in words):
-        raise RefusedInputError(f"Write the runs to compare as 2,3 and so on, {MOST_OVERLAID - 1} at most.")
-    return [int(word) for word in words]
-
-
-def _label(session: Session, run_id: int) -> str:
-    """Name a run in a legend."""
-    run = runs.get_run(session, run_id)
-    return f"Run {run_id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
-
-
-def _result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
+def result_so_far(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
     """Return a run's calibration, complete or so far; with nothing yet, one that only says that it runs."""
     found = runs.result(session, blobs, run_id)
     return found if found is not None else _nothing_yet(runs.get_run(session, run_id).state)
@@ -251,14 +191,3 @@ def _nothing_yet(state: str) -> dict[str, Any]:
     """Say as a calibration that there is none."""
     status: Literal["running", "none"] = "running" if state in {"QUEUED", "RUNNING", "CANCELLING"} else "none"
     return {"schema": "boresight.calibration/1", "status": status, "run_state": state}
-
-
-def _csv(table: dict[str, list[Any]]) -> str:
-    """Write columns as CSV; what is null is empty, columns of unequal length end early."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table)
-    length = max((len(column) for column in table.values()), default=0)
-    for k in range(length):
-        writer.writerow([column[k] if k < len(column) and column[k] is not None else "" for column in table.values()])
-    return text.getvalue()

@@ -1,0 +1,126 @@
+"""Figures of runs: as Plotly JSON to draw, and as the numbers behind them; of one run, or of several together."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.api.answers import json_response
+from boresight.api.dependencies import Reading, Who
+from boresight.api.openapi import refusals
+from boresight.api.routes.runs import result_so_far
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
+from boresight.services import runs, sensors
+from boresight.store.sessions import Session
+
+router = APIRouter(prefix="/runs", tags=["runs"])
+
+MOST_OVERLAID = 20
+FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
+Compare = Annotated[str, Query(description="Other runs to show with it: `2,3`.", examples=["2,3"])]
+
+
+@router.get("/{run_id}/figures", name="list_figures", summary="List the figures", responses=refusals(404))
+def list_figures(run_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+    """List the figures of a run with how to read each."""
+    runs.get_run(session, run_id)
+    items = [
+        {
+            "name": figure.name,
+            "title": figure.title,
+            "guide": figure.guide,
+            "href": f"/api/v1/runs/{run_id}/figures/{name}",
+        }
+        for name, figure in FIGURES.items()
+    ]
+    return json_response({"items": items, "next": None})
+
+
+@router.get("/{run_id}/figures/{name}", name="get_figure", summary="Read a figure", responses=refusals(404))
+def get_figure(
+    run_id: int,
+    name: FigureName,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    request: Request,
+    compare: Compare = "",
+) -> Response:
+    """Read a figure as Plotly JSON, of one run or of several over one another."""
+    figure, blobs = _figure(name), request.app.state.blobs
+    ids = [run_id, *_others(compare, run_id)]
+    traces = [Trace(_label(session, number), result_so_far(session, blobs, number)) for number in ids]
+    return Response(figure_json(figure.draw(traces)), media_type="application/json")
+
+
+@router.get(
+    "/{run_id}/figures/{name}/data",
+    name="get_figure_data",
+    summary="Read a figure's numbers",
+    response_class=Response,
+    responses={**refusals(404), 200: {"content": {"text/csv": {}}, "description": "The columns in SI, never thinned."}},
+)
+def get_figure_data(
+    run_id: int,
+    name: FigureName,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    request: Request,
+    compare: Compare = "",
+) -> Response:
+    """Read the numbers behind a figure as CSV; of several runs one after another, with the run's number first."""
+    figure, blobs, ids = _figure(name), request.app.state.blobs, [run_id, *_others(compare, run_id)]
+    tables = {number: figure.table(result_so_far(session, blobs, number)) for number in ids}
+    text = _csv(_stacked(tables)) if len(tables) > 1 else _csv(tables[run_id])
+    file_name = f"run-{'-'.join(map(str, ids))}-{name}.csv"
+    headers = {"Content-Disposition": f'attachment; filename="{file_name}"'}
+    return Response(text, headers=headers, media_type="text/csv; charset=utf-8")
+
+
+def _figure(name: str) -> Figure:
+    """Find a figure of the registry."""
+    if name not in FIGURES:
+        raise NotFoundError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
+    return FIGURES[name]
+
+
+def _others(text: str, run_id: int) -> list[int]:
+    """Read the numbers of the runs to compare a run with, each once."""
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    if len(words) >= MOST_OVERLAID or not all(word.isdecimal() for word in words):
+        raise RefusedInputError(f"Write the runs to compare as 2,3 and so on, {MOST_OVERLAID - 1} at most.")
+    return [number for number in dict.fromkeys(map(int, words)) if number != run_id]
+
+
+def _label(session: Session, run_id: int) -> str:
+    """Name a run in a legend."""
+    run = runs.get_run(session, run_id)
+    return f"Run {run_id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
+
+
+def _stacked(tables: Mapping[int, Table]) -> Table:
+    """Put the tables of several runs below one another, the run's number first; a column that a run lacks is empty."""
+    lengths = {number: max((len(column) for column in table.values()), default=0) for number, table in tables.items()}
+    names = dict.fromkeys(name for table in tables.values() for name in table)
+    stacked: Table = {"run": [number for number, length in lengths.items() for _ in range(length)]}
+    for name in names:
+        padded = (table.get(name, []) + [None] * (lengths[k] - len(table.get(name, []))) for k, table in tables.items())
+        stacked[name] = [value for column in padded for value in column]
+    return stacked
+
+
+def _csv(table: dict[str, list[Any]]) -> str:
+    """Write columns as CSV; what is null is empty, columns of unequal length end early."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    length = max((len(column) for column in table.values()), default=0)
+    for k in range(length):
+        writer.writerow([column[k] if k < len(column) and column[k] is not None else "" for column in table.values()])
+    return text.getvalue()
