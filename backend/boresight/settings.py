@@ -30,12 +30,12 @@ class Setting:
 
 
 SETTINGS = (
-    Setting("data_folder", "", "path", "Database, blobs, catalogue cache, compiled kernels; empty = your data folder.", str),
+    Setting("data_folder", "", "path", "Database, blobs, catalogue, compiled kernels; empty = your data folder.", str),
     Setting("database_url", "", "URL", "SQLAlchemy address of the store; empty = SQLite in the data folder.", str),
     Setting("host", "127.0.0.1", "address", "Address the server listens on.", str),
     Setting("port", "8000", "", "Port the server listens on.", int),
     Setting("mode", "OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.", str),
-    Setting("scheduler", "", "address", "External Dask scheduler, tcp://host:port; empty = worker processes of our own.", str),
+    Setting("scheduler", "", "address", "Dask scheduler, tcp://host:port; empty = our own worker processes.", str),
     Setting("workers", "2", "processes", "Worker processes started when no scheduler is given; 0 = none here.", int),
     Setting("lease_s", "10", "s", "How long a run belongs to the server that claimed it without a renewal.", float),
     Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
