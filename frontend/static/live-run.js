@@ -52,7 +52,7 @@ class LiveRun extends HTMLElement {
     if (event.message) write("message", event.message);
     this.#showAge();
     this.#refreshFigures();
-    if (this.state === "QUEUED") this.#renew();
+    if (this.state === "QUEUED" || !document.querySelector("#parameters table")) this.#renew();
   }
 
   #moved(event) {
