@@ -34,10 +34,10 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 VIEWS = {"waiting": "Waiting for a signature", "submitted": "Submitted by me", "all": "All"}
 EVIDENCE_FIGURES = ("radial", "observability", "rms", "parameters")
-MEANINGS = (
-    "I reviewed the evidence and approve this set for baseline.",
-    "I reviewed the evidence and refuse this set.",
-)
+MEANINGS = {
+    "APPROVE": "I reviewed the evidence and approve this set for baseline.",
+    "REFUSE": "I reviewed the evidence and refuse this set.",
+}
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Words:
     """The signature as it was typed, without its password."""
 
     decision: str = ""
-    meaning: str = MEANINGS[0]
+    meaning: str = ""
     comment: str = ""
 
 
@@ -147,7 +147,7 @@ def _page(
         signatures=approvals.signatures_of(session, approval_id),
         blocked=approvals.why_not_sign(session, actor, approval_id),
         decisions=_decisions(approval, row),
-        meanings=MEANINGS,
+        meanings=MEANINGS.values(),
         refusal=refusal,
         typed=typed or Words(),
         may_promote="operator" in actor.roles,
@@ -170,7 +170,8 @@ async def sign(request: Request, session: Reading, actor: Who, approval_id: int)
         if not form.get("version", "").isdecimal():
             raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
         version = int(form["version"])
-        words = (typed.decision, typed.meaning, typed.comment, form.get("password", ""))
+        meaning = typed.meaning.strip() or MEANINGS.get(typed.decision, "")
+        words = (typed.decision, meaning, typed.comment, form.get("password", ""))
         return approvals.sign(session, actor, approval_id, *words, version)
 
     outcome = await attempt(request, change)
