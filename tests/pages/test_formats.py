@@ -69,6 +69,11 @@ def test_negative_numbers_have_a_true_minus_and_digits_are_parted():
     assert formats.count(1234567) == f"1{formats.NARROW_SPACE}234{formats.NARROW_SPACE}567"
 
 
+def test_what_rounds_to_nothing_has_no_sign():
+    assert formats.fixed(-0.04, 1) == "0.0"
+    assert formats.fixed(-0.06, 1) == f"{formats.MINUS}0.1"
+
+
 def test_a_time_has_its_day_of_year_and_its_calendar_date():
     shown = str(formats.utc("2026-11-21T03:04:11.123456Z"))
     assert ">2026-325 03:04:11Z<" in shown

@@ -68,9 +68,10 @@ def _is_number(value: Any) -> bool:
 
 
 def _grouped(text: str) -> str:
-    """Write the sign as a true minus, part the digits before the point in threes, and raise the exponent."""
+    """Write the sign as a true minus, part the digits before the point in threes, and raise the exponent; 0 has no sign."""
     sign, digits = (MINUS, text[1:]) if text.startswith("-") else ("", text)
     mantissa, _, exponent = digits.partition("e")
+    sign = sign if mantissa.strip("0.") else ""
     whole, point, rest = mantissa.partition(".")
     if whole.isdigit() and len(whole) > 4:
         whole = f"{int(whole):,}".replace(",", NARROW_SPACE)
