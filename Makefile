@@ -14,6 +14,7 @@ LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --upgrade 
 
 # Kernels compile once, for the demo and for every test.
 export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/kernels
+COMPILED := $(VENV)/kernels/compiled
 export PYTHONUNBUFFERED := 1
 
 # Debian keeps PostgreSQL's own programs off the path.
@@ -27,7 +28,7 @@ ALONE := tests/workers tests/browser tests/test_wheel.py
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
 
-demo: $(MADE)/runtime  ## install, make a simulated fleet and serve it on http://127.0.0.1:8000
+demo: $(COMPILED)  ## install, make a simulated fleet and serve it on http://127.0.0.1:8000
 	@$(BIN)/boresight demo
 
 test: $(MADE)/dev lint machine pytest  ## install everything and run every check: lint, types, import contracts, tests
@@ -71,6 +72,10 @@ $(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
 	$(INSTALL) --require-hashes --only-binary :all: --requirement requirements.lock
 	$(INSTALL) --no-deps --editable .
 	@mkdir -p $(MADE) && touch $@
+
+$(COMPILED): $(MADE)/runtime backend/boresight/kernels.py
+	@$(BIN)/boresight warm --data .demo
+	@touch $@
 
 $(MADE)/dev: requirements-dev.lock pyproject.toml | $(BIN)/python
 	@echo "Installing what Boresight runs on and is tested with (about 1 GB on disk)."

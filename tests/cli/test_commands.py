@@ -14,7 +14,7 @@ from boresight.cli import main
 from boresight.cli.progress import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
 
-COMMANDS = ("calibrate", "check", "simulate", "report", "bench", "serve", "demo", "migrate", "user", "audit")
+COMMANDS = ("calibrate", "check", "simulate", "report", "bench", "serve", "demo", "warm", "migrate", "user", "audit")
 PASSWORD = "correct horse battery"
 
 

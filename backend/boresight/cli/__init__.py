@@ -19,6 +19,7 @@ from boresight.cli.report import report
 from boresight.cli.serve import demo, serve
 from boresight.cli.simulate import simulate
 from boresight.cli.users import user
+from boresight.cli.warm import warm
 
 
 @click.group(cls=RefusingGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -31,5 +32,5 @@ def main(*, debug: bool) -> None:
     """
 
 
-for command in (calibrate, check, simulate, report, bench, serve, demo, migrate, user, audit):
+for command in (calibrate, check, simulate, report, bench, serve, demo, warm, migrate, user, audit):
     main.add_command(command)

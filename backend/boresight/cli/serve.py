@@ -28,7 +28,7 @@ data_option = click.option("--data", type=click.Path(path_type=Path), help="Data
 @data_option
 def serve(host: str | None, port: int | None, data: Path | None) -> None:
     """Serve the console until Ctrl-C."""
-    settings = _settings(host, port, data)
+    settings = settings_of(data, host, port)
     _claim_port(settings)
     click.echo(f"Boresight on {_address(settings)}, data in {settings.data_folder}. Stop it with Ctrl-C.")
     _serve(settings)
@@ -45,13 +45,13 @@ def demo(host: str | None, port: int | None, data: Path | None) -> None:
     """
     if data is None and not os.environ.get("BORESIGHT_DATA_FOLDER"):
         data = Path(DEMO_FOLDER)
-    settings = replace(_settings(host, port, data), mode="SIM")
+    settings = replace(settings_of(data, host, port), mode="SIM")
     _claim_port(settings)
     threading.Thread(target=_populate, args=(settings,), name="boresight-demonstration", daemon=True).start()
     _serve(settings)
 
 
-def _settings(host: str | None, port: int | None, data: Path | None) -> Settings:
+def settings_of(data: Path | None, host: str | None = None, port: int | None = None) -> Settings:
     """Read the settings with what the command line says instead."""
     given = {"HOST": host, "PORT": port, "DATA_FOLDER": data}
     named = {f"BORESIGHT_{name}": str(value) for name, value in given.items() if value is not None}

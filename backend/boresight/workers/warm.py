@@ -1,6 +1,7 @@
-"""Making a new worker process ready before its first run: kernels compiled or read from the cache, catalogue loaded.
+"""Making a process ready before its first run: kernels compiled or read from the cache, catalogue loaded.
 
-A plugin of the scheduler, so that a worker that replaces a dead one is warmed as well.
+A plugin of the scheduler, so that a worker that replaces a dead one is warmed as well; `boresight warm` does the same
+once an installation, so that not even the first worker waits for the compiler.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.settings import METHODS, CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
@@ -40,18 +41,22 @@ class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
         """Begin warming beside the worker's event loop, which must go on answering the scheduler."""
         if self.ours:  # Ctrl-C in a terminal reaches the whole process group; the server stops its workers itself
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        threading.Thread(target=warm, args=(Path(self.catalogue_folder),), daemon=True, name="warm").start()
+        threading.Thread(target=self._warm, daemon=True, name="warm").start()
+
+    def _warm(self) -> None:
+        """Warm this worker; a failure only means that its first run is slow."""
+        try:
+            warm(Path(self.catalogue_folder))
+        except Exception:
+            log.exception("This worker could not be warmed; its first run will take longer")
 
 
 def warm(catalogue_folder: Path) -> None:
-    """Calibrate a few made-up stars with every kind of estimator; a failure only means that the first run is slow."""
-    try:
-        catalogue = load_catalogue(catalogue_folder)
-        sensor = st16_sensor(1)
-        for method in ("batch", "sqrf", "ekf"):
-            calibrate(_few_stars(sensor), sensor, catalogue, CalibrationSettings(method=method))
-    except Exception:
-        log.exception("This worker could not be warmed; its first run will take longer")
+    """Calibrate a few made-up stars with every kind of estimator."""
+    catalogue = load_catalogue(catalogue_folder)
+    sensor = st16_sensor(1)
+    for method in METHODS:
+        calibrate(_few_stars(sensor), sensor, catalogue, CalibrationSettings(method=method))
 
 
 def _few_stars(sensor: Sensor) -> Telemetry:
