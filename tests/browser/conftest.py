@@ -1,0 +1,173 @@
+"""One installation and one Chromium for all files here, and the steps of the main job, each taken once."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import dataclass, field
+
+import pytest
+from playwright.sync_api import expect, sync_playwright
+
+from tests.browser.installation import Installation
+from tests.browser.people import PRINTED_NAMES, People, password_of
+from tests.browser.work import choose_filter, ends_as, make_set, queue, sign, submit, upload
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+FRAMES = "100"
+FRAMES_PER_S = 10.0
+LOOKS = 4
+PURPOSES = ("calibration", "validation")
+
+
+@dataclass
+class Watched:
+    """A run that was watched while it computed: how many frames its convergence curve had, look by look."""
+
+    run_id: int
+    lengths: list[int] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Promoted:
+    """A set that became baseline: its number, and that of the request."""
+
+    set_id: int
+    request_id: int
+
+
+@pytest.fixture(scope="package")
+def installation(tmp_path_factory, pytestconfig):
+    """A server on an empty data folder; the first person is made on the command line, as the README says."""
+    kernels = os.environ.get("NUMBA_CACHE_DIR") or str(pytestconfig.cache.mkdir("kernels"))
+    made = Installation(tmp_path_factory.mktemp("browser"), kernels)
+    name = "administrator"
+    words = ("user", "add", name, "--role", name, "--printed-name", PRINTED_NAMES[name], "--password-stdin")
+    made.command(*words, typed=password_of(name))
+    made.start()
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="package")
+def files(installation):
+    """A simulated sensor as files: sensor.json, calibration.csv, validation.csv, truth.json."""
+    folder = installation.folder / "files"
+    installation.command("simulate", "st16-1", "--frames", FRAMES, "--out", str(folder))
+    return folder
+
+
+@pytest.fixture(scope="package")
+def browser():
+    """The machine's Chromium."""
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    assert path, f"install one of {', '.join(BROWSERS)}"
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="package")
+def people(installation, browser):
+    """The administrator, and whom the administrator adds on the page Users and keys."""
+    made = People(installation, browser)
+    with made.seat("administrator") as window:
+        for name in ("analyst", "approver", "operator"):
+            window.open("/users")
+            form = window.page.get_by_role("region", name="Add a person")
+            form.get_by_label("Log-in name").fill(name)
+            form.get_by_label("Name as it is printed").fill(PRINTED_NAMES[name])
+            form.get_by_label("First password").fill(password_of(name))
+            form.get_by_role("checkbox", name=name).check()
+            form.get_by_role("button", name="Add this person").click()
+            expect(window.page.get_by_role("table", name="People and their roles")).to_contain_text(PRINTED_NAMES[name])
+    return made
+
+
+@pytest.fixture(scope="package")
+def sensor_id(people, files):
+    """A sensor, registered from its file."""
+    with people.seat("analyst") as window:
+        for page in ("", "sensors", "telemetry", "runs", "runs/new", "parameter-sets", "approvals"):
+            window.open(f"/{page}")
+            window.shoot(f"00-empty-{page.replace('/', '-') or 'overview'}")
+        window.open("/sensors")
+        window.page.get_by_label("or choose the file").set_input_files(files / "sensor.json")
+        expect(window.page.get_by_label("Sensor file (JSON)")).to_have_value((files / "sensor.json").read_text())
+        window.page.get_by_role("button", name="Register").click()
+        window.page.wait_for_url("**/sensors/*")
+        window.shoot("01-sensor-registered")
+        return int(window.page.url.rpartition("/")[2])
+
+
+@pytest.fixture(scope="package")
+def telemetry(people, files, sensor_id):
+    """The calibration and the validation set, uploaded; their numbers by purpose."""
+    with people.seat("analyst") as window:
+        return {purpose: upload(window, sensor_id, files / f"{purpose}.csv", purpose) for purpose in PURPOSES}
+
+
+@pytest.fixture(scope="package")
+def batch_run(people, telemetry):
+    """The number of a batch run that has ended, launched from the page of its telemetry set."""
+    with people.seat("analyst") as window:
+        window.open(f"/telemetry/{telemetry['calibration']}")
+        window.page.get_by_role("link", name="New run with it").click()
+        run_id = queue(window, "All frames at once")
+        ends_as(window, "SUCCEEDED")
+        return run_id
+
+
+@pytest.fixture(scope="package")
+def sequential_run(people, batch_run):
+    """A square-root filter fed as frames come down, cloned from the batch run and watched until it ended."""
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{batch_run}")
+        window.page.get_by_role("link", name="Clone and edit").click()
+        choose_filter(window, FRAMES_PER_S)
+        window.shoot("02-launch", wide=True)
+        watched = Watched(queue(window, "As frames come down"))
+        expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
+        expect(window.figure("convergence").locator(".js-plotly-plot")).to_have_count(1)
+        while "RUNNING" in (said := window.page.locator("#run-head").inner_text()):
+            watched.said.append(said + window.page.locator("#verdict header").inner_text())
+            watched.lengths.append(len(window.drawn("convergence")[1]["x"]))
+            if len(set(watched.lengths)) == LOOKS:
+                window.shoot("03-running", wide=True)
+                break
+            window.page.wait_for_timeout(400)
+        ends_as(window, "SUCCEEDED")
+        return watched
+
+
+@pytest.fixture(scope="package")
+def promoted(people, sequential_run, batch_run):
+    """The batch run's set: made and submitted by the analyst, signed by the approver, promoted by the operator."""
+    with people.seat("analyst") as window:
+        set_id = make_set(window, batch_run)
+        window.shoot("04-candidate")
+        request_id = submit(window, "Lower validation RMS than the ground calibration, on another orbit.")
+        window.shoot("05-submitted")
+    with people.seat("approver") as window:
+        window.open(f"/approvals/{request_id}")
+        window.figures_drawn()
+        window.shoot("06-to-sign", wide=True)
+        sign(window, "Approve", password_of("approver"))
+        expect(window.page.get_by_role("status").filter(has_text="Approved")).to_be_visible()
+    with people.seat("operator") as window:
+        window.open(f"/approvals/{request_id}")
+        window.page.get_by_role("button", name="Promote").click()
+        window.page.wait_for_url(f"**/parameter-sets/{set_id}")
+        window.shoot("07-promoted")
+    return Promoted(set_id, request_id)

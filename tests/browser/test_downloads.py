@@ -1,0 +1,149 @@
+"""What is downloaded is what is seen: each chart's CSV has the figure's numbers, each PNG is the chart on white."""
+
+from __future__ import annotations
+
+import base64
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.browser
+
+SINGLE = 1e-6  # figures are sent in single precision
+UNITS = {"f_m": 1e6, "a1_rad": 1e3, "a2_rad": 1e3, "g_y": 1e6}
+SMALLEST_BAR = 0.1
+NAMES = ("convergence", "rms", "radial", "observability", "coverage", "parameters")
+PIXELS = """async ([address]) => {
+    const image = new Image();
+    image.src = address;
+    await image.decode();
+    const canvas = Object.assign(document.createElement("canvas"), { width: image.width, height: image.height });
+    const pen = canvas.getContext("2d", { willReadFrequently: true });
+    pen.drawImage(image, 0, 0);
+    const at = (x, y) => [...pen.getImageData(x, y, 1, 1).data];
+    const [right, low] = [image.width - 1, image.height - 1];
+    const all = pen.getImageData(0, 0, image.width, image.height).data;
+    let inked = 0;
+    for (let k = 0; k < all.length; k += 4) inked += all[k] + all[k + 1] + all[k + 2] < 600;
+    return { width: image.width, height: image.height, corners: [at(0, 0), at(right, 0), at(0, low), at(right, low)], inked };
+}"""
+
+
+@pytest.fixture(scope="module")
+def desk(people, sequential_run):
+    """The page of the sequential run, its figures drawn."""
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{sequential_run.run_id}")
+        window.figures_drawn()
+        yield window
+
+
+@pytest.fixture(scope="module")
+def initial(desk, sequential_run):
+    return desk.result(sequential_run.run_id)["initial"]
+
+
+def download(window, panel, kind: str) -> Path:
+    """Press a panel's CSV or PNG; return the file."""
+    with window.page.expect_download() as coming:
+        panel.locator("header").get_by_text(kind, exact=False).first.click()
+    assert coming.value.suggested_filename.endswith(kind.lower())
+    return coming.value.path()
+
+
+def columns(path: Path) -> dict[str, list[str]]:
+    """Read a CSV file by columns."""
+    with path.open(newline="") as file:
+        head, *rows = csv.reader(file)
+    return dict(zip(head, zip(*rows, strict=True), strict=True))
+
+
+def floats(cells) -> np.ndarray:
+    return np.array([float(cell) if cell else np.nan for cell in cells])
+
+
+def close(drawn, expected):
+    """Hold a figure's numbers against the file's, to the precision in which figures travel."""
+    scale = float(np.nanmax(np.abs(expected)))
+    assert np.array(drawn, float) == pytest.approx(expected, rel=SINGLE, abs=SINGLE * scale, nan_ok=True)
+
+
+def test_the_csv_of_convergence_has_the_curves_and_their_bands(desk, initial):
+    table = columns(download(desk, desk.figure("convergence"), "CSV"))
+    drawn = desk.drawn("convergence")
+    for place, (name, start) in enumerate(initial.items()):
+        band, line = drawn[2 * place : 2 * place + 2]
+        value = (floats(table[name]) - start) * UNITS.get(name, 1.0)
+        reach = 3 * floats(table[f"sigma_{name}"]) * UNITS.get(name, 1.0)
+        assert line["x"] == floats(table["frame"]).tolist()
+        close(line["y"], value)
+        close(sorted(band["y"]), np.sort(np.concatenate([value - reach, value + reach])))
+
+
+def test_the_csv_of_rms_has_tail_and_aggregate(desk):
+    table = columns(download(desk, desk.figure("rms"), "CSV"))
+    curves = {one["name"].rpartition(" · ")[2]: one for one in reversed(desk.drawn("rms"))}
+    for word in ("tail", "aggregate"):
+        assert curves[word]["x"] == floats(table["frame"]).tolist()
+        close(curves[word]["y"], 1e6 * floats(table[f"{word}_rms_rad"]))
+
+
+def test_the_csv_of_the_radial_difference_has_the_curve_and_its_band(desk):
+    table = columns(download(desk, desk.figure("radial"), "CSV"))
+    band, line = desk.drawn("radial")[:2]
+    value, reach = floats(table["difference_px"]), 3 * floats(table["sigma_px"])
+    close(line["x"], floats(table["radius_px"]))
+    close(line["y"], value)
+    close(sorted(band["y"]), np.sort(np.concatenate([value - reach, value + reach])))
+
+
+def test_the_csv_of_observability_has_the_bars_and_the_directions(desk, initial):
+    table = columns(download(desk, desk.figure("observability"), "CSV"))
+    bars, directions = desk.drawn("observability")
+    close(bars["y"], floats(table["singular_value"]))
+    close(bars["customdata"], floats(table["sigma_of_direction"]))
+    close(directions["z"], np.array([floats(table[name]) for name in initial]))
+
+
+def test_the_csv_of_coverage_has_every_cell(desk):
+    table = columns(download(desk, desk.figure("coverage"), "CSV"))
+    (cells,) = desk.drawn("coverage")
+    assert [count or 0 for row in cells["z"] for count in row] == floats(table["stars"]).tolist()
+
+
+def test_the_csv_of_parameter_changes_has_bars_and_points(desk, initial):
+    table = columns(download(desk, desk.figure("parameters"), "CSV"))
+    bars, points = desk.drawn("parameters")
+    assert list(table["parameter"]) == list(initial)
+    close(bars["x"], np.maximum(np.abs(floats(table["delta_over_sigma"])), SMALLEST_BAR))
+    close(points["x"], floats(table["delta_in_typical_sigma"]))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_png_of_a_figure_is_the_chart_on_white(desk, name):
+    on_white(desk, download(desk, desk.figure(name), "PNG"))
+
+
+def test_the_drawings_of_a_telemetry_set_are_saved_alike(people, telemetry):
+    with people.seat("analyst") as window:
+        window.open(f"/telemetry/{telemetry['calibration']}")
+        panels = window.page.locator("section.drawing")
+        assert panels.count() >= 4
+        for panel in panels.all():
+            on_white(window, download(window, panel, "PNG"))
+            table = columns(download(window, panel, "CSV"))
+            counted = floats(list(table.values())[-1]).sum()
+            shown = panel.locator("td.num").all_text_contents()
+            assert counted == sum(int(cell.replace("\u202f", "")) for cell in shown)
+
+
+def on_white(window, path: Path) -> None:
+    """Have the browser decode an image: its corners are white, and something is drawn on it."""
+    content = path.read_bytes()
+    assert content.startswith(b"\x89PNG\r\n\x1a\n")
+    address = f"data:image/png;base64,{base64.b64encode(content).decode()}"
+    seen = window.page.evaluate(PIXELS, [address])
+    assert seen["corners"] == [[255, 255, 255, 255]] * 4
+    assert 1e-3 * seen["width"] * seen["height"] < seen["inked"] < 0.6 * seen["width"] * seen["height"]

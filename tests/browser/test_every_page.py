@@ -1,0 +1,74 @@
+"""Every page, dark and light, at both widths: nothing keeps people out, nothing scrolls sideways, nothing complains."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.browser.window import NARROW, WIDE
+
+pytestmark = pytest.mark.browser
+
+ADDRESSES = {
+    "log-in": "/login",
+    "overview": "/",
+    "sensors": "/sensors",
+    "sensor": "/sensors/{sensor}",
+    "telemetry": "/telemetry",
+    "telemetry-set": "/telemetry/{set}",
+    "runs": "/runs",
+    "launch": "/runs/new",
+    "run-batch": "/runs/{batch}",
+    "run-filter": "/runs/{filter}",
+    "compare": "/compare?runs={batch},{filter}",
+    "parameter-sets": "/parameter-sets",
+    "parameter-set": "/parameter-sets/{parameters}",
+    "approvals": "/approvals?show=all",
+    "approval": "/approvals/{request}",
+    "users": "/users",
+    "audit": "/audit",
+    "no-such-page": "/runs/999999",
+    "forbidden": "/users",
+}
+VISITORS = {"log-in": None, "users": "administrator"}
+
+
+@pytest.fixture(scope="module")
+def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
+    """The numbers of everything that has a page."""
+    return {
+        "sensor": sensor_id,
+        "set": telemetry["calibration"],
+        "batch": batch_run,
+        "filter": sequential_run.run_id,
+        "parameters": promoted.set_id,
+        "request": promoted.request_id,
+    }
+
+
+def visit(window, name, numbers):
+    """Open a page, its figures drawn."""
+    window.open(ADDRESSES[name].format(**numbers))
+    if name == "forbidden":
+        with window.page.expect_navigation():
+            window.page.evaluate(
+                """() => { const form = document.querySelector("form[action='/logout']"); form.action = "/users"; form.submit(); }"""
+            )
+        expect(window.page.locator("main")).to_contain_text("administrator")
+    window.figures_drawn()
+
+
+@pytest.mark.parametrize("name", ADDRESSES)
+def test_a_page_keeps_nobody_out_and_fits_its_window(people, numbers, name):
+    with people.seat(VISITORS.get(name, "analyst")) as window:
+        visit(window, name, numbers)
+        for theme, sizes in (("dark", (NARROW, WIDE)), ("light", (NARROW,))):
+            window.use_theme(theme)
+            for size in sizes:
+                window.page.set_viewport_size(size)
+                assert window.sideways_px() <= 0, f"{name} is too wide at {size['width']}"
+                window.keep(f"page-{name}-{theme}-{size['width']}")
+            assert window.barriers() == [], f"{name}, {theme}"
+        window.use_theme("dark")
+        if name in {"no-such-page", "forbidden"}:
+            window.forgive("40[34]")

@@ -1,0 +1,79 @@
+"""One calibration, three doors: the page, REST with an API key, and the command line give the same numbers."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import httpx
+import pytest
+
+pytestmark = pytest.mark.browser
+
+SAME = 1e-9
+ENDED_WITHIN_S = 60
+
+
+@pytest.fixture(scope="module")
+def key(people):
+    """An API key with the scope `runs`, made by the analyst on the page."""
+    with people.seat("analyst") as window:
+        window.open("/users")
+        form = window.page.get_by_role("region", name="Make a key")
+        form.get_by_label("What uses it").fill("Pass automation")
+        form.get_by_role("checkbox", name="runs").check()
+        form.get_by_role("button", name="Make the key").click()
+        secret = window.page.locator(".secret code").inner_text()
+        assert secret.startswith("bs_")
+        return secret
+
+
+@pytest.fixture(scope="module")
+def page_result(people, batch_run):
+    """The result of the run that was launched on the page."""
+    with people.seat("analyst") as window:
+        return window.result(batch_run)
+
+
+def same(one, other):
+    """Hold every number of the estimate against another's."""
+    for name in ("parameters", "sigma", "initial", "rms_arc_rad"):
+        assert one[name] == pytest.approx(other[name], rel=SAME)
+    for name in ("chi2_per_dof", "status", "free", "frames", "stars", "pairs"):
+        assert one[name] == pytest.approx(other[name], rel=SAME) if isinstance(one[name], float) else other[name]
+    values = [result["observability"]["singular_values"] for result in (one, other)]
+    assert values[0] == pytest.approx(values[1], rel=SAME)
+    assert one["validation"]["rms_arc_rad"] == pytest.approx(other["validation"]["rms_arc_rad"], rel=SAME)
+
+
+def test_rest_with_an_api_key_gives_the_numbers_of_the_page(installation, people, key, batch_run, page_result):
+    with httpx.Client(base_url=installation.address, headers={"Authorization": f"Bearer {key}"}) as client:
+        run = client.get(f"/api/v1/runs/{batch_run}").json()
+        names = ("sensor_id", "telemetry_set_id", "validation_set_id", "settings")
+        order = {name: run[name] for name in names} | {"label": "Over REST"}
+        answer = client.post("/api/v1/runs", json=order)
+        assert answer.status_code == httpx.codes.ACCEPTED, answer.text
+        address = answer.headers["Location"]
+        until_s = time.monotonic() + ENDED_WITHIN_S
+        while (state := client.get(address).json()["state"]) in {"QUEUED", "RUNNING"}:
+            assert time.monotonic() < until_s
+            time.sleep(0.1)
+        assert state == "SUCCEEDED"
+        same(client.get(f"{address}/result").json(), page_result)
+
+
+def test_the_command_line_gives_the_numbers_of_the_page(installation, files, page_result):
+    words = ["calibrate", str(files / "calibration.csv"), "--sensor", str(files / "sensor.json")]
+    words += ["--validate", str(files / "validation.csv"), "--match", "given", "--json", str(files / "result.json")]
+    installation.command(*words)
+    same(json.loads((files / "result.json").read_text()), page_result)
+
+
+def test_a_key_cannot_sign_and_says_so(installation, key, promoted):
+    answer = httpx.post(
+        f"{installation.address}/api/v1/approvals/{promoted.request_id}:approve",
+        headers={"Authorization": f"Bearer {key}", "If-Match": '"v1"'},
+        json={"meaning": "I have read it", "password": "whatever it is", "comment": ""},
+    )
+    assert answer.status_code == httpx.codes.FORBIDDEN
+    assert "key" in answer.json()["detail"]

@@ -1,0 +1,102 @@
+"""A run that cannot succeed says so on its page, and a page whose server is gone does not pretend otherwise."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.browser.work import choose_filter, ends_as, queue, upload
+
+pytestmark = pytest.mark.browser
+
+STARS = 3
+ONE_A_SECOND = 1.0
+LINK_WITHIN_MS = 15_000
+
+
+@pytest.fixture(scope="module")
+def sparse_set(people, sensor_id, files):
+    """Telemetry with three stars in every exposure."""
+    with (files / "calibration.csv").open() as source:
+        head, *rows = csv.reader(source)
+    seen = Counter()
+    kept = [row for row in rows if not seen.update([tuple(row[:2])]) and seen[tuple(row[:2])] <= STARS]
+    path = files / "sparse.csv"
+    with path.open("w", newline="") as target:
+        csv.writer(target).writerows([head, *kept])
+    with people.seat("analyst") as window:
+        return upload(window, sensor_id, path)
+
+
+def test_a_run_without_enough_stars_says_so_and_shows_no_number(people, sparse_set):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/new?set={sparse_set}")
+        run_id = queue(window, "Three stars an exposure")
+        ends_as(window, "SUCCEEDED")
+        expect(window.page.locator("#verdict")).to_contain_text("too few stars")
+        window.figures_drawn()
+        window.shoot("40-too-few-stars")
+        expect(window.page.locator("#parameters")).to_contain_text("not estimated")
+        assert set(window.result(run_id)["sigma"].values()) == {None}
+
+
+def test_a_run_whose_data_are_lost_fails_with_its_cause_and_what_to_try(people, installation, sparse_set):
+    with people.seat("analyst") as window:
+        known = window.read(f"/api/v1/telemetry-sets/{sparse_set}")
+        installation.blob(known["table_sha256"]).unlink()
+        window.open(f"/runs/new?set={sparse_set}")
+        run_id = queue(window, "Its data are gone")
+        ends_as(window, "FAILED")
+        reason = window.read(f"/api/v1/runs/{run_id}")["reason"]
+        assert reason
+        expect(window.page.get_by_role("alert")).to_have_text(reason)
+        expect(window.page.locator("#run-head")).to_contain_text("clone this run and edit it")
+        expect(window.page.locator("#parameters")).to_contain_text("the run ended as FAILED before it had an estimate")
+        expect(window.page.get_by_role("button", name="Create parameter set")).to_have_count(0)
+        window.figures_drawn()
+        window.shoot("41-failed")
+        window.forgive_some("404")
+
+
+def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/new?clone={batch_run}")
+        choose_filter(window, ONE_A_SECOND)
+        run_id = queue(window, "To be stopped")
+        expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
+        window.page.get_by_role("button", name="Cancel run").click()
+        ends_as(window, "CANCELLED")
+        expect(window.page.locator("#run-head")).to_contain_text("Cancelled by Ada Analyst")
+        expect(window.page.get_by_role("button", name="Cancel run")).to_have_count(0)
+        window.shoot("42-cancelled")
+        assert window.read(f"/api/v1/runs/{run_id}")["result_sha256"] is None
+        window.forgive_some("404")
+
+
+def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, installation, batch_run, sequential_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/new?clone={sequential_run.run_id}")
+        run_id = queue(window, "Survives its server")
+        link = window.page.locator("#link-state")
+        expect(window.figure("convergence").locator(".js-plotly-plot")).to_have_count(1)
+        expect(link).to_have_text("LIVE")
+        installation.kill()
+        try:
+            expect(link).to_have_text("DISCONNECTED", timeout=LINK_WITHIN_MS)
+            expect(window.page.locator("[data-run-age]")).to_contain_text(re.compile("cannot be reached|last event"))
+            window.shoot("43-disconnected")
+        finally:
+            installation.start()
+        expect(link).to_have_text("LIVE", timeout=LINK_WITHIN_MS)
+        ends_as(window, "SUCCEEDED")
+        run, first = (window.read(f"/api/v1/runs/{number}") for number in (run_id, sequential_run.run_id))
+        assert run["attempt"] > 1
+        assert window.result(run_id)["parameters"] == window.result(sequential_run.run_id)["parameters"]
+        assert run["summary"]["status"] == first["summary"]["status"]
+        window.figures_drawn()
+        window.shoot("44-recovered")
+        window.forgive("ERR_")

@@ -1,0 +1,119 @@
+"""One person's browser window: it opens pages, takes screenshots, and remembers everything the browser complained of."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import APIResponse, BrowserContext, ConsoleMessage, Locator, Page, expect
+
+SCREENSHOTS = Path(__file__).parents[2] / "artefacts" / "screenshots"
+NARROW, WIDE = {"width": 1280, "height": 800}, {"width": 1920, "height": 1080}
+DRAWN_MS = 30_000
+
+TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
+    ["type", "name", "x", "y", "z", "text", "customdata", "fill", "visible"].map(key => [key, plain(t[key])])
+))"""
+SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50))))"
+PLAIN = "const plain = value => ArrayBuffer.isView(value) ? [...value].map(plain) : Array.isArray(value) ? value.map(plain) : value;"
+
+
+class Window:
+    """A page of one browser context, with what went wrong in it."""
+
+    def __init__(self, context: BrowserContext) -> None:
+        self.page: Page = context.new_page()
+        self.complaints: list[str] = []
+        self.page.on("console", self._hear)
+        self.page.on("pageerror", lambda error: self.complaints.append(f"{self.page.url}: {error}"))
+
+    def _hear(self, message: ConsoleMessage) -> None:
+        if message.type in {"error", "warning"}:
+            self.complaints.append(f"{self.page.url}: {message.text} ({message.location.get('url')})")
+
+    def forgive(self, pattern: str) -> None:
+        """Strike out complaints that the test itself has caused, and insist that there were some."""
+        kept = [line for line in self.complaints if not re.search(pattern, line)]
+        assert len(kept) < len(self.complaints), f"nobody complained of {pattern}: {self.complaints}"
+        self.complaints = kept
+
+    def forgive_some(self, pattern: str) -> None:
+        """Strike out complaints of what a page may ask for in vain, such as the figure of a run without a result."""
+        self.complaints = [line for line in self.complaints if not re.search(pattern, line)]
+
+    def open(self, path: str) -> None:
+        """Go to a page of the server."""
+        self.page.goto(path)
+
+    def read(self, address: str) -> Any:
+        """What the REST API answers to this person."""
+        answer = self.page.request.get(address)
+        assert answer.ok, answer.text()
+        return answer.json()
+
+    def result(self, run_id: int) -> dict[str, Any]:
+        """A run's calibration by REST."""
+        return self.read(f"/api/v1/runs/{run_id}/result")
+
+    def send(self, address: str, form: dict[str, str]) -> APIResponse:
+        """Post a form that no button of the page that is open offers, with the page's own token."""
+        token = self.page.locator("input[name=csrf_token]").first.input_value()
+        return self.page.request.post(address, form=form | {"csrf_token": token}, headers={"Accept": "text/html"})
+
+    def enter(self, name: str, password: str) -> None:
+        """Fill in the log-in form that is shown."""
+        self.page.get_by_label("Log-in name").fill(name)
+        self.page.get_by_label("Password").fill(password)
+        self.page.get_by_role("button", name="Log in").click()
+
+    def slow_down(self, bytes_per_s: float) -> None:
+        """Give this window a slow link upwards."""
+        link = self.page.context.new_cdp_session(self.page)
+        link.send(
+            "Network.emulateNetworkConditions",
+            {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": bytes_per_s},
+        )
+
+    def figures_drawn(self) -> None:
+        """Wait until every figure of the page stands or says why not."""
+        waiting = "plot-figure:not([data-state=ready]):not([data-state=empty])"
+        expect(self.page.locator(waiting)).to_have_count(0, timeout=DRAWN_MS)
+
+    def figure(self, name: str) -> Locator:
+        """The panel of a figure."""
+        return self.page.locator(f"#figure-{name}")
+
+    def drawn(self, name: str) -> list[dict[str, Any]]:
+        """The traces that Plotly holds for a figure, arrays as lists."""
+        drawing = self.figure(name).locator(".js-plotly-plot")
+        expect(drawing).to_have_count(1, timeout=DRAWN_MS)
+        return drawing.evaluate(f"figure => {{ {PLAIN} return ({TRACES})(figure) }}")
+
+    def use_theme(self, theme: str) -> None:
+        """Change to dark or light by the button of the top bar."""
+        if self.page.evaluate("document.documentElement.dataset.theme") != theme:
+            self.page.get_by_role("button", name="Change between dark and light").click()
+
+    def shoot(self, name: str, *, wide: bool = False) -> None:
+        """Keep a screenshot of the whole page, and of the wide one if it is asked for."""
+        for size in (NARROW, WIDE) if wide else (NARROW,):
+            self.page.set_viewport_size(size)
+            self.keep(f"{name}-{size['width']}")
+        self.page.set_viewport_size(NARROW)
+
+    def keep(self, name: str) -> None:
+        """Keep a screenshot of the whole page as it is."""
+        self.page.evaluate("scrollTo(0, 0)")
+        self.page.evaluate(SETTLED)
+        self.page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
+
+    def sideways_px(self) -> int:
+        """By how much the page is wider than the window."""
+        return self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+
+    def barriers(self) -> list[str]:
+        """What axe finds that keeps people out, a line each."""
+        found = Axe().run(self.page).response["violations"]
+        return [f"{one['id']}: {one['help']} at {node['target']}" for one in found for node in one["nodes"]]
