@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.figures.numbers import MINUS
 from boresight.pages import formats
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e12, max_value=1e12)
@@ -17,7 +18,7 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e12, max_v
 def plain(text: str) -> float:
     """Read a printed number back."""
     raised = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
-    text = text.replace(formats.NARROW_SPACE, "").replace(formats.MINUS, "-")
+    text = text.replace(formats.NARROW_SPACE, "").replace(MINUS, "-")
     mantissa, _, power = text.partition("·10")
     return float(mantissa) * 10.0 ** int(power.translate(raised) or 0)
 
@@ -60,18 +61,18 @@ def test_a_sigma_that_was_not_estimated_says_fixed():
 @pytest.mark.parametrize(
     ("name", "unit"), [("f_m", "mm"), ("b2_per_m2", "m⁻²"), ("b4_per_m4", "m⁻⁴"), ("a1_rad", "mrad"), ("g_y", "1")]
 )
-def test_a_unit_is_read_from_the_end_of_the_name(name, unit):
+def test_a_parameter_is_shown_in_the_unit_an_operator_thinks_in(name, unit):
     assert formats.unit(name) == unit
 
 
 def test_negative_numbers_have_a_true_minus_and_digits_are_parted():
-    assert formats.fixed(-12345.678, 1) == f"{formats.MINUS}12{formats.NARROW_SPACE}345.7"
+    assert formats.fixed(-12345.678, 1) == f"{MINUS}12{formats.NARROW_SPACE}345.7"
     assert formats.count(1234567) == f"1{formats.NARROW_SPACE}234{formats.NARROW_SPACE}567"
 
 
 def test_what_rounds_to_nothing_has_no_sign():
     assert formats.fixed(-0.04, 1) == "0.0"
-    assert formats.fixed(-0.06, 1) == f"{formats.MINUS}0.1"
+    assert formats.fixed(-0.06, 1) == f"{MINUS}0.1"
 
 
 def test_a_time_has_its_day_of_year_and_its_calendar_date():

@@ -1,17 +1,16 @@
-"""The parameter table in words and digits, as the report and the terminal print it.
-
-A value stops at the second significant digit of its sigma: no digit is shown that is not known.
-"""
+"""The parameter table in words and digits, as the report and the terminal print it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass
+from decimal import Decimal
 
 from boresight.figures.chart import Result
+from boresight.figures.numbers import MINUS, MISSING, to_second_digit
 from boresight.figures.quantities import quantity
 
-ABSENT = "–"
+LARGE = 1e5  # the width of a terminal's column
 HEADINGS = ("parameter", "unit", "initial", "final", "change", "sigma", "unit", "change / sigma", "typical sigmas")
 
 
@@ -56,7 +55,7 @@ def _row(result: Result, name: str) -> ParameterRow:
         sigma=digits(_scaled(sigma, item.change_factor), _scaled(sigma, item.change_factor)),
         change_unit=item.change_unit,
         worth=_ratio(change, sigma),
-        typical=_ratio(change, typical) if sigma is not None else ABSENT,
+        typical=_ratio(change, typical) if sigma is not None else MISSING,
     )
 
 
@@ -67,16 +66,11 @@ def _scaled(value: float | None, factor: float) -> float | None:
 def digits(value: float | None, sigma: float | None) -> str:
     """Print a value to the second significant digit of its sigma; six significant digits where there is none."""
     if value is None:
-        return ABSENT
+        return MISSING
     if not sigma or not math.isfinite(sigma):
-        return f"{value:.6g}".replace("-", "−")
-    if abs(value) >= 1e5:
-        return f"{value:.{max(1, min(9, _order(value) - _order(sigma) + 1))}e}".replace("-", "−")
-    return f"{value:,.{max(0, min(9, 1 - _order(sigma)))}f}".replace("-", "−")
-
-
-def _order(value: float) -> int:
-    return math.floor(math.log10(abs(value)))
+        return f"{value:.6g}".replace("-", MINUS)
+    text = to_second_digit(value, sigma, LARGE)
+    return (text if "e" in text else f"{Decimal(text):,}").replace("-", MINUS)
 
 
 def _changed(change: float | None, sigma: float | None) -> str:
@@ -85,4 +79,4 @@ def _changed(change: float | None, sigma: float | None) -> str:
 
 
 def _ratio(value: float | None, scale: float | None) -> str:
-    return ABSENT if value is None or not scale else f"{value / scale:+,.1f}".replace("-", "−")
+    return MISSING if value is None or not scale else f"{value / scale:+,.1f}".replace("-", MINUS)

@@ -34,9 +34,15 @@ class Quantity:
     change_factor: float
 
     @property
+    def letters(self) -> tuple[str, str]:
+        """The letter and its index; a symbol that is a word has no index."""
+        found = re.fullmatch(r"(\w)(\d+|_\w+)", self.symbol)
+        return (found[1], found[2].lstrip("_")) if found else (self.symbol, "")
+
+    @property
     def markup(self) -> str:
         """The symbol with its index set low, in the few tags Plotly knows."""
-        letter, index = self.symbol[0], self.symbol[1:].lstrip("_")
+        letter, index = self.letters
         return f"<i>{letter}</i><sub>{index}</sub>" if index else f"<i>{letter}</i>"
 
 
@@ -51,16 +57,19 @@ QUANTITIES = {
     "a1_rad": Quantity("a1", "mrad", 1e3, "mrad", 1e3),
     "a2_rad": Quantity("a2", "mrad", 1e3, "mrad", 1e3),
     "g_y": Quantity("g_y", "", 1.0, "ppm", 1e6),
+    "k1": Quantity("k1", "m⁻²", 1.0, "m⁻²", 1.0),
+    "k2": Quantity("k2", "m⁻⁴", 1.0, "m⁻⁴", 1.0),
     "s": Quantity("s", "", 1.0, "ppm", 1e6),
 }
 
 
-def quantity(name: str, result: Result) -> Quantity:
-    """Look a parameter up by its name in the result."""
+def quantity(name: str, result: Result | None = None) -> Quantity:
+    """Look a parameter up by its name, one that is not in the table in its result."""
     if name in QUANTITIES:
         return QUANTITIES[name]
-    symbol = re.sub(r"[^\w]", "", str((result.get("symbols") or {}).get(name) or name))
-    unit = re.sub(r"[<>&]", "", str((result.get("units") or {}).get(name) or ""))
+    symbols, units = ((result or {}).get(key) or {} for key in ("symbols", "units"))
+    symbol = re.sub(r"[^\w]", "", str(symbols.get(name) or name))
+    unit = re.sub(r"[<>&]", "", str(units.get(name) or ""))
     return Quantity(symbol, unit, 1.0, unit, 1.0)
 
 

@@ -16,8 +16,7 @@ from fastapi.responses import HTMLResponse
 from boresight.api.dependencies import Reading, current_actor
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
-from boresight.pages.evidence import urad
-from boresight.pages.formats import number
+from boresight.figures.numbers import number, urad
 from boresight.pages.methods import title_of
 from boresight.pages.parameter_table import contrasts
 from boresight.pages.rendering import render

@@ -10,11 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.pages.formats import count, number, percent
+from boresight.figures.numbers import count, number, percent, urad
 from boresight.pages.methods import is_sequential
 from boresight.pages.states import level_of
 
-URAD_PER_RAD = 1e6
 UNSEEN_TYPICAL_SIGMAS = 1.0  # a direction known no better than unit-to-unit spread was not calibrated
 
 
@@ -37,11 +36,6 @@ class Mark:
     word: str
     value: str
     detail: str
-
-
-def urad(value_rad: float | None, digits: int = 4) -> str:
-    """Print an angle in radians as microradians, without the unit."""
-    return number(None if value_rad is None else value_rad * URAD_PER_RAD, digits)
 
 
 def _unknown(question: str, detail: str) -> Mark:

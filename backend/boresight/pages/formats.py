@@ -1,150 +1,72 @@
 """Numbers, times and addresses as the pages print them. Each function is a template filter of the same name.
 
-A value crosses the border here: inside it is SI and radians, on the page it has the unit an operator thinks in.
-A parameter's unit is read from the end of its name, `f_m` to mm and `b2_per_m2` to m⁻², in one table. A value
-printed with its sigma stops at the second significant digit of the sigma: no digit is shown that is not known.
+A value crosses the border here: inside it is SI and radians, on the page it has the unit an operator thinks in, of
+`boresight.figures.quantities`. Numbers by themselves are those of `boresight.figures.numbers`.
 """
 
 from __future__ import annotations
 
-import math
 from datetime import UTC, datetime
 from typing import Any
 
 from markupsafe import Markup, escape
 
-MISSING = "–"
-NARROW_SPACE = "\u202f"  # narrow, and no line breaks in it
-MINUS = "\u2212"  # as wide as a digit
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-LARGE = 1e7  # from here on a number is easier to read with a power of ten
-
-UNIT_OF_SUFFIX = (  # suffix, unit on the page, factor from SI
-    ("_per_m4", "m⁻⁴", 1.0),
-    ("_per_m2", "m⁻²", 1.0),
-    ("_arcsec", "″", 1.0),
-    ("_px", "px", 1.0),
-    ("_rad", "mrad", 1e3),
-    ("_m", "mm", 1e3),
-    ("k1", "m⁻²", 1.0),
-    ("k2", "m⁻⁴", 1.0),
+from boresight.figures.numbers import (
+    MISSING,
+    NARROW_SPACE,
+    count,
+    fixed,
+    grouped,
+    is_number,
+    number,
+    percent,
+    to_second_digit,
+    urad,
 )
-
-SYMBOL_OF_PARAMETER = {
-    "f_m": "f",
-    "m0_px": "m_0",
-    "n0_px": "n_0",
-    "b4_per_m4": "b_4",
-    "b2_per_m2": "b_2",
-    "a1_rad": "a_1",
-    "a2_rad": "a_2",
-    "g_y": "g_y",
-    "u0_px": "u_0",
-    "v0_px": "v_0",
-    "k1": "k_1",
-    "k2": "k_2",
-}
-
-
-def _scale(name: str) -> tuple[str, float]:
-    """Return the page's unit and the factor from SI for a parameter's name."""
-    return next(((unit, factor) for suffix, unit, factor in UNIT_OF_SUFFIX if name.endswith(suffix)), ("1", 1.0))
+from boresight.figures.quantities import quantity
 
 
 def unit(name: str) -> str:
     """Return the unit a parameter is shown in: `f_m` gives mm."""
-    return _scale(name)[0]
+    return quantity(name).unit or "1"
 
 
 def symbol(name: str) -> Markup:
     """Return a parameter's letter in the papers, its index set low; a name without one stands for itself."""
-    letter, _, index = SYMBOL_OF_PARAMETER.get(name, name).partition("_")
-    low = Markup("<sub>{}</sub>").format(index) if index and len(letter) == 1 else ""
-    return Markup("{}{}").format(letter if low else SYMBOL_OF_PARAMETER.get(name, name), low)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _grouped(text: str) -> str:
-    """Write the sign as a true minus, part the digits before the point in threes, and raise the exponent; 0 has no sign."""
-    sign, digits = (MINUS, text[1:]) if text.startswith("-") else ("", text)
-    mantissa, _, exponent = digits.partition("e")
-    sign = sign if mantissa.strip("0.") else ""
-    whole, point, rest = mantissa.partition(".")
-    if whole.isdigit() and len(whole) > 4:
-        whole = f"{int(whole):,}".replace(",", NARROW_SPACE)
-    power = f"·10{str(int(exponent)).translate(RAISED)}" if exponent else ""
-    return f"{sign}{whole}{point}{rest}{power}"
-
-
-def number(value: Any, digits: int = 4) -> str:
-    """Print a number to so many significant digits; a missing or non-finite one as a dash."""
-    if not _is_number(value):
-        return MISSING
-    if value == 0:
-        return "0"
-    exponent = math.floor(math.log10(abs(value)))
-    if -4 <= exponent < 7:
-        return _grouped(f"{value:.{max(digits - 1 - exponent, 0)}f}")
-    return _grouped(f"{value:.{digits - 1}e}")
-
-
-def fixed(value: Any, decimals: int = 2) -> str:
-    """Print a number to so many decimals, for columns that align on the point."""
-    return _grouped(f"{value:.{decimals}f}") if _is_number(value) else MISSING
-
-
-def count(value: Any) -> str:
-    """Print a whole number with its digits parted in threes."""
-    return f"{int(value):,}".replace(",", NARROW_SPACE) if _is_number(value) else MISSING
-
-
-def percent(value: Any, decimals: int = 1) -> str:
-    """Print a fraction as a percentage."""
-    return f"{fixed(100.0 * value, decimals)}{NARROW_SPACE}%" if _is_number(value) else MISSING
+    letter, index = quantity(name).letters
+    return Markup("{}<sub>{}</sub>").format(letter, index) if index else Markup("{}").format(letter)
 
 
 def parameter(value: Any, name: str, sigma: Any = None) -> str:
     """Print a parameter in its page unit, to the second significant digit of its sigma; as given where none is known."""
-    if not _is_number(value):
+    if not is_number(value):
         return MISSING
-    shown = value * _scale(name)[1]
-    if not _is_number(sigma) or sigma <= 0:
-        return _grouped(f"{shown:.6g}")
-    decimals = 1 - math.floor(math.log10(sigma * _scale(name)[1]))
-    shown = round(shown, decimals)
-    if abs(shown) < LARGE:
-        return _grouped(f"{shown:.{max(decimals, 0)}f}")
-    return _grouped(f"{shown:.{max(math.floor(math.log10(abs(shown))) + decimals, 0)}e}")
+    factor = quantity(name).factor
+    if not is_number(sigma) or sigma <= 0:
+        return grouped(f"{value * factor:.6g}")
+    return grouped(to_second_digit(value * factor, sigma * factor))
 
 
 def sigma(value: Any, name: str) -> str:
     """Print a sigma in its parameter's page unit, two significant digits; `fixed` where it was not estimated."""
-    return parameter(value, name, value) if _is_number(value) and value > 0 else "fixed"
+    return parameter(value, name, value) if is_number(value) and value > 0 else "fixed"
 
 
 def plus_minus(value: Any, name: str, sigma_si: Any = None, times: float = 1.0) -> str:
     """Print `value ± times sigma` in the page unit, without the unit (its column has it)."""
-    if not _is_number(sigma_si) or sigma_si <= 0:
+    if not is_number(sigma_si) or sigma_si <= 0:
         return parameter(value, name)
     return f"{parameter(value, name, sigma_si)} ± {parameter(times * sigma_si, name, sigma_si)}"
 
 
-def urad(value_rad: Any, digits: int = 4) -> str:
-    """Print an angle in radians as microradians, without the unit (its column has it)."""
-    return number(value_rad * 1e6, digits) if _is_number(value_rad) else MISSING
-
-
 def sigmas(value: Any) -> str:
     """Print a difference in units of its sigma, signed."""
-    return f"{'+' if value > 0 else ''}{fixed(value, 1)}{NARROW_SPACE}σ" if _is_number(value) else MISSING
+    return f"{'+' if value > 0 else ''}{fixed(value, 1)}{NARROW_SPACE}σ" if is_number(value) else MISSING
 
 
 def size(value_bytes: Any) -> str:
     """Print a file's size in decimal units."""
-    if not _is_number(value_bytes):
+    if not is_number(value_bytes):
         return MISSING
     for factor, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
         if value_bytes >= factor:
@@ -173,7 +95,7 @@ def utc(text: str | None) -> Markup | str:
 
 def duration(seconds: Any) -> str:
     """Print a span of time with its two largest units: `3 d 4 h`."""
-    if not _is_number(seconds):
+    if not is_number(seconds):
         return MISSING
     if 0 < seconds < 0.1:
         return f"{1000 * seconds:.1f}{NARROW_SPACE}ms"

@@ -19,8 +19,9 @@ from starlette.datastructures import FormData
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.figures.numbers import count
 from boresight.pages.attempts import Outcome, Refusal, attempt
-from boresight.pages.formats import count, duration
+from boresight.pages.formats import duration
 from boresight.pages.methods import METHODS, is_sequential, title_of
 from boresight.pages.rendering import redirect, render
 from boresight.services import runs, sensors, telemetry_sets

@@ -19,9 +19,10 @@ from markupsafe import Markup
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.figures import FIGURES
+from boresight.figures.numbers import MISSING, count
 from boresight.pages.attempts import attempt
 from boresight.pages.evidence import marks
-from boresight.pages.formats import MISSING, count, duration, short_hash, utc
+from boresight.pages.formats import duration, short_hash, utc
 from boresight.pages.methods import title_of
 from boresight.pages.parameter_table import parameter_rows
 from boresight.pages.rendering import redirect, render

@@ -17,8 +17,8 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, current_actor
-from boresight.pages.evidence import urad
-from boresight.pages.formats import MISSING, NARROW_SPACE, instant, number, seconds_since
+from boresight.figures.numbers import MISSING, NARROW_SPACE, number, urad
+from boresight.pages.formats import instant, seconds_since
 from boresight.pages.methods import METHODS, title_of
 from boresight.pages.rendering import render
 from boresight.services import runs, sensors, telemetry_sets, users

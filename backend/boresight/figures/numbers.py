@@ -1,0 +1,79 @@
+"""Numbers as people read them, on pages, in reports and in terminals.
+
+A value printed with its sigma stops at the second significant digit of the sigma: no digit is shown that is not known.
+Whatever is no finite number is a dash.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+MISSING = "–"
+NARROW_SPACE = "\u202f"  # narrow, and no line breaks in it
+MINUS = "\u2212"  # as wide as a digit
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+LARGE = 1e7  # from here on a number is easier to read with a power of ten
+
+
+def is_number(value: Any) -> bool:
+    """Tell whether a value is a finite number; a truth value is none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def grouped(text: str) -> str:
+    """Write the sign as a true minus, part the digits before the point in threes, and raise the exponent; 0 has no sign."""
+    sign, digits = (MINUS, text[1:]) if text.startswith("-") else ("", text)
+    mantissa, _, exponent = digits.partition("e")
+    sign = sign if mantissa.strip("0.") else ""
+    whole, point, rest = mantissa.partition(".")
+    if whole.isdigit() and len(whole) > 4:
+        whole = f"{int(whole):,}".replace(",", NARROW_SPACE)
+    power = f"·10{str(int(exponent)).translate(RAISED)}" if exponent else ""
+    return f"{sign}{whole}{point}{rest}{power}"
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """Print a number to so many significant digits; a missing or non-finite one as a dash."""
+    if not is_number(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if -4 <= exponent < 7:
+        return grouped(f"{value:.{max(digits - 1 - exponent, 0)}f}")
+    return grouped(f"{value:.{digits - 1}e}")
+
+
+def fixed(value: Any, decimals: int = 2) -> str:
+    """Print a number to so many decimals, for columns that align on the point."""
+    return grouped(f"{value:.{decimals}f}") if is_number(value) else MISSING
+
+
+def count(value: Any) -> str:
+    """Print a whole number with its digits parted in threes."""
+    return f"{int(value):,}".replace(",", NARROW_SPACE) if is_number(value) else MISSING
+
+
+def counted(value: int, singular: str, plural: str = "") -> str:
+    """Print a whole number with its noun, which agrees with it."""
+    return f"{count(value)} {singular if value == 1 else plural or singular + 's'}"
+
+
+def percent(value: Any, decimals: int = 1) -> str:
+    """Print a fraction as a percentage."""
+    return f"{fixed(100.0 * value, decimals)}{NARROW_SPACE}%" if is_number(value) else MISSING
+
+
+def urad(value_rad: Any, digits: int = 4) -> str:
+    """Print an angle in radians as microradians, without the unit (its column has it)."""
+    return number(value_rad * 1e6, digits) if is_number(value_rad) else MISSING
+
+
+def to_second_digit(value: float, sigma: float, large: float = LARGE) -> str:
+    """Write a number to the second significant digit of its sigma, in Python's own form; from `large` on with a power."""
+    decimals = 1 - math.floor(math.log10(sigma))
+    rounded = round(value, decimals) + 0.0  # a zero without a sign
+    if abs(rounded) < large:
+        return f"{rounded:.{max(decimals, 0)}f}"
+    return f"{rounded:.{max(math.floor(math.log10(abs(rounded))) + decimals, 0)}e}"

@@ -1,0 +1,46 @@
+"""Numbers as they are printed: to the digits that are known, with their noun in agreement."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from boresight.figures.numbers import counted, to_second_digit
+from boresight.figures.quantities import QUANTITIES, quantity
+
+
+@given(
+    st.floats(allow_nan=False, min_value=-1e12, max_value=1e12),
+    st.floats(min_value=1e-9, max_value=1e9),
+    st.sampled_from([1e5, 1e7]),
+)
+def test_a_value_stops_within_the_second_digit_of_its_sigma_whatever_is_large(value, sigma, large):
+    text = to_second_digit(value, sigma, large)
+    assert abs(float(text) - value) <= 0.05 * sigma + abs(value) * 1e-12
+    assert ("e" in text) == (abs(float(text)) >= large)
+
+
+@given(st.integers(min_value=0, max_value=10**9))
+def test_a_noun_agrees_with_its_number(value):
+    text = counted(value, "match", "matches")
+    assert text.endswith(" match") == (value == 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "letters"),
+    [
+        ("f_m", ("f", "")),
+        ("m0_px", ("m", "0")),
+        ("g_y", ("g", "y")),
+        ("k1", ("k", "1")),
+        ("tilt_rad", ("tilt_rad", "")),
+    ],
+)
+def test_a_symbol_is_a_letter_and_its_index_and_a_word_stays_whole(name, letters):
+    assert quantity(name).letters == letters
+
+
+@pytest.mark.parametrize("item", QUANTITIES.values(), ids=QUANTITIES)
+def test_every_symbol_of_the_table_is_one_letter_with_an_index_or_none(item):
+    assert len(item.letters[0]) == 1
