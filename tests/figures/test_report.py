@@ -6,9 +6,9 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
-from boresight.figures.parameter_rows import digits, parameter_rows
+from boresight.figures.evidence import verdict
+from boresight.figures.printed_table import digits, printed_rows
 from boresight.figures.report import command, render_report, write_report
-from boresight.figures.verdict import verdict
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 
@@ -104,7 +104,7 @@ def test_a_value_stops_at_the_second_digit_of_its_sigma():
 
 def test_a_fixed_parameter_shows_dashes_for_what_is_not_known(sequential_result):
     fixed = sequential_result | {"sigma": sequential_result["sigma"] | {"g_y": None}}
-    row = parameter_rows(fixed)[-1]
+    row = printed_rows(fixed)[-1]
     assert (row.sigma, row.worth, row.typical) == ("–", "–", "–")
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
+from boresight.figures.parameter_table import contrasts
 from boresight.pages.compare import MOST_RUNS, read_run_ids
-from boresight.pages.parameter_table import contrasts
 
 
 def test_every_figure_overlays_the_other_runs_on_the_reference(house):

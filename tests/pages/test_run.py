@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from boresight.figures import FIGURES
-from boresight.pages.evidence import marks
-from boresight.pages.parameter_table import parameter_rows
+from boresight.figures.evidence import marks
+from boresight.figures.parameter_table import parameter_rows
 from boresight.store.sessions import utc_now, writing
 from boresight.store.tables import RunEvent
 

@@ -92,13 +92,13 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
 
 def _lines(result: dict[str, Any]) -> Iterator[str]:
     """Lay a result out for a terminal."""
-    from boresight.figures.parameter_rows import HEADINGS, parameter_rows
+    from boresight.figures.printed_table import HEADINGS, printed_rows
 
     words = [result["method"], result["variant"], result["status"].replace("_", " ")]
     counts = ", ".join(f"{result[key]:,} {key}" for key in ("frames", "exposures", "stars", "pairs"))
     yield f"{result['sensor']}: {', '.join(word for word in words if word)}; {counts}"
     yield ""
-    yield aligned([HEADINGS, *(row.cells for row in parameter_rows(result))], left=(0, 1, 6))
+    yield aligned([HEADINGS, *(row.cells for row in printed_rows(result))], left=(0, 1, 6))
     yield ""
     yield aligned(list(_judgements(result)), left=(0, 1))
     for sentence in result["advice"]:

@@ -19,9 +19,9 @@ from boresight import __version__
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 from boresight.figures.chart import Result, Trace
-from boresight.figures.parameter_rows import HEADINGS, parameter_rows
+from boresight.figures.evidence import verdict
+from boresight.figures.printed_table import HEADINGS, printed_rows
 from boresight.figures.theme import LIGHT_TEMPLATE
-from boresight.figures.verdict import verdict
 from boresight.resources import folder
 
 SCHEMA = "boresight.calibration/1"
@@ -60,7 +60,7 @@ def render_report(result: Result) -> str:
         verdict=verdict(result),
         summary=list(_summary(result)),
         headings=HEADINGS,
-        rows=parameter_rows(result),
+        rows=printed_rows(result),
         figures=list(FIGURES.values()),
         figures_json=_inline({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
         provenance=list(flattened(result.get("inputs") or {})),

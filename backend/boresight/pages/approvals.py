@@ -19,10 +19,10 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
+from boresight.figures.evidence import marks
+from boresight.figures.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
 from boresight.pages.attempts import Refusal, attempt
-from boresight.pages.evidence import marks
 from boresight.pages.parameter_sets import bound_incumbent
-from boresight.pages.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import approvals, parameter_sets, runs, sensors

@@ -17,8 +17,8 @@ from boresight.api.dependencies import Reading, current_actor
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 from boresight.figures.numbers import number, urad
+from boresight.figures.parameter_table import contrasts
 from boresight.pages.methods import title_of
-from boresight.pages.parameter_table import contrasts
 from boresight.pages.rendering import render
 from boresight.pages.runs import Names, read_names
 from boresight.services import runs

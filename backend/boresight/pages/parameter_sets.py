@@ -17,8 +17,8 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import RefusedInputError
+from boresight.figures.parameter_table import set_rows
 from boresight.pages.attempts import Refusal, attempt
-from boresight.pages.parameter_table import set_rows
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import approvals, parameter_sets, runs, sensors, telemetry_sets, uplinks

@@ -19,12 +19,12 @@ from markupsafe import Markup
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.figures import FIGURES
+from boresight.figures.evidence import marks
 from boresight.figures.numbers import MISSING, count
+from boresight.figures.parameter_table import parameter_rows
 from boresight.pages.attempts import attempt
-from boresight.pages.evidence import marks
 from boresight.pages.formats import duration, short_hash, utc
 from boresight.pages.methods import title_of
-from boresight.pages.parameter_table import parameter_rows
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names, seconds_of
 from boresight.services import parameter_sets, runs, sensors, telemetry_sets

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-LEVELS = ("off", "standby", "normal", "caution", "serious", "critical")
+from boresight.figures.evidence import LEVELS
+
+__all__ = ["LEVELS", "LEVEL_OF_STATE", "level_of", "worst"]
 
 LEVEL_OF_STATE = {
     # runs
@@ -46,12 +48,6 @@ LEVEL_OF_STATE = {
     "MARGINAL": "caution",
     "FAIL": "serious",
     "NO-DATA": "caution",
-    # calibrations
-    "converged": "normal",
-    "max_iterations": "caution",
-    "rank_deficient": "serious",
-    "diverged": "serious",
-    "too_few_stars": "serious",
 }
 
 

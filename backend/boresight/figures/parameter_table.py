@@ -1,4 +1,4 @@
-"""A calibration's parameters as the pages lay them out: old, new, delta, sigma, and what delta is worth.
+"""A calibration's parameters as pages, reports and terminals lay them out: old, new, delta, sigma, and what delta is worth.
 
 `delta / sigma` says whether the change can be seen in the noise, `delta / typical` whether it is a change that such a
 sensor is known to make (the typical sigmas are the unit-to-unit spread). Both are needed: a change of forty sigma that is
@@ -13,11 +13,8 @@ from typing import Any
 
 from boresight.estimation.cameras import CAMERA_MODELS
 
-UNEXPECTED_TYPICAL_SIGMAS = (
-    10.0  # the six sensors of E Table III moved by up to 9.8: more asks for a look at the matches
-)
-
-
+# The six sensors of E Table III moved by up to 9.8: more asks for a look at the matches.
+UNEXPECTED_TYPICAL_SIGMAS = 10.0
 FAR_SIGMAS = 4.0  # of the eight parameters of an honest run one in 2,000 is so far from the truth
 
 

@@ -8,14 +8,15 @@ from decimal import Decimal
 
 from boresight.figures.chart import Result
 from boresight.figures.numbers import MINUS, MISSING, to_second_digit
-from boresight.figures.quantities import quantity
+from boresight.figures.parameter_table import ParameterRow, parameter_rows
+from boresight.figures.quantities import Quantity, quantity
 
 LARGE = 1e5  # the width of a terminal's column
 HEADINGS = ("parameter", "unit", "initial", "final", "change", "sigma", "unit", "change / sigma", "typical sigmas")
 
 
 @dataclass(frozen=True)
-class ParameterRow:
+class PrintedRow:
     """One parameter, ready to print; the first unit is of the values, the second of change and sigma."""
 
     symbol: str
@@ -34,28 +35,23 @@ class ParameterRow:
         return astuple(self)
 
 
-def parameter_rows(result: Result) -> list[ParameterRow]:
-    """Lay out every parameter of a result, in model order."""
-    return [_row(result, name) for name in result.get("parameters") or ()]
+def printed_rows(result: Result) -> list[PrintedRow]:
+    """Print every parameter of a result, in model order."""
+    return [_printed(row, quantity(row.name, result)) for row in parameter_rows(result)]
 
 
-def _row(result: Result, name: str) -> ParameterRow:
-    item = quantity(name, result)
-    initial, final, sigma, typical = (
-        (result.get(key) or {}).get(name) for key in ("initial", "parameters", "sigma", "typical_sigma")
-    )
-    change = None if initial is None or final is None else final - initial
-    known = _scaled(sigma, item.factor)
-    return ParameterRow(
+def _printed(row: ParameterRow, item: Quantity) -> PrintedRow:
+    known, change_sigma = _scaled(row.sigma, item.factor), _scaled(row.sigma, item.change_factor)
+    return PrintedRow(
         symbol=item.symbol,
         unit=item.unit,
-        initial=digits(_scaled(initial, item.factor), known),
-        final=digits(_scaled(final, item.factor), known),
-        change=_changed(_scaled(change, item.change_factor), _scaled(sigma, item.change_factor)),
-        sigma=digits(_scaled(sigma, item.change_factor), _scaled(sigma, item.change_factor)),
+        initial=digits(_scaled(row.old, item.factor), known),
+        final=digits(_scaled(row.new, item.factor), known),
+        change=_changed(_scaled(row.delta, item.change_factor), change_sigma),
+        sigma=digits(change_sigma, change_sigma),
         change_unit=item.change_unit,
-        worth=_ratio(change, sigma),
-        typical=_ratio(change, typical) if sigma is not None else MISSING,
+        worth=_signed(row.delta_over_sigma),
+        typical=_signed(row.delta_over_typical) if row.estimated else MISSING,
     )
 
 
@@ -78,5 +74,5 @@ def _changed(change: float | None, sigma: float | None) -> str:
     return text if change is None or change < 0 or sigma is None else f"+{text}"
 
 
-def _ratio(value: float | None, scale: float | None) -> str:
-    return MISSING if value is None or not scale else f"{value / scale:+,.1f}".replace("-", MINUS)
+def _signed(value: float | None) -> str:
+    return MISSING if value is None else f"{value:+,.1f}".replace("-", MINUS)
