@@ -152,7 +152,7 @@ def sequential_run(people, batch_run):
 
 
 @pytest.fixture(scope="package")
-def promoted(people, sequential_run, batch_run):
+def promoted(people, batch_run):
     """The batch run's set: made and submitted by the analyst, signed by the approver, promoted by the operator."""
     with people.seat("analyst") as window:
         set_id = make_set(window, batch_run)

@@ -16,7 +16,8 @@ MEANING = "I have read the evidence and answer for it"
 
 @pytest.fixture(scope="module")
 def set_id(people, promoted, sequential_run):
-    """The set of the sequential run, submitted against the new baseline."""
+    """The set of the sequential run, to be submitted against the new baseline."""
+    assert promoted.set_id
     with people.seat("analyst") as window:
         return make_set(window, sequential_run.run_id)
 

@@ -46,7 +46,7 @@ def same(one, other):
     assert one["validation"]["rms_arc_rad"] == pytest.approx(other["validation"]["rms_arc_rad"], rel=SAME)
 
 
-def test_rest_with_an_api_key_gives_the_numbers_of_the_page(installation, people, key, batch_run, page_result):
+def test_rest_with_an_api_key_gives_the_numbers_of_the_page(installation, key, batch_run, page_result):
     with httpx.Client(base_url=installation.address, headers={"Authorization": f"Bearer {key}"}) as client:
         run = client.get(f"/api/v1/runs/{batch_run}").json()
         names = ("sensor_id", "telemetry_set_id", "validation_set_id", "settings")

@@ -77,7 +77,7 @@ def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_r
         window.forgive_some("404")
 
 
-def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, installation, batch_run, sequential_run):
+def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, installation, sequential_run):
     with people.seat("analyst") as window:
         window.open(f"/runs/new?clone={sequential_run.run_id}")
         run_id = queue(window, "Survives its server")

@@ -17,7 +17,10 @@ TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
     ["type", "name", "x", "y", "z", "text", "customdata", "fill", "visible"].map(key => [key, plain(t[key])])
 ))"""
 SETTLED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50))))"
-PLAIN = "const plain = value => ArrayBuffer.isView(value) ? [...value].map(plain) : Array.isArray(value) ? value.map(plain) : value;"
+FITS = "document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+FITS_WITHIN_MS = 5000
+PLAIN = """const plain = value =>
+    ArrayBuffer.isView(value) || Array.isArray(value) ? Array.from(value, plain) : value;"""
 
 
 class Window:
@@ -109,9 +112,9 @@ class Window:
         self.page.evaluate(SETTLED)
         self.page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
 
-    def sideways_px(self) -> int:
-        """By how much the page is wider than the window."""
-        return self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    def fits(self) -> None:
+        """Hold that the page does not scroll sideways, its figures having been fitted to the window."""
+        self.page.wait_for_function(FITS, timeout=FITS_WITHIN_MS)
 
     def barriers(self) -> list[str]:
         """What axe finds that keeps people out, a line each."""
