@@ -35,7 +35,7 @@ from boresight.api.problems import problem_of, problem_response
 from boresight.api.routes import router as api_router
 from boresight.errors import BoresightError
 from boresight.pages import router as pages_router
-from boresight.pages.problem import is_page, problem_page
+from boresight.pages.problem import bare_problem_page, is_page, problem_page
 from boresight.services import runs
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
@@ -139,11 +139,11 @@ def _warm(catalogue: Callable[[], Catalogue]) -> None:
 
 async def _refuse(request: Request, error: Exception) -> Response:
     """Answer an error: as a page to people, as a problem to programs and where no page can be made."""
-    if is_page(request):
+    for make in (problem_page, bare_problem_page) if is_page(request) else ():
         try:
-            return await run_in_threadpool(problem_page, request, error)
+            return await run_in_threadpool(make, request, error)
         except Exception:
-            log.exception("The page for request %s could not be made", request.state.request_id)
+            log.exception("A page for request %s could not be made", request.state.request_id)
     return problem_response(request, problem_of(error))
 
 

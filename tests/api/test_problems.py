@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+import re
 from typing import Any
 
 import pytest
@@ -83,6 +84,30 @@ def test_what_nobody_foresaw_tells_its_request_id_and_nothing_else(
     assert "secret" not in answer.text
     assert answer.json()["request_id"] in caplog.text
     assert "the secret of the house" in caplog.text
+    assert "content-security-policy" in answer.headers
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        "boresight.services.runs.list_runs",  # what the page shows
+        "boresight.pages.rendering.frame_of",  # what every page shows
+        "boresight.api.dependencies.reading",  # the database itself
+    ],
+)
+def test_what_nobody_foresaw_gives_a_person_a_page_with_the_request_id(
+    house: House, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    def fail(*_args: Any, **_named: Any) -> None:
+        raise ZeroDivisionError("the secret of the house")
+
+    monkeypatch.setattr(broken, fail)
+    answer = house.person("ada").get("/runs", headers={"Accept": "text/html", "X-Request-ID": "quote-me-7"})
+    assert answer.status_code == 500
+    assert answer.headers["content-type"].startswith("text/html")
+    assert "quote-me-7" in answer.text
+    assert "report the request id" in answer.text
+    assert not re.search("secret|Traceback|ZeroDivision", answer.text)
     assert "content-security-policy" in answer.headers
 
 

@@ -6,13 +6,13 @@ from contextlib import suppress
 from urllib.parse import quote
 
 from fastapi import Request
-from fastapi.responses import Response
+from fastapi.responses import HTMLResponse, Response
 from starlette.exceptions import HTTPException
 
 from boresight.api.dependencies import current_actor
 from boresight.api.problems import problem_of
-from boresight.errors import BoresightError, UnauthenticatedError
-from boresight.pages.rendering import redirect, render
+from boresight.errors import UnauthenticatedError
+from boresight.pages.rendering import TEMPLATES, redirect, render
 
 SENTENCE = {404: "There is no page at this address.", 405: "This address does not take what was sent."}
 ADVICE = {
@@ -43,8 +43,8 @@ def problem_page(request: Request, error: Exception) -> Response:
     """
     if isinstance(error, UnauthenticatedError):
         return redirect(f"/login?next={quote(_way_back(request), safe='')}")
-    with suppress(BoresightError):
-        current_actor(request)  # an address that does not exist asked nobody who acts
+    with suppress(Exception):  # an address that does not exist asked nobody who acts; a broken store cannot say
+        current_actor(request)
     problem = problem_of(error)
     return render(
         request,
@@ -55,6 +55,15 @@ def problem_page(request: Request, error: Exception) -> Response:
         advice=ADVICE.get(problem.status, ""),
         request_id=getattr(request.state, "request_id", None),
     )
+
+
+def bare_problem_page(request: Request, error: Exception) -> Response:
+    """Answer an error where even the frame around a page cannot be made: its sentence and the request id, alone."""
+    problem = problem_of(error)
+    page = TEMPLATES.get_template("bare_problem.html").render(
+        problem=problem, advice=ADVICE.get(problem.status, ""), request_id=getattr(request.state, "request_id", None)
+    )
+    return HTMLResponse(page, status_code=problem.status, headers={"Cache-Control": "no-store"})
 
 
 def _way_back(request: Request) -> str:
