@@ -2,8 +2,8 @@
  * <live-run run state>: follows one run while its page is open, from the frame's event stream (link-state.js).
  *
  * Shows progress and the age of the last event; asks the figures to refresh at most once a second; renews every
- * `[data-live]` part of the page from the server when the run changes state. When the stream comes back after a break
- * the parts are renewed too, so nothing that happened in between is lost.
+ * `[data-live]` part of the page from the server when the run changes state. When the stream opens, also after a break,
+ * the parts are renewed too, so nothing that happened before is lost.
  */
 import { send } from "./problem.js";
 
@@ -67,7 +67,7 @@ class LiveRun extends HTMLElement {
 
   #linkChanged() {
     const { link } = document.body.dataset;
-    if (link === "live" && this.wasLink && this.wasLink !== "live") this.#renew();
+    if (link === "live" && this.wasLink !== "live") this.#renew(); // what happened before the stream was open was not heard
     this.wasLink = link;
   }
 
