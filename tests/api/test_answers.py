@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import uuid
-from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from boresight.store.sessions import writing
+from boresight.store.sessions import reading, utc_after, writing
 from boresight.store.tables import IdempotentResponse
 
 from .conftest import House
@@ -70,10 +69,36 @@ def test_a_refusal_is_not_remembered(house: House, once: dict[str, str]) -> None
 def test_a_key_is_forgotten_after_a_day(house: House, once: dict[str, str]) -> None:
     client = house.person("ada")
     assert client.post("/api/v1/sensors", json=house.sensor_file(), headers=once).status_code == 201
-    yesterday = (datetime.now(UTC) - timedelta(hours=25)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    yesterday = utc_after(-25 * 3600.0)
     with writing(house.app.state.engine) as session:
         session.get_one(IdempotentResponse, (once["Idempotency-Key"], "ada session")).created_utc = yesterday
     assert client.post("/api/v1/sensors", json=house.sensor_file(), headers=once).status_code == 201
+
+
+def test_what_is_older_than_a_day_is_deleted_when_an_answer_is_stored_and_nothing_younger(house: House) -> None:
+    old, young = uuid.uuid4().hex, uuid.uuid4().hex
+    with writing(house.app.state.engine) as session:
+        for key, hours in ((old, 24.1), (young, 23.9)):
+            row = {
+                "request_sha256": "",
+                "status": 201,
+                "headers": {},
+                "body": {},
+                "created_utc": utc_after(-3600 * hours),
+            }
+            session.add(IdempotentResponse(key=key, actor="nobody session", **row))
+    client = house.person("ada")
+    assert client.post("/api/v1/sensors", json=house.sensor_file()).status_code == 201
+    assert _known(house, old)
+    headers = {"Idempotency-Key": uuid.uuid4().hex}
+    assert client.post("/api/v1/sensors", json=house.sensor_file(), headers=headers).status_code == 201
+    assert not _known(house, old)
+    assert _known(house, young)
+
+
+def _known(house: House, key: str) -> bool:
+    with reading(house.app.state.engine) as session:
+        return session.get(IdempotentResponse, (key, "nobody session")) is not None
 
 
 def test_a_transition_repeated_under_its_key_is_not_stale(house: House, once: dict[str, str]) -> None:

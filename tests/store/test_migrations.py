@@ -24,6 +24,7 @@ from boresight.store.tables import (
     Approval,
     AuditRecord,
     Base,
+    IdempotentResponse,
     ParameterSet,
     Promotion,
     Run,
@@ -161,6 +162,29 @@ def test_a_full_store_goes_down_and_up_again(store: Engine) -> None:
     migrate(store)
     assert current_revision(store) == head_revision()
     _fill(store)
+
+
+@pytest.mark.parametrize("revision", ["0001", "0002"])
+def test_the_data_survive_the_way_down_to_every_revision_and_up_again(store: Engine, revision: str) -> None:
+    _fill(store)
+    with writing(store) as session:
+        kept = {"request_sha256": "s", "status": 201, "headers": {}, "body": {"id": 1}, "created_utc": NOW}
+        session.add(IdempotentResponse(key="k", actor="ana session", **kept))
+    downgrade(store, revision)
+    assert current_revision(store) == revision
+    assert _has_age_index(store) == (revision >= "0002")
+    migrate(store)
+    assert current_revision(store) == head_revision()
+    assert _has_age_index(store)
+    with reading(store) as session:
+        assert session.get_one(IdempotentResponse, ("k", "ana session")).body == {"id": 1}
+        assert session.get_one(Sensor, 1).name == "ST1"
+
+
+def _has_age_index(store: Engine) -> bool:
+    with store.connect() as connection:
+        indexes = sa.inspect(connection).get_indexes("idempotent_responses")
+    return "ix_idempotent_responses_created_utc" in {index["name"] for index in indexes}
 
 
 def test_a_migration_leaves_foreign_keys_on(engine: Engine) -> None:

@@ -3,6 +3,7 @@
 With `Idempotency-Key` the answer is stored under (key, actor) in the transaction of the effect, together with the SHA-256
 of the request: method, address and body. The same request again within a day is answered from the store, with
 `Idempotent-Replayed: true`; another request under the same key is refused. A refusal is not stored, for it had no effect.
+What is older than a day is deleted in the transaction that stores a new answer.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
 import orjson
@@ -20,10 +20,11 @@ from starlette.responses import Response
 
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
-from boresight.store.sessions import Session, utc_now
+from boresight.store.idempotent_responses import forget_responses, response_under
+from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import IdempotentResponse
 
-KEPT_FOR = timedelta(hours=24)
+KEPT_FOR_S = 24 * 3600.0
 LONGEST_KEY = 200
 NUMBERS = orjson.OPT_SERIALIZE_NUMPY
 
@@ -65,16 +66,19 @@ class Once:
         if self.key is None:
             return act().response()
         owner = f"{actor.name} {actor.credential}"
-        known = session.get(IdempotentResponse, (self.key, owner))
-        if known is not None and known.created_utc > _oldest_kept():
+        forget_responses(session, before_utc=utc_after(-KEPT_FOR_S))
+        if (known := response_under(session, self.key, owner)) is not None:
             return self._replay(known)
         answer = act()
-        row = known or IdempotentResponse(key=self.key, actor=owner)
-        row.request_sha256 = self.request_sha256
-        row.status = answer.status
-        row.headers = dict(answer.headers)
-        row.body = dict(answer.body if answer.kept is None else answer.kept)
-        row.created_utc = utc_now()
+        row = IdempotentResponse(
+            key=self.key,
+            actor=owner,
+            request_sha256=self.request_sha256,
+            status=answer.status,
+            headers=dict(answer.headers),
+            body=dict(answer.body if answer.kept is None else answer.kept),
+            created_utc=utc_now(),
+        )
         session.add(row)
         return answer.response()
 
@@ -85,11 +89,6 @@ class Once:
                 "This Idempotency-Key was used for another request; use a new key for a new request."
             )
         return json_response(known.body, known.status, {**known.headers, "Idempotent-Replayed": "true"})
-
-
-def _oldest_kept() -> str:
-    """Return the time before which answers no longer count."""
-    return (datetime.now(UTC) - KEPT_FOR).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 def digest(request: Request, content: bytes) -> str:

@@ -297,4 +297,4 @@ class IdempotentResponse(Base):
     status: Mapped[int]
     headers: Mapped[dict[str, str]] = mapped_column(JsonText)
     body: Mapped[dict[str, Any]] = mapped_column(JsonText)
-    created_utc: Mapped[str] = mapped_column(sa.Text)
+    created_utc: Mapped[str] = mapped_column(sa.Text, index=True)
