@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -221,6 +222,36 @@ def test_each_trouble_is_found_with_its_rows(telemetry, sensor, code, severity, 
     assert (found["sentence"] in report["warnings"]) == (severity != "NORMAL")
 
 
+NOUNS = "row|star|detection|match|magnitude|interval|column|exposure|cell"
+PLURAL_OF_ONE = re.compile(
+    rf"(?<![\d,.])1 (?!of )(?:\w+ ){{0,2}}?(?:(?:{NOUNS})e?s|are|have|lie|differ|exceed|name|return)\b"
+)
+HAVE_OF_ONE = re.compile(r"(?<![\d,.])1 of [\d,]+ \w+ (?:have|are)\b")
+SINGULAR_OF_MANY = re.compile(rf"(?:\d{{2}}|[02-9]) (?:matched |unmatched )?(?:{NOUNS})\b")
+
+
+def disagreements(report):
+    """Find in the sentences of a report what does not agree with its number."""
+    wrong = (PLURAL_OF_ONE, HAVE_OF_ONE, SINGULAR_OF_MANY)
+    return [found["sentence"] for found in report["findings"] if any(rule.search(found["sentence"]) for rule in wrong)]
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    ["1 rows name a star.", "1 matched stars lie off.", "1 of 12 exposures have few.", "2 row.", "1 row are."],
+)
+def test_a_sentence_that_does_not_agree_is_noticed(sentence):
+    assert disagreements({"findings": [{"sentence": sentence}]})
+
+
+@pytest.mark.parametrize("changes", [case[2] for case in CASES], ids=[f"{case[0]}-{case[1]}" for case in CASES])
+def test_every_sentence_of_the_registry_agrees_with_its_number(telemetry, sensor, changes):
+    troubled = dataclasses.replace(
+        telemetry, **{name: change(telemetry) if callable(change) else change for name, change in changes.items()}
+    )
+    assert disagreements(quality_report(troubled, sensor, Stars())) == []
+
+
 def test_every_finding_of_the_registry_has_a_case_above():
     assert len({case[0] for case in CASES}) == len(FINDINGS)
 
@@ -288,6 +319,7 @@ def test_any_readable_set_has_a_report_in_clean_json(telemetry, sensor):
     assert report["matched"] + report["unmatched"] == report["stars"] == len(telemetry)
     assert np.sum(report["radial_coverage"]["counts"]) == report["usable"] <= report["matched"]
     assert report["verdict"] in SEVERITIES
+    assert disagreements(report) == []
 
 
 def test_the_real_star_fields_are_usable_and_betray_their_hot_pixels(real_sky):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.estimation.filters import FILTERS
-from boresight.figures.numbers import count, counted, number, percent, urad
+from boresight.figures.numbers import count, number, percent, urad
 
 LEVELS = ("off", "standby", "normal", "caution", "serious", "critical")  # of the Astro UX status system, worst last
 LEVEL_OF_STATUS = {
@@ -89,7 +89,7 @@ def _fit(result: Mapping[str, Any]) -> Mark:
     )
     steps = result.get("iterations")
     level, reason = LEVEL_OF_STATUS.get(status, "serious"), WHY.get(status, f"The status is {status}.")
-    value = counted(steps, "iteration") if steps else ""
+    value = f"{count(steps)} iteration{'s' * (steps != 1)}" if steps else ""
     return Mark("Fit", level, status.replace("_", " "), value, used, "" if level == "normal" else reason)
 
 

@@ -55,11 +55,6 @@ def count(value: Any) -> str:
     return f"{int(value):,}".replace(",", NARROW_SPACE) if is_number(value) else MISSING
 
 
-def counted(value: int, singular: str, plural: str = "") -> str:
-    """Print a whole number with its noun, which agrees with it."""
-    return f"{count(value)} {singular if value == 1 else plural or singular + 's'}"
-
-
 def percent(value: Any, decimals: int = 1) -> str:
     """Print a fraction as a percentage."""
     return f"{fixed(100.0 * value, decimals)}{NARROW_SPACE}%" if is_number(value) else MISSING

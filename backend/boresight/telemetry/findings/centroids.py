@@ -24,9 +24,10 @@ def stars_off_detector(evidence: Evidence) -> Finding | None:
     off = evidence.matched & ~evidence.on_detector
     if not off.any():
         return None
+    what = counted(int(off.sum()), "matched star lies", "matched stars lie")
     sentence = (
-        f"{counted(int(off.sum()), 'matched star')} lie off the detector of {evidence.sensor.name}: choose the right sensor, "
-        "exchange rows and columns, or delete the rows."
+        f"{what} off the detector of {evidence.sensor.name}: choose the right sensor, exchange rows and columns, or "
+        "delete the rows."
     )
     return Finding("OFF_DETECTOR", "SERIOUS", sentence, int(off.sum()), row_numbers(evidence, off))
 
@@ -37,8 +38,8 @@ def detections_off_detector(evidence: Evidence) -> Finding | None:
     if not off.any():
         return None
     sentence = (
-        f"{counted(int(off.sum()), 'unmatched detection')} lie off the detector of {evidence.sensor.name} and are left out of "
-        "use: check row_px and col_px."
+        f"{counted(int(off.sum()), 'unmatched detection is', 'unmatched detections are')} left out of use, off the detector "
+        f"of {evidence.sensor.name}: check row_px and col_px."
     )
     return Finding("OFF_DETECTOR_UNMATCHED", "CAUTION", sentence, int(off.sum()), row_numbers(evidence, off))
 
@@ -52,7 +53,8 @@ def repeated_stars(evidence: Evidence) -> Finding | None:
     later, _ = repeats_within(evidence.exposures.of_entry[matched], star_id[matched])
     if not len(later):
         return None
-    sentence = f"{counted(len(later), 'row')} name a star already named in the exposure: leave star_id empty where it is wrong."
+    what = counted(len(later), "row names", "rows name")
+    sentence = f"{what} a star already named in the exposure: leave star_id empty where it is wrong."
     return Finding(
         "REPEATED_STARS", "SERIOUS", sentence, len(later), row_numbers(evidence, _marked(evidence, matched[later]))
     )
@@ -63,7 +65,9 @@ def repeated_centroids(evidence: Evidence) -> Finding | None:
     later, _ = repeats_within(evidence.exposures.of_entry, evidence.telemetry.row_px, evidence.telemetry.col_px)
     if not len(later):
         return None
-    sentence = f"{counted(len(later), 'row')} repeat a centroid of the same exposure: delete one of the two."
+    sentence = (
+        f"{counted(len(later), 'row repeats', 'rows repeat')} a centroid of the same exposure: delete one of the two."
+    )
     return Finding(
         "REPEATED_CENTROIDS", "SERIOUS", sentence, len(later), row_numbers(evidence, _marked(evidence, later))
     )
@@ -74,10 +78,8 @@ def close_pairs(evidence: Evidence) -> Finding | None:
     close = _close_to_another(evidence)
     if not close.any():
         return None
-    sentence = (
-        f"{counted(int(close.sum()), 'detection')} lie within {_CLOSE_PX:g} px of another in the exposure: blended images "
-        "have biased centroids."
-    )
+    what = counted(int(close.sum()), "detection lies", "detections lie")
+    sentence = f"{what} within {_CLOSE_PX:g} px of another in the exposure: blended images have biased centroids."
     return Finding("CLOSE_PAIRS", "NORMAL", sentence, int(close.sum()), row_numbers(evidence, close))
 
 
@@ -87,10 +89,8 @@ def stuck_detections(evidence: Evidence) -> Finding | None:
     staying_stars = _returning(evidence, evidence.matched)
     if not stuck.any() or staying_stars.sum() > 0.5 * evidence.matched.sum():
         return None
-    sentence = (
-        f"{counted(int(stuck.sum()), 'unmatched detection')} return on the same pixels while the stars move, as hot pixels do; "
-        "they are left out of use."
-    )
+    what = counted(int(stuck.sum()), "unmatched detection returns", "unmatched detections return")
+    sentence = f"{what} on the same pixels while the stars move, as hot pixels do: left out of use."
     return Finding("HOT_PIXELS", "NORMAL", sentence, int(stuck.sum()), row_numbers(evidence, stuck))
 
 

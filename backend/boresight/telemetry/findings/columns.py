@@ -29,7 +29,7 @@ def partial_noise(evidence: Evidence) -> Finding | None:
     if not absent.any():
         return None
     used_px = evidence.sensor.centroid_sigma_px
-    sentence = f"{counted(int(absent.sum()), 'row')} have no sigma_px: the sensor's {used_px:g} px is used."
+    sentence = f"{counted(int(absent.sum()), 'row has', 'rows have')} no sigma_px: the sensor's {used_px:g} px is used."
     return Finding("SIGMA_MISSING", "NORMAL", sentence, int(absent.sum()), row_numbers(evidence, absent))
 
 
@@ -38,5 +38,6 @@ def unknown_columns(evidence: Evidence) -> Finding | None:
     names = list(evidence.telemetry.unknown)
     if not names:
         return None
-    sentence = f"{counted(len(names), 'column')} of other names are kept but not used: {', '.join(names[:20])}."
+    what = counted(len(names), "column of another name is", "columns of other names are")
+    sentence = f"{what} kept but not used: {', '.join(names[:20])}."
     return Finding("UNKNOWN_COLUMNS", "NORMAL", sentence, len(names))

@@ -58,6 +58,6 @@ def row_numbers(evidence: Evidence, marked: NDArray[np.bool_]) -> tuple[int, ...
     return tuple((np.flatnonzero(marked)[:_MOST_ROWS] + evidence.telemetry.first_row).tolist())
 
 
-def counted(count: int, noun: str, plural: str | None = None) -> str:
-    """Return `1 row`, `12 rows`, `1,204 rows`."""
-    return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
+def counted(count: int, one: str, many: str) -> str:
+    """Return how many, and what of them in agreement: `1 row names`, `1,204 rows name`."""
+    return f"{count:,} {one if count == 1 else many}"

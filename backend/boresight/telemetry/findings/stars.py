@@ -29,8 +29,10 @@ def few_stars(evidence: Evidence) -> Finding | None:
     if not count:
         return None
     severity: Severity = "CAUTION" if count > _MANY_EXPOSURES * exposures else "NORMAL"
-    of_all = f"{count:,} of {counted(exposures, 'exposure')}"
-    sentence = f"{of_all} have fewer than {MINIMUM_STARS} usable stars and are left out of use."
+    has, is_ = ("has", "is") if count == 1 else ("have", "are")
+    sentence = (
+        f"{count:,} of {exposures:,} exposures {has} fewer than {MINIMUM_STARS} usable stars and {is_} left out of use."
+    )
     if count == exposures:
         severity = "SERIOUS"
         sentence = (
@@ -60,7 +62,7 @@ def unknown_numbers(evidence: Evidence) -> Finding | None:
     if not unknown.any():
         return None
     sentence = (
-        f"{counted(int(unknown.sum()), 'row')} name stars that the catalogue does not have and are left out of use: "
+        f"{counted(int(unknown.sum()), 'row is', 'rows are')} left out of use, for the catalogue does not have the star: "
         "correct star_id, or give ra_deg and dec_deg."
     )
     return Finding("UNKNOWN_STARS", "CAUTION", sentence, int(unknown.sum()), row_numbers(evidence, unknown))
@@ -71,7 +73,8 @@ def unknown_but_directed(evidence: Evidence) -> Finding | None:
     unknown = evidence.unknown & evidence.directed
     if not unknown.any():
         return None
-    sentence = f"{counted(int(unknown.sum()), 'row')} name stars unknown to the catalogue; their directions in the file are used."
+    what = counted(int(unknown.sum()), "row names a star", "rows name stars")
+    sentence = f"{what} unknown to the catalogue: the direction in the file is used."
     return Finding(
         "UNKNOWN_STARS_WITH_DIRECTION", "NORMAL", sentence, int(unknown.sum()), row_numbers(evidence, unknown)
     )
@@ -85,10 +88,8 @@ def absurd_magnitudes(evidence: Evidence) -> Finding | None:
     absurd = (magnitude < _MAGNITUDES[0]) | (magnitude > _MAGNITUDES[1])
     if not absurd.any():
         return None
-    sentence = (
-        f"{counted(int(absurd.sum()), 'magnitude')} lie outside {_MAGNITUDES[0]:g} to {_MAGNITUDES[1]:g}: leave the cell empty "
-        "where there is no measurement."
-    )
+    what, (least, most) = counted(int(absurd.sum()), "magnitude lies", "magnitudes lie"), _MAGNITUDES
+    sentence = f"{what} outside {least:g} to {most:g}: leave the cell empty where there is no measurement."
     return Finding("MAGNITUDE_RANGE", "CAUTION", sentence, int(absurd.sum()), row_numbers(evidence, absurd))
 
 
@@ -105,9 +106,10 @@ def mismatched_magnitudes(evidence: Evidence) -> Finding | None:
     suspect = np.abs(difference - np.nanmedian(difference)) > _MAGNITUDE_MISMATCH
     if not suspect.any():
         return None
+    what = counted(int(suspect.sum()), "matched star differs", "matched stars differ")
     sentence = (
-        f"{counted(int(suspect.sum()), 'match', 'matches')} differ by more than {_MAGNITUDE_MISMATCH:g} magnitudes from the star "
-        "they name, as false matches do: check them."
+        f"{what} in brightness by more than {_MAGNITUDE_MISMATCH:g} magnitudes from the catalogue, as false matches do: "
+        "check the matching."
     )
     return Finding("MAGNITUDE_MISMATCH", "CAUTION", sentence, int(suspect.sum()), row_numbers(evidence, suspect))
 
@@ -126,6 +128,6 @@ def velocity_missing(evidence: Evidence) -> Finding | None:
     missing = needed & evidence.unmoving
     if not missing.any():
         return None
-    stars = counted(int(missing.sum()), "matched star")
-    sentence = f"{stars} have no satellite velocity and are left out of use: give it in every row."
+    what = counted(int(missing.sum()), "matched star is", "matched stars are")
+    sentence = f"{what} left out of use for want of a satellite velocity: give it in every row."
     return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(missing.sum()), row_numbers(evidence, missing))

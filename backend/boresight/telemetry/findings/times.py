@@ -19,7 +19,9 @@ def frames_descend(evidence: Evidence) -> Finding | None:
     descends = np.diff(frame, prepend=frame[:1]) < 0
     if not descends.any():
         return None
-    sentence = f"{counted(int(descends.sum()), 'row')} step back to an earlier frame: sort the rows by frame."
+    sentence = (
+        f"{counted(int(descends.sum()), 'row steps', 'rows step')} back to an earlier frame: sort the rows by frame."
+    )
     return Finding("FRAME_ORDER", "SERIOUS", sentence, int(descends.sum()), row_numbers(evidence, descends))
 
 
@@ -33,7 +35,9 @@ def times_descend(evidence: Evidence) -> Finding | None:
     back[timed[1:]] = np.diff(time_utc[timed]) < np.timedelta64(0, "us")
     if not back.any():
         return None
-    sentence = f"Time runs backwards at {counted(int(back.sum()), 'row')}: check time_utc, or the order of the frames."
+    sentence = (
+        f"Time runs backwards at {counted(int(back.sum()), 'row', 'rows')}: check time_utc, or the order of the frames."
+    )
     return Finding("TIME_ORDER", "CAUTION", sentence, int(back.sum()), row_numbers(evidence, back))
 
 
@@ -47,8 +51,8 @@ def times_vary_in_exposure(evidence: Evidence) -> Finding | None:
     if not varies.any():
         return None
     sentence = (
-        f"{counted(int(varies.sum()), 'row')} of an exposure have another time than its first row: an exposure is one "
-        "image, check exposure numbers and times."
+        f"{counted(int(varies.sum()), 'row of an exposure has', 'rows of an exposure have')} another time than its first "
+        "row: an exposure is one image, check exposure numbers and times."
     )
     return Finding("TIME_VARIES", "CAUTION", sentence, int(varies.sum()), row_numbers(evidence, varies))
 
@@ -61,8 +65,8 @@ def times_missing(evidence: Evidence) -> Finding | None:
         return None
     severity: Severity = "SERIOUS" if missing.sum() == needed.sum() else "CAUTION"
     sentence = (
-        f"{counted(int(missing.sum()), 'matched star')} without time_utc cannot take a direction from the catalogue and "
-        "are left out of use: give the time, or ra_deg and dec_deg."
+        f"{counted(int(missing.sum()), 'matched star is', 'matched stars are')} left out of use for want of time_utc, "
+        "which a direction from the catalogue needs: give the time, or ra_deg and dec_deg."
     )
     return Finding("TIME_MISSING", severity, sentence, int(missing.sum()), row_numbers(evidence, missing))
 
@@ -75,7 +79,7 @@ def clock_unset(evidence: Evidence) -> Finding | None:
         return None
     severity: Severity = "SERIOUS" if (early & evidence.from_catalogue).any() else "CAUTION"
     sentence = (
-        f"{counted(int(early.sum()), 'row')} are dated before 1990, as by a clock that was not set: star directions for "
+        f"{counted(int(early.sum()), 'row is', 'rows are')} dated before 1990, as by a clock that was not set: star directions for "
         "that time would be wrong, correct time_utc."
     )
     return Finding("CLOCK_UNSET", severity, sentence, int(early.sum()), row_numbers(evidence, early))
@@ -88,9 +92,10 @@ def sampling_gaps(evidence: Evidence) -> Finding | None:
         return None
     count, longest_s = len(sampling.gaps), float(sampling.interval_s[sampling.gaps].max())
     severity: Severity = "CAUTION" if longest_s > _MOST_OF_SPAN * sampling.interval_s.sum() else "NORMAL"
+    what = counted(count, "interval between frames exceeds", "intervals between frames exceed")
     sentence = (
-        f"{counted(count, 'interval')} between frames exceed {GAP_FACTOR:g} times the median of {sampling.median_s:g} s, the "
-        f"longest is {longest_s:g} s: check that the downlink is complete where no eclipse or slew explains it."
+        f"{what} {GAP_FACTOR:g} times the median of {sampling.median_s:g} s, the longest is {longest_s:g} s: check that "
+        "the downlink is complete where no eclipse or slew explains it."
     )
     after = np.zeros(len(evidence.telemetry), dtype=np.bool_)
     after[sampling.entry[sampling.gaps + 1]] = True
