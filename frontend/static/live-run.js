@@ -101,8 +101,11 @@ class LiveRun extends HTMLElement {
     if (!state || state === this.state) return;
     this.state = state;
     this.setAttribute("state", state);
+    document.querySelector("main > .notice[role=status]")?.remove(); // it told of the state before
     refresh("plot-figure");
-    if (TERMINAL.has(state)) this.#rest();
+    if (!TERMINAL.has(state)) return;
+    this.#rest();
+    if (state !== "SUCCEEDED") location.reload(); // its figures are void
   }
 }
 

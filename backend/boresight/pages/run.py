@@ -23,7 +23,7 @@ from boresight.figures.evidence import marks
 from boresight.figures.numbers import MISSING, count
 from boresight.figures.parameter_table import parameter_rows
 from boresight.pages.attempts import attempt
-from boresight.pages.formats import duration, short_hash, utc
+from boresight.pages.formats import duration, short_hash, utc, words
 from boresight.pages.methods import title_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names, seconds_of
@@ -52,10 +52,19 @@ class Action:
 def actions_of(run: Run, actor: Actor) -> dict[str, Action]:
     """Say what may be done with a run, and by whom."""
     lacking = None if "analyst" in actor.roles else "Only an analyst may {}; ask an administrator for the role."
+    create = lacking.format("create parameter sets") if lacking else _why_no_set(run)
     return {
         "cancel": Action(run.state in {"QUEUED", "RUNNING"}, lacking and lacking.format("cancel runs")),
-        "create": Action(run.state == "SUCCEEDED", lacking and lacking.format("create parameter sets")),
+        "create": Action(run.state == "SUCCEEDED", create),
     }
+
+
+def _why_no_set(run: Run) -> str | None:
+    """Say why no parameter set can be made of a run that ended, or None where one can."""
+    status = (run.summary or {}).get("status")
+    if status is None or status in parameter_sets.USABLE_STATUSES:
+        return None
+    return f"No parameter set is made of a result that ended as {words(status)}."
 
 
 def notices_of(session: Session, run: Run) -> list[tuple[str, str]]:
@@ -162,7 +171,8 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int) -> HTM
     sensor = sensors.get_sensor(session, run.sensor_id)
     data = telemetry_sets.get_telemetry_set(session, run.telemetry_set_id)
     validation = run.validation_set_id and telemetry_sets.get_telemetry_set(session, run.validation_set_id)
-    result = runs.result(session, request.app.state.blobs, run_id)
+    is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
+    result = None if is_void else runs.result(session, request.app.state.blobs, run_id)
     actions = actions_of(run, actor)
     has_estimate = bool(result and result.get("parameters"))
     return render(
@@ -185,7 +195,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int) -> HTM
         advice=list((result or {}).get("advice") or ()),
         rows=parameter_rows(_with_truth(result, sensor.truth)) if result and has_estimate else [],
         no_result=_why_nothing(run),
-        figures=list(FIGURES.values()),
+        figures=[] if is_void else list(FIGURES.values()),
         wide=WIDE_FIGURES,
         log=runs.log_lines(session, run_id),
         provenance=provenance_of(run, result),
@@ -202,11 +212,11 @@ def _with_truth(result: Mapping[str, Any], truth: Mapping[str, Any] | None) -> d
 
 
 def _why_nothing(run: Run) -> str:
-    """Say why there is no result, to follow `No verdict yet: `."""
+    """Say why there is no result, to follow `No verdict: `."""
     return {
         "QUEUED": "the run has not started.",
         "RUNNING": "the first frames are being read.",
-    }.get(run.state, f"the run ended as {run.state} before it had an estimate.")
+    }.get(run.state, f"the run ended as {run.state} before it had a result.")
 
 
 def parameter_set_of(session: Session, run: Run) -> ParameterSet | None:
