@@ -33,7 +33,8 @@ from boresight.store.tables import Approval, ParameterSet, Signature
 router = APIRouter(dependencies=[Depends(csrf)])
 
 VIEWS = {"waiting": "Waiting for a signature", "submitted": "Submitted by me", "all": "All"}
-EVIDENCE_FIGURES = ("radial", "observability", "rms", "parameters")
+EVIDENCE_FIGURES = ("radial", "rms", "observability", "parameters")
+WIDE_FIGURES = frozenset({"observability", "parameters"})
 MEANINGS = {
     "APPROVE": "I reviewed the evidence and approve this set for baseline.",
     "REFUSE": "I reviewed the evidence and refuse this set.",
@@ -144,6 +145,7 @@ def _page(
         marks=marks(result) if result else [],
         warnings=warnings_of(result, rows, is_ground=row.run_id is None),
         figures=[FIGURES[name] for name in EVIDENCE_FIGURES if row.run_id is not None],
+        wide=WIDE_FIGURES,
         signatures=approvals.signatures_of(session, approval_id),
         blocked=approvals.why_not_sign(session, actor, approval_id),
         decisions=_decisions(approval, row),
