@@ -42,10 +42,6 @@ class Window:
         assert len(kept) < len(self.complaints), f"nobody complained of {pattern}: {self.complaints}"
         self.complaints = kept
 
-    def forgive_some(self, pattern: str) -> None:
-        """Strike out complaints of what a page may ask for in vain, such as the figure of a run without a result."""
-        self.complaints = [line for line in self.complaints if not re.search(pattern, line)]
-
     def open(self, path: str) -> None:
         """Go to a page of the server."""
         self.page.goto(path)
