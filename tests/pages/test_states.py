@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from boresight.figures.evidence import LEVEL_OF_STATUS
 from boresight.pages.fleet import worst_standing
 from boresight.pages.states import LEVEL_OF_STATE, LEVELS, level_of, worst
 from boresight.store.tables import APPROVAL_STATES, GROUND_STATES, ONBOARD_STATES, RUN_STATES
@@ -19,6 +20,10 @@ def test_every_state_of_the_store_has_a_level(state):
 @pytest.mark.parametrize("state", ["CANCELLED", "REJECTED", "WITHDRAWN", "SUPERSEDED"])
 def test_what_a_person_decided_is_never_an_alarm(state):
     assert level_of(state) == "off"
+
+
+def test_how_a_calibration_ended_has_the_level_of_its_verdict():
+    assert {status: level_of(status) for status in LEVEL_OF_STATUS} == LEVEL_OF_STATUS
 
 
 def test_red_is_for_a_read_back_that_does_not_match():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from boresight.figures.evidence import LEVELS
+from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
 
 __all__ = ["LEVELS", "LEVEL_OF_STATE", "level_of", "worst"]
 
@@ -53,7 +53,7 @@ LEVEL_OF_STATE = {
 
 def level_of(state: str) -> str:
     """Return the level of a state word; a level stands for itself in any case, an unheard-of word is `off`."""
-    return state.lower() if state.lower() in LEVELS else LEVEL_OF_STATE.get(state, "off")
+    return state.lower() if state.lower() in LEVELS else (LEVEL_OF_STATE | LEVEL_OF_STATUS).get(state, "off")
 
 
 def worst(states: Iterable[str]) -> str:
