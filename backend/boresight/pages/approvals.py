@@ -36,8 +36,8 @@ VIEWS = {"waiting": "Waiting for a signature", "submitted": "Submitted by me", "
 EVIDENCE_FIGURES = ("radial", "rms", "observability", "parameters")
 WIDE_FIGURES = frozenset({"observability", "parameters"})
 MEANINGS = {
-    "APPROVE": "I reviewed the evidence and approve this set for baseline.",
-    "REFUSE": "I reviewed the evidence and refuse this set.",
+    "APPROVE": "I reviewed the evidence and approve this set for baseline",
+    "REFUSE": "I reviewed the evidence and refuse this set",
 }
 
 

@@ -61,7 +61,7 @@ def plus_minus(value: Any, name: str, sigma_si: Any = None, times: float = 1.0) 
 
 def sigmas(value: Any) -> str:
     """Print a difference in units of its sigma, signed."""
-    return f"{'+' if value > 0 else ''}{fixed(value, 1)}{NARROW_SPACE}σ" if is_number(value) else MISSING
+    return f"{'+' if value >= 0.05 else ''}{fixed(value, 1)}{NARROW_SPACE}σ" if is_number(value) else MISSING
 
 
 def size(value_bytes: Any) -> str:
@@ -98,7 +98,7 @@ def duration(seconds: Any) -> str:
     if not is_number(seconds):
         return MISSING
     if 0 < seconds < 0.1:
-        return f"{1000 * seconds:.1f}{NARROW_SPACE}ms"
+        return f"{fixed(1000 * seconds, 0 if seconds >= 0.01 else 1)}{NARROW_SPACE}ms"
     if seconds < 10:
         return f"{max(seconds, 0):.1f}{NARROW_SPACE}s"
     whole = round(seconds)

@@ -16,7 +16,7 @@ from boresight.pages.rendering import TEMPLATES, redirect, render
 
 SENTENCE = {404: "There is no page at this address.", 405: "This address does not take what was sent."}
 ADVICE = {
-    403: "An administrator can give roles, on the page Users and keys.",
+    403: "If it is a role that you lack: an administrator can give it, on the page Users and keys.",
     404: "It may have another number, or the address was copied incompletely.",
     409: "Read the thing again to see its state now, then decide anew.",
     412: "Somebody changed it after you opened the page. Go back, reload, and look at what is there now.",
