@@ -159,6 +159,7 @@ def test_two_runs_lie_over_each_other_and_only_what_differs_is_listed(people, ba
         for run_id in (batch_run, sequential_run.run_id):
             window.page.get_by_label(f"Select run {run_id}", exact=True).check()
         window.shoot("11-runs", wide=True)
+        expect(window.page.locator("td .status-normal", has_text="converged")).not_to_have_count(0)
         window.page.get_by_role("button", name="Compare 2 runs").click()
         window.page.wait_for_url("**/compare?runs=*")
         window.figures_drawn()

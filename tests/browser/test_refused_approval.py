@@ -88,6 +88,6 @@ def test_a_refused_set_is_rejected_and_the_analyst_reads_why(people, request_id,
         expect(window.page.get_by_role("region", name="Who has signed")).to_contain_text(WHY)
         window.open(f"/parameter-sets/{set_id}")
         expect(window.page.locator(".page-head")).to_contain_text("REJECTED")
-        expect(window.page.get_by_role("region", name="Approval")).to_contain_text(f"refuse this set. {WHY}")
+        expect(window.page.get_by_role("region", name="Approval")).to_contain_text(f"refuse this set: {WHY}")
         window.shoot("22-rejected")
         assert window.read(f"/api/v1/parameter-sets/{promoted.set_id}")["ground_state"] == "BASELINE"
