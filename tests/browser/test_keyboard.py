@@ -45,6 +45,7 @@ def test_from_the_log_in_to_a_run_by_tab_and_enter(people, batch_run):
         expect(window.page.get_by_role("heading", name="Runs", exact=True)).to_be_visible()
         tab_to(window, "Skip to content")
         keyboard.press("Enter")
+        expect(window.page.locator("#content")).to_be_focused()
         tab_to(window, f"#{batch_run}")
         keyboard.press("Enter")
         expect(window.page.get_by_role("heading", name=f"Run #{batch_run}")).to_be_visible()
