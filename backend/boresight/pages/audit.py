@@ -31,6 +31,7 @@ TELLING = (
     "name",
     "label",
     "sensor",
+    "set",
     "state",
     "ground_state",
     "onboard_state",
