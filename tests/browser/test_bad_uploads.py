@@ -41,11 +41,12 @@ def words_for_a_number(files):
 
 
 @pytest.fixture
-def torn_parquet(installation, files):
-    folder = files / "torn"
-    installation.command("simulate", "st16-2", "--frames", "5", "--format", "parquet", "--out", str(folder))
-    path = folder / "calibration.parquet"
-    path.write_bytes(path.read_bytes()[:-200])
+def torn_parquet(installation, people, telemetry, files):
+    """The table that is stored of a set, without its end."""
+    with people.seat("analyst") as window:
+        known = window.read(f"/api/v1/telemetry-sets/{telemetry['calibration']}")
+    path = files / "torn.parquet"
+    path.write_bytes(installation.blob(known["table_sha256"]).read_bytes()[:-200])
     return path
 
 

@@ -88,8 +88,6 @@ def test_a_batch_run_shows_its_parameters_with_sigmas_and_a_verdict(people, batc
             assert number(cells[0]) == pytest.approx(result["initial"][name] * scales.get(name, 1.0), abs=0.05 * sigma)
             assert number(cells[1]) == pytest.approx(value * scales.get(name, 1.0), abs=0.05 * sigma)
             assert number(cells[3]) == pytest.approx(sigma, rel=0.05)
-        window.figures_drawn()
-        window.shoot("09-batch", wide=True)
 
 
 def test_a_filter_is_drawn_while_it_computes_and_its_curve_grows(people, sequential_run):
@@ -122,8 +120,6 @@ def test_tail_and_aggregate_rms_are_those_of_the_result(people, sequential_run):
     with people.seat("analyst") as window:
         history = window.result(sequential_run.run_id)["history"]
         window.open(f"/runs/{sequential_run.run_id}")
-        window.figures_drawn()
-        window.shoot("10-sequential", wide=True)
         by_word = {one["name"].rpartition(" · ")[2]: one for one in reversed(window.drawn("rms"))}
         for word in ("tail", "aggregate"):
             assert by_word[word]["x"] == history["frame"]
@@ -158,12 +154,10 @@ def test_two_runs_lie_over_each_other_and_only_what_differs_is_listed(people, ba
         window.open("/runs")
         for run_id in (batch_run, sequential_run.run_id):
             window.page.get_by_label(f"Select run {run_id}", exact=True).check()
-        window.shoot("11-runs", wide=True)
+        window.shoot("09-runs-chosen", wide=True)
         expect(window.page.locator("td .status-normal", has_text="converged")).not_to_have_count(0)
         window.page.get_by_role("button", name="Compare 2 runs").click()
         window.page.wait_for_url("**/compare?runs=*")
-        window.figures_drawn()
-        window.shoot("12-compare", wide=True)
         differing = window.page.get_by_role("table", name="Settings and results of the runs")
         expect(differing).to_contain_text("Square-root filter")
         expect(differing).not_to_contain_text("calibration.csv")
@@ -181,7 +175,7 @@ def test_a_signed_set_that_an_operator_promotes_is_the_sensors_baseline(people, 
         history = window.page.get_by_role("region", name="Parameter sets and baselines").get_by_role("row")
         expect(history.filter(has_text=made["name"])).to_contain_text("BASELINE")
         expect(history.filter(has_text="PS-ST16-1-0")).to_contain_text("SUPERSEDED")
-        window.shoot("13-new-baseline", wide=True)
+        window.shoot("10-new-baseline", wide=True)
 
 
 def test_the_audit_page_tells_it_all_and_its_chain_holds(people, promoted):
@@ -192,4 +186,4 @@ def test_the_audit_page_tells_it_all_and_its_chain_holds(people, promoted):
             expect(table).to_contain_text(PRINTED_NAMES[name])
         expect(table).to_contain_text("BASELINE")
         expect(window.page.get_by_text("CHAIN HOLDS")).to_be_visible()
-        window.shoot("14-audit", wide=True)
+        window.shoot("11-audit", wide=True)
