@@ -44,7 +44,6 @@ PEOPLE = {
     "adele": ("administrator",),
     "victor": ("viewer",),
     "bo": ("analyst", "approver"),
-    "adam": ("administrator", "approver"),
 }
 SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
 _numbers = itertools.count(100)

@@ -39,7 +39,7 @@ PEOPLE = {
     "ada": ("Ada Analyst", ("analyst",)),
     "alan": ("Alan Approver", ("approver",)),
     "olga": ("Olga Operator", ("operator",)),
-    "adele": ("Adele Administrator", ("administrator", "approver")),
+    "adele": ("Adele Administrator", ("administrator",)),
     "victor": ("Victor Viewer", ("viewer",)),
     "both": ("Bo Both", ("analyst", "approver")),
 }

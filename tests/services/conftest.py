@@ -23,7 +23,7 @@ PEOPLE: Mapping[str, tuple[str, ...]] = {
     "cy": ("approver",),
     "dee": ("operator",),
     "eve": ("viewer",),
-    "root": ("administrator", "approver"),
+    "root": ("administrator",),
 }
 SENSOR: dict[str, Any] = {
     "name": "ST16-1",

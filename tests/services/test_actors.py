@@ -30,9 +30,9 @@ def test_a_missing_role_is_named_with_those_held() -> None:
 
 def test_a_key_stays_within_its_scopes_and_a_person_has_none() -> None:
     require_scope(KEY, "runs")
-    require_scope(ANA, "users")
-    with pytest.raises(ForbiddenError, match="lacks the scope users"):
-        require_scope(KEY, "users")
+    require_scope(ANA, "uplinks")
+    with pytest.raises(ForbiddenError, match="lacks the scope uplinks"):
+        require_scope(KEY, "uplinks")
 
 
 @pytest.mark.parametrize("actor", [KEY, SYSTEM, COMMAND_LINE])

@@ -78,6 +78,8 @@ def test_only_owner_and_administrator_revoke(
 def test_a_key_makes_no_key(session: Session, key: tuple[ApiKey, str]) -> None:
     with pytest.raises(ForbiddenError, match="Only a person"):
         api_keys.create_key(session, api_keys.actor_of_key(session, key[1]), label="child")
+    with pytest.raises(ForbiddenError, match="API key may not revoke"):
+        api_keys.revoke_key(session, api_keys.actor_of_key(session, key[1]), key[0].id)
     with pytest.raises(ForbiddenError, match="Only a person"):
         api_keys.create_key(session, COMMAND_LINE, label="child")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 import sqlalchemy as sa
@@ -117,6 +118,7 @@ def _create(session: Session, actor: Actor, **changes: object) -> object:
         ({"name": "new comer"}, RefusedInputError, "no log-in name"),
         ({"name": "ana"}, ConflictError, "already"),
         ({"roles": ["wizard"]}, RefusedInputError, "no role wizard; the roles are viewer"),
+        ({"roles": ["administrator", "approver"]}, RefusedInputError, "administrator cannot sign"),
         ({"roles": "viewer"}, RefusedInputError, "no role viewer"),
     ],
 )
@@ -145,6 +147,35 @@ def test_only_administrators_make_and_change_people(session: Session, people: Ma
     ):
         with pytest.raises(ForbiddenError, match="administrator"):
             act()
+
+
+@pytest.mark.parametrize("scopes", [frozenset(), frozenset({"users", "api-keys"})])
+def test_no_key_manages_people_not_even_its_owner(
+    session: Session, people: Mapping[str, Actor], scopes: frozenset[str]
+) -> None:
+    key = replace(people["root"], credential="key:1234", scopes=scopes)
+    approver, owner = people["cy"].user_id, people["root"].user_id
+    assert approver is not None
+    assert owner is not None
+    for act in (
+        lambda: _create(session, key, roles=["approver"]),
+        lambda: users.change_roles(session, key, approver, ["viewer"]),
+        lambda: users.disable_user(session, key, approver),
+        lambda: users.enable_user(session, key, approver),
+        lambda: users.change_password(session, key, approver, "another horse battery"),
+        lambda: users.change_password(session, key, owner, "another horse battery", PASSWORD),
+        lambda: users.end_sessions(session, key, approver),
+        lambda: users.end_sessions(session, key, owner),
+    ):
+        with pytest.raises(ForbiddenError, match="API key may not"):
+            act()
+
+
+def test_nobody_becomes_administrator_and_approver_at_once(session: Session, people: Mapping[str, Actor]) -> None:
+    approver = people["cy"].user_id
+    assert approver is not None
+    with pytest.raises(RefusedInputError, match="administrator cannot sign"):
+        users.change_roles(session, people["root"], approver, ["approver", "administrator"])
 
 
 def test_roles_take_effect_in_a_session_that_is_open(session: Session, people: Mapping[str, Actor]) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from boresight.errors import ForbiddenError
 
-SCOPES = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks", "users", "api-keys")
+SCOPES = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,18 @@ def require_person(actor: Actor, what: str) -> int:
     if actor.user_id is None or actor.credential != "session":
         raise ForbiddenError(f"Only a person who is logged in may {what}, not {actor.credential}.")
     return actor.user_id
+
+
+def refuse_key(actor: Actor, what: str) -> None:
+    """Refuse keys: people and keys are managed by people, or on the command line, whatever scopes a key has.
+
+    Raises
+    ------
+    ForbiddenError
+        When an API key acts.
+    """
+    if actor.is_key:
+        raise ForbiddenError(f"An API key may not {what}; a person who is logged in must.")
 
 
 def require_user(actor: Actor, what: str) -> int:

@@ -13,7 +13,7 @@ from collections.abc import Collection, Sequence
 
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
 from boresight.services import audit
-from boresight.services.actors import SCOPES, Actor, require_person, require_scope
+from boresight.services.actors import SCOPES, Actor, refuse_key, require_person
 from boresight.store import api_keys as rows
 from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import ApiKey, User
@@ -108,14 +108,14 @@ def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
     NotFoundError
         When there is no such key.
     ForbiddenError
-        When it is another's.
+        When it is another's, or a key asks.
     """
+    refuse_key(actor, "revoke a key")
     key = session.get(ApiKey, key_id)
     if key is None:
         raise NotFoundError(f"There is no API key {key_id}.")
     if key.user_id != actor.user_id and "administrator" not in actor.roles:
         raise ForbiddenError("Only its owner or an administrator may revoke this API key.")
-    require_scope(actor, "api-keys")
     if key.revoked_utc is None:
         key.revoked_utc = utc_now()
         audit.append(session, actor, "revoked", _subject(key), None, {"label": key.label})

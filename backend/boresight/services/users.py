@@ -22,10 +22,11 @@ from boresight.errors import (
     UnauthenticatedError,
 )
 from boresight.services import audit
-from boresight.services.actors import Actor, require_person, require_role, require_scope
+from boresight.services.actors import Actor, refuse_key, require_person, require_role
+from boresight.services.roles import known_roles
 from boresight.store import users as rows
 from boresight.store.sessions import Session, keep_despite_refusal, utc_after, utc_now
-from boresight.store.tables import ROLES, LoginFailure, User
+from boresight.store.tables import LoginFailure, User
 
 MINIMUM_PASSWORD_LENGTH = 12
 MAXIMUM_PASSWORD_LENGTH = 256  # a longer one only costs time
@@ -61,7 +62,7 @@ def create_user(
         name=name,
         printed_name=printed_name.strip() or name,
         password_hash=hash_password(name, password),
-        roles=_known_roles(roles),
+        roles=known_roles(roles),
         created_utc=utc_now(),
     )
     session.add(user)
@@ -188,6 +189,7 @@ def change_password(session: Session, actor: Actor, user_id: int, password: str,
     UnauthenticatedError
         When the current password is wrong: who finds a screen unlocked must not come to sign.
     """
+    refuse_key(actor, "set a password")
     user = get_user(session, user_id)
     if actor.user_id == user_id:
         verify_password(session, actor, current)
@@ -201,8 +203,9 @@ def change_password(session: Session, actor: Actor, user_id: int, password: str,
 
 def end_sessions(session: Session, actor: Actor, user_id: int) -> None:
     """End every log-in of a person, one's own or as an administrator another's."""
+    refuse_key(actor, "end log-ins")
     user = get_user(session, user_id)
-    if actor.user_id != user_id or actor.is_key:
+    if actor.user_id != user_id:
         _require_administrator(actor)
     user.session_epoch += 1
     audit.append(session, actor, "ended the log-ins of", _subject(user))
@@ -218,7 +221,7 @@ def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection
     """
     _require_administrator(actor)
     user = get_user(session, user_id)
-    before, after = user.roles, _known_roles(roles)
+    before, after = user.roles, known_roles(roles)
     if "administrator" not in after:
         _keep_an_administrator(session, user)
     user.roles = after
@@ -274,8 +277,9 @@ def list_users(session: Session) -> Sequence[User]:
 
 
 def _require_administrator(actor: Actor) -> None:
+    """Refuse keys too: one that gave roles or passwords could make itself a person who signs."""
+    refuse_key(actor, "manage people")
     require_role(actor, "administrator")
-    require_scope(actor, "users")
 
 
 def _keep_an_administrator(session: Session, leaving: User) -> None:
@@ -283,14 +287,6 @@ def _keep_an_administrator(session: Session, leaving: User) -> None:
     others = (user for user in rows.users(session) if user.id != leaving.id and user.disabled_utc is None)
     if "administrator" in leaving.roles and not any("administrator" in user.roles for user in others):
         raise ConflictError(f"{leaving.printed_name} is the only administrator; make another one first.")
-
-
-def _known_roles(roles: Collection[str]) -> list[str]:
-    """Return the roles in the table's order, each once."""
-    if isinstance(roles, str) or (unknown := sorted(set(roles) - set(ROLES))):
-        named = roles if isinstance(roles, str) else ", ".join(unknown)
-        raise RefusedInputError(f"There is no role {named}; the roles are {', '.join(ROLES)}.")
-    return [role for role in ROLES if role in roles]
 
 
 def _subject(user: User) -> str:
