@@ -116,8 +116,11 @@ def test_the_audit_log_tells_who_made_what_and_holds_together(filled):
 
 def test_making_it_again_changes_nothing_and_gives_the_same_log_ins(filled):
     before = filled.content()
+    already = len(filled.said)
     assert filled.create() == list(LOG_INS)
     assert filled.content() == before
+    assert not any("queued" in sentence for sentence in filled.said[already:])
+    assert sum("its batch run is there already" in sentence for sentence in filled.said[already:]) == 6
 
 
 def test_archived_sets_and_edited_people_are_left_as_they_are(tmp_path):
@@ -154,4 +157,5 @@ def test_a_demonstration_that_was_interrupted_is_completed(tmp_path, monkeypatch
 
 def test_each_step_is_reported(filled):
     assert sum("telemetry" in sentence for sentence in filled.said[:9]) == 6
+    assert sum("its batch run is queued" in sentence for sentence in filled.said[:9]) == 6
     assert "ready after" in filled.said[8]

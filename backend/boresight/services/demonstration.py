@@ -85,13 +85,21 @@ def create_demonstration(
     report(f"{len(trackers)} simulated star trackers are registered.")
     for number, sensor_id in trackers.items():
         fleet.add_sets(sensor_id, number)
-        fleet.launch(sensor_id, "Batch", {"method": "batch"})
-        report(f"{st16_sensor(number).name} has its telemetry, and its batch run is queued.")
+        is_new = fleet.launch(sensor_id, "Batch", {"method": "batch"})
+        report(f"{st16_sensor(number).name} has its telemetry, and {_of_runs('its batch run', 'is', is_new)}.")
+    new_filters = 0
     for number, sensor_id in trackers.items():
         pace = WATCHED_FRAMES_PER_S if number == WATCHED_NUMBER else OTHER_FRAMES_PER_S
-        fleet.launch(sensor_id, FILTER_LABEL, {"method": "sqrf", "variant": "no-q", "replay_frames_per_s": pace})
-    report(f"The filters are queued too; the demonstration is ready after {time.perf_counter() - started_s:.1f} s.")
+        settings = {"method": "sqrf", "variant": "no-q", "replay_frames_per_s": pace}
+        new_filters += fleet.launch(sensor_id, FILTER_LABEL, settings)
+    of_filters = _of_runs("The filters", "are", new_filters > 0)
+    report(f"{of_filters}; the demonstration is ready after {time.perf_counter() - started_s:.1f} s.")
     return list(LOG_INS)
+
+
+def _of_runs(what: str, verb: str, is_new: bool) -> str:
+    """Say whether runs were queued now or left as they are."""
+    return f"{what} {verb} queued" if is_new else f"{what} {verb} there already"
 
 
 def _make_people(engine: Engine) -> Actor:
@@ -159,16 +167,18 @@ class _Fleet:
                 session, self.analyst, self.blobs, self.catalogue, sensor_id, path, path.name, purpose
             )
 
-    def launch(self, sensor_id: int, label: str, settings: Mapping[str, Any]) -> None:
-        """Queue a run with validation, unless the sensor has had one of the same method."""
+    def launch(self, sensor_id: int, label: str, settings: Mapping[str, Any]) -> bool:
+        """Queue a run with validation, unless the sensor has had one of the same method; tell whether it was queued."""
         with writing(self.engine) as session:
             calibration = _oldest_set(session, sensor_id, "calibration", archived=False)
             validation = _oldest_set(session, sensor_id, "validation", archived=False)
             had_one = runs.list_runs(session, sensor_id=sensor_id, method=settings["method"], limit=1)
-            if calibration is not None and not had_one:
-                runs.launch(
-                    session, self.analyst, sensor_id, calibration, settings, validation_set_id=validation, label=label
-                )
+            if calibration is None or had_one:
+                return False
+            runs.launch(
+                session, self.analyst, sensor_id, calibration, settings, validation_set_id=validation, label=label
+            )
+            return True
 
 
 def _oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
