@@ -30,6 +30,11 @@ def test_only_what_differs_is_shown_unless_asked_for(house, read):
     assert "Calibration set" in all_rows
 
 
+def test_a_batch_has_no_innovations_to_compare(house, read):
+    text = read(house.visitor("victor").get("/compare?runs=1,2"))
+    assert "NIS mean not applicable" in text
+
+
 def test_repeated_fields_of_the_list_s_form_are_read_as_a_list(house):
     assert 'src="/api/v1/runs/1/figures/rms?compare=2"' in house.visitor("victor").get("/compare?runs=1&runs=2")
 

@@ -15,6 +15,7 @@ from fastapi.responses import HTMLResponse
 
 from boresight.api.dependencies import Reading, current_actor
 from boresight.errors import RefusedInputError
+from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES
 from boresight.figures.numbers import number, urad
 from boresight.figures.parameter_table import contrasts
@@ -123,7 +124,7 @@ def _description(one: Compared, names: Names) -> dict[str, str]:
         "RMS after (µrad)": urad(rms.get("final")),
         "Validation RMS after (µrad)": urad(held_out.get("final")),
         "χ² / dof": number(result.get("chi2_per_dof")),
-        "NIS mean": number(nis.get("mean")),
+        "NIS mean": number(nis.get("mean")) if run.method in FILTERS else "not applicable",
         "Condition number": number((result.get("observability") or {}).get("condition_number"), 3),
         "Launched by": names.person(run.launched_by),
     }
