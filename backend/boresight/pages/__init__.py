@@ -8,12 +8,14 @@ from pkgutil import iter_modules
 from fastapi import APIRouter, Depends
 from fastapi.responses import HTMLResponse
 
+from boresight.pages.addresses import check_numbers
 from boresight.pages.frame import know_fleet
 
 
 def _assemble() -> APIRouter:
     """Join the `router` of every page file."""
-    joined = APIRouter(include_in_schema=False, default_response_class=HTMLResponse, dependencies=[Depends(know_fleet)])
+    first = [Depends(check_numbers), Depends(know_fleet)]
+    joined = APIRouter(include_in_schema=False, default_response_class=HTMLResponse, dependencies=first)
     for found in iter_modules(__path__):
         page = import_module(f"{__name__}.{found.name}")
         if hasattr(page, "router"):
