@@ -19,6 +19,14 @@ def test_a_row_says_how_much_the_rms_fell_in_microradians(house, read, results):
     assert "converged" in house_page
 
 
+def test_a_fit_with_advice_is_a_caution_in_the_list_with_the_advice_at_hand(house, results):
+    doubted = results["batch"] | {"advice": ["Too few frames took part."]}
+    house.add_run(state="SUCCEEDED", result=doubted)
+    page = house.visitor("victor").get("/runs")
+    cell = page[page.index('title="Too few frames took part."') :][:200]
+    assert "status-caution" in cell
+
+
 def test_filters_leave_out_the_runs_that_do_not_fit(house, read):
     house.add_run("sqrf", state="FAILED", reason="No stars.", label="the poor one")
     page = house.visitor("victor").get("/runs?state=FAILED&method=sqrf")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import pytest
 
@@ -12,6 +13,7 @@ from boresight.services.fleet import STATUS_WORDS, Known, SensorTile, findings, 
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, utc_after, writing
 from boresight.store.tables import ParameterSet, Run
+from boresight.workers.summary import summary_of
 
 NOTHING = Known(baseline=None, last_run=None, onboard=(), waiting=None, telemetry_sets=0, days=None)
 
@@ -52,6 +54,42 @@ def test_the_newest_run_speaks_for_the_sensor(
     tile = _tile(engine)
     assert tile.status == status
     assert says in tile.sentence
+
+
+CONSISTENT = {"chi2": {"consistent": True, "dof": 90, "lower": 0.8, "upper": 1.2}, "method": "batch"}
+WEAK = {"sigma_of_direction": [0.1, 0.7], "singular_values": [10.0, 1.4], "weakest": {"sentence": "m0 is weak."}}
+
+
+@pytest.mark.parametrize(
+    ("found", "status", "says"),
+    [
+        ({}, "normal", "Run 1 converged."),
+        (
+            {"chi2": CONSISTENT["chi2"] | {"consistent": False}, "chi2_per_dof": 4.0},
+            "caution",
+            "degree of freedom is 4",
+        ),
+        ({"observability": WEAK}, "caution", "with reservations"),
+        ({"advice": ["Only 12 frames took part. Add some.", "More."]}, "caution", ": Only 12 frames took part."),
+        (
+            {"status": "diverged", "advice": ["The fit diverged: stop."]},
+            "serious",
+            "ended diverged: The fit diverged: stop.",
+        ),
+        ({"status": "rank_deficient", "advice": ["Hold a1."]}, "serious", "ended rank deficient: Hold a1."),
+        ({"validation": {"rms_arc_rad": {"initial": 1e-5, "final": 2e-5}}}, "serious", "On the validation set"),
+    ],
+)
+def test_a_fit_that_its_page_doubts_is_not_normal_for_the_fleet(
+    engine: Engine, finished_run: Callable[..., Run], found: dict[str, Any], status: str, says: str
+) -> None:
+    with writing(engine) as session:
+        run = finished_run(session)
+        run.summary = summary_of({"status": "converged", "chi2_per_dof": 1.0, **CONSISTENT, **found})
+    tile = _tile(engine)
+    assert tile.status == status
+    assert says in tile.sentence
+    assert tile.sentence.endswith(".")
 
 
 def test_an_older_failure_does_not_speak_for_the_sensor(engine: Engine, finished_run: Callable[..., Run]) -> None:

@@ -22,6 +22,7 @@ from boresight.pages.formats import instant, seconds_since
 from boresight.pages.methods import METHODS, title_of
 from boresight.pages.rendering import render
 from boresight.services import runs, sensors, telemetry_sets, users
+from boresight.services.fleet import level_of_result
 from boresight.store.sessions import Session
 from boresight.store.tables import RUN_STATES, Run
 
@@ -116,6 +117,8 @@ class Line:
     method: str
     by: str
     fit: str | None
+    fit_level: str
+    advice: str
     rms: str
     change: str
     chi2_per_dof: float | None
@@ -134,6 +137,8 @@ def line_of(run: Run, names: Names) -> Line:
         method=title_of(run.method),
         by=names.person(run.launched_by),
         fit=summary.get("status"),
+        fit_level=level_of_result(summary),
+        advice=summary.get("advice") or "",
         rms=MISSING if after is None else f"{urad(before)} → {urad(after)}",
         change=_change(before, after),
         chi2_per_dof=summary.get("chi2_per_dof"),

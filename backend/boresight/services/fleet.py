@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
+from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
 from boresight.store import sensors as rows
 from boresight.store.sessions import Session
 from boresight.store.tables import ParameterSet, Run, Sensor
@@ -135,12 +137,27 @@ def _run_findings(run: Run | None) -> Iterator[tuple[str, str]]:
         yield "standby", f"Run {run.id} is {run.state.lower()}."
 
 
-def _result_finding(run_id: int, summary: Mapping[str, object]) -> tuple[str, str]:
-    """Say what the status of a finished calibration means for the sensor."""
-    status = str(summary.get("status", "converged"))
-    words = status.replace("_", " ")
+def _result_finding(run_id: int, summary: Mapping[str, Any]) -> tuple[str, str]:
+    """Say what a finished calibration means for the sensor; critical is kept for what is on board."""
+    level = level_of_result(summary)
+    status, advice = str(summary.get("status") or "converged"), _first_sentence(summary)
+    if level == "normal":
+        return level, f"Run {run_id} converged."
     if status == "converged":
-        return "normal", f"Run {run_id} converged."
-    if status == "max_iterations":
-        return "caution", f"Run {run_id} stopped at {words}; look at its advice."
-    return "serious", f"Run {run_id} ended {words}; look at its advice."
+        return level, f"Run {run_id} converged, with reservations: {advice}"
+    verb = "stopped at" if status == "max_iterations" else "ended"
+    return "caution" if level == "caution" else "serious", f"Run {run_id} {verb} {status.replace('_', ' ')}: {advice}"
+
+
+def level_of_result(summary: Mapping[str, Any]) -> str:
+    """Judge a finished run by its summary: the verdict of its page, and no better than caution where it gave advice."""
+    status = str(summary.get("status") or "converged")
+    level = str(summary.get("level") or LEVEL_OF_STATUS.get(status, "serious"))
+    doubted = summary.get("advice") or summary.get("weak_directions") or summary.get("chi2_consistent") is False
+    return max(level, "caution" if doubted else "normal", key=LEVELS.index)
+
+
+def _first_sentence(summary: Mapping[str, Any]) -> str:
+    """Return the first sentence of a run's advice; where the summary has none, where to look."""
+    advice = str(summary.get("advice") or "look at its page.")
+    return f"{advice.split('. ', maxsplit=1)[0].rstrip('.')}."

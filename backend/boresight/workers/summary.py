@@ -1,15 +1,27 @@
-"""The few figures of a calibration that a list of runs shows, so that a list opens no result files."""
+"""The few figures of a calibration that lists and the fleet show, so that neither opens a result file.
+
+`level` is the verdict of the run page, `advice` the gravest sentence of the run or, where it gave none, of the verdict.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from boresight.estimation.observability import WEAK
+from boresight.figures.evidence import verdict
+
 
 def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
     """Pick the figures for lists from a calibration JSON; what the result does not have is None."""
+    judged = verdict(result)
+    advice = [*(result.get("advice") or ()), *(judged.reasons if judged.level != "normal" else ())]
     return {
         "status": result.get("status"),
+        "level": judged.level,
+        "advice": advice[0] if advice else None,
+        "chi2_consistent": _within(result, "chi2", "consistent"),
+        "weak_directions": _weak_directions(result),
         "rms_initial_arc_rad": _within(result, "rms_arc_rad", "initial"),
         "rms_final_arc_rad": _within(result, "rms_arc_rad", "final"),
         "chi2_per_dof": result.get("chi2_per_dof"),
@@ -20,6 +32,12 @@ def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
         "validation_rms_initial_arc_rad": _within(result, "validation", "rms_arc_rad", "initial"),
         "validation_rms_final_arc_rad": _within(result, "validation", "rms_arc_rad", "final"),
     }
+
+
+def _weak_directions(result: Mapping[str, Any]) -> int | None:
+    """Count the directions that the data hardly determine, or not at all; None where they were not looked for."""
+    spread = _within(result, "observability", "sigma_of_direction")
+    return None if spread is None else sum(sigma is None or sigma > WEAK for sigma in spread)
 
 
 def _within(document: Mapping[str, Any], *path: str) -> Any:
