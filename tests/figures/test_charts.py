@@ -34,7 +34,34 @@ def test_radii_without_stars_are_shaded_from_the_outermost_star_on(sequential_re
     shaded = [shape for shape in drawn.layout.shapes if shape.type == "rect"]
     assert {shape.x0 for shape in shaded} == {1440.0}
     assert {shape.x1 for shape in shaded} == {1620.0}
-    assert any("no stars" in annotation.text for annotation in drawn.layout.annotations)
+    said = next(annotation for annotation in drawn.layout.annotations if annotation.text == "no stars")
+    assert 1440.0 < said.x < 1620.0
+    assert drawn.layout[said.yref.replace(" domain", "").replace("y", "yaxis")].title.text == "stars"
+
+
+def test_a_shade_too_narrow_for_words_is_named_in_the_legend(sequential_result):
+    radial = sequential_result["radial"] | {"data_radius_px": 1600.0}
+    drawn = FIGURES["radial"].draw([Trace("Run", sequential_result | {"radial": radial})])
+    assert not drawn.layout.annotations
+    assert [trace.showlegend for trace in named(drawn, "no stars")] == [True]
+
+
+def test_maps_beside_each_other_have_short_titles_and_one_set_of_row_labels(sequential_result, batch_result):
+    labels = [f"Run {number} · Square-root filter, fed as frames come down" for number in (12, 13)]
+    traces = [Trace(label, result) for label, result in zip(labels, (sequential_result, batch_result), strict=True)]
+    drawn = FIGURES["coverage"].draw(traces)
+    assert [title.text for title in drawn.layout.annotations] == ["Run 12", "Run 13"]
+    assert (drawn.layout.yaxis.showticklabels, drawn.layout.yaxis2.showticklabels) == (True, False)
+    assert labels[1] in drawn.data[1].hovertemplate
+
+
+def test_maps_of_unlike_detectors_keep_their_row_labels_apart(sequential_result):
+    shorter = sequential_result["coverage"] | {"row_edges_px": np.linspace(-0.5, 1023.5, 10).tolist()}
+    drawn = FIGURES["coverage"].draw(
+        [Trace("Run 1", sequential_result), Trace("Run 2", sequential_result | {"coverage": shorter})]
+    )
+    assert drawn.layout.yaxis2.showticklabels
+    assert drawn.layout.xaxis2.domain[0] - drawn.layout.xaxis.domain[1] >= 0.19
 
 
 def test_the_arcsecond_axis_is_the_pixel_axis_by_the_plate_scale(sequential_result):

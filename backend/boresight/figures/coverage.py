@@ -17,6 +17,7 @@ FloatArray = NDArray[np.float64]
 
 TITLE = "Detector coverage"
 MAX_MAPS = 4
+TITLE_LENGTH = 14
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
@@ -24,11 +25,13 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     drawn = [trace for trace in traces if _counts(trace.result) is not None][:MAX_MAPS]
     if not drawn:
         return theme.missing(TITLE, "The detector coverage is counted when the run ends; it is not there yet.")
-    titles = [theme.escape(trace.label) for trace in drawn] if len(drawn) > 1 else None
-    figure = make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=0.08)
+    titles = [_short(trace.label) for trace in drawn] if len(drawn) > 1 else None
+    alike = all(trace.result["coverage"]["row_edges_px"] == _rows(drawn[0]) for trace in drawn)
+    spacing = 0.05 if alike else 0.4 / len(drawn)  # rows that differ need their own labels, and room for them
+    figure = make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=spacing)
     highest = max(float(np.max(trace.result["coverage"]["counts"])) for trace in drawn)
     for column, trace in enumerate(drawn, start=1):
-        figure.add_trace(_map(trace.result["coverage"], highest), row=1, col=column)
+        figure.add_trace(_map(trace, highest), row=1, col=column)
     figure.update_traces(showscale=True, col=len(drawn))
     theme.dress(figure, title=_headline(drawn), height_px=460, legend=False, hovermode="closest")
     figure.update_xaxes(title_text="column (px)", showgrid=False, zeroline=False, constrain="domain")
@@ -36,8 +39,20 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure.update_yaxes(title_text="row (px)", row=1, col=1)
     for column in range(1, len(drawn) + 1):
         anchor = "x" if column == 1 else f"x{column}"
-        figure.update_yaxes(scaleanchor=anchor, scaleratio=1, row=1, col=column)
+        labelled = column == 1 or not alike
+        figure.update_yaxes(scaleanchor=anchor, scaleratio=1, showticklabels=labelled, row=1, col=column)
+        figure.update_xaxes(nticks=max(2, 8 // len(drawn)), tickangle=0, row=1, col=column)
     return figure
+
+
+def _rows(trace: Trace) -> list[float]:
+    return list(trace.result["coverage"]["row_edges_px"])
+
+
+def _short(label: str) -> str:
+    """Keep of a label what stands over a narrow map: its first part; the hover has the whole."""
+    first = label.split(" · ", maxsplit=1)[0]
+    return theme.escape(first if len(first) <= TITLE_LENGTH else f"{first[: TITLE_LENGTH - 1]}…")
 
 
 def _counts(result: Result) -> FloatArray | None:
@@ -45,7 +60,8 @@ def _counts(result: Result) -> FloatArray | None:
     return counts if counts.ndim == 2 and counts.size else None
 
 
-def _map(coverage: Result, highest: float) -> go.Heatmap:
+def _map(trace: Trace, highest: float) -> go.Heatmap:
+    coverage = trace.result["coverage"]
     counts = [[int(count) or None for count in row] for row in coverage["counts"]]
     return go.Heatmap(
         x=list(coverage["col_edges_px"]),
@@ -57,7 +73,7 @@ def _map(coverage: Result, highest: float) -> go.Heatmap:
         xgap=1,
         ygap=1,
         colorbar={"title": {"text": "stars"}, "thickness": 10},
-        hovertemplate="%{z} stars<br>column %{x:.0f}, row %{y:.0f}<extra></extra>",
+        hovertemplate="%{z} stars<br>column %{x:.0f}, row %{y:.0f}<extra>" + theme.escape(trace.label) + "</extra>",
         hoverongaps=False,
         showscale=False,
     )

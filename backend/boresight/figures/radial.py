@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 
 TITLE = "Radial difference"
 SHADE = "rgba(133,146,163,0.16)"
+WIDE_ENOUGH = 0.06  # of the axis: a line of upright letters on the narrowest chart
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
@@ -102,15 +103,18 @@ def _shade_extrapolation(figure: go.Figure, radials: Sequence[Result]) -> None:
     figure.add_vline(
         x=max(reached), line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1}, row="all", col=1
     )
-    figure.add_annotation(
-        text="extrapolated: no stars",
-        x=end,
-        y=1,
-        xref="x",
-        yref="y domain",
-        xanchor="right",
-        yanchor="top",
-        textangle=-90,
+    _say_extrapolation(figure, max(reached), end)
+
+
+def _say_extrapolation(figure: go.Figure, start: float, end: float) -> None:
+    """Write over the empty part of the histogram, where no curve runs, or in the legend where that part is narrow."""
+    if end - start >= WIDE_ENOUGH * end:
+        middle = {"x": (start + end) / 2, "y": 0.5, "xref": "x", "yref": "y3 domain"}
+        figure.add_annotation(text="no stars", textangle=-90, showarrow=False, font={"size": 12}, **middle)
+        return
+    square = {"symbol": "square", "size": 12, "color": theme.REFERENCE_COLOUR, "opacity": 0.4}
+    figure.add_trace(
+        go.Scatter(x=[None], y=[None], mode="markers", marker=square, name="no stars", showlegend=True), row=2, col=1
     )
 
 
