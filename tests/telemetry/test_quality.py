@@ -13,59 +13,14 @@ from hypothesis import given, settings
 from boresight.telemetry.findings import FINDINGS, SEVERITIES
 from boresight.telemetry.quality import quality_report
 from boresight.telemetry.readers import read_telemetry
-from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.strategies import sensors, telemetry_tables
-
-EXPOSURES, STARS = 30, 12
-ROWS = EXPOSURES * STARS
-MAGNITUDES = 3.0 + (np.arange(1, 500) % 30) / 10.0
-
-
-class Stars:
-    """A catalogue of the numbers 1 to 499, brightness by number."""
-
-    magnitude = MAGNITUDES
-
-    def index_of(self, hip):
-        return np.where((hip >= 1) & (hip < 500), hip - 1, -1)
-
-
-def with_rows(values, changes):
-    changed = values.copy()
-    for row, value in changes.items():
-        changed[row] = value
-    return changed
+from tests.telemetry.troubles import EXPOSURES, ROWS, STARS, Stars, calm_telemetry, codes, finding, with_rows
 
 
 @pytest.fixture
 def telemetry():
-    """Thirty exposures of twelve matched stars all over the detector, a second apart, with nothing to complain of."""
-    rng = np.random.default_rng(5)
-    star_id = np.concatenate([rng.permutation(np.arange(1, 500))[:STARS] for _ in range(EXPOSURES)])
-    frame = np.repeat(np.arange(EXPOSURES), STARS)
-    # one star in each of twelve boxes, so that none comes close to another
-    row = np.tile(np.repeat(np.arange(3), 4), EXPOSURES) * 256 + rng.uniform(5, 250, ROWS)
-    col = np.tile(np.tile(np.arange(4), 3), EXPOSURES) * 256 + rng.uniform(5, 250, ROWS)
-    return Telemetry(
-        frame=frame,
-        exposure=np.zeros(ROWS, dtype=np.int64),
-        row_px=with_rows(row, {0: 0.0, 11: 766.0}),
-        col_px=with_rows(col, {0: 0.0, 11: 1022.0}),
-        time_utc=np.datetime64("2024-01-01", "us") + frame * 1_000_000,
-        magnitude=MAGNITUDES[star_id - 1] + rng.normal(size=ROWS) * 0.1,
-        star_id=star_id,
-        velocity_m_s=np.full((ROWS, 3), 4000.0),
-        temperature_c=np.full(ROWS, 20.0),
-    )
-
-
-def codes(report):
-    return [finding["code"] for finding in report["findings"]]
-
-
-def finding(report, code):
-    return next(found for found in report["findings"] if found["code"] == code)
+    return calm_telemetry()
 
 
 def test_a_set_with_nothing_wrong_is_normal_and_counted(telemetry, sensor):
@@ -127,6 +82,18 @@ CASES = [
         {"star_id": lambda t: np.where(np.arange(ROWS) < 9, 0, t.star_id)},
         1,
         [2],
+    ),
+    (
+        "ON_ONE_LINE",
+        "CAUTION",
+        {
+            "row_px": lambda t: np.where(np.arange(ROWS) // STARS == 2, 50.0, t.row_px),
+            "col_px": lambda t: np.where(
+                np.arange(ROWS) // STARS == 2, 20.0 + 80 * (np.arange(ROWS) % STARS), t.col_px
+            ),
+        },
+        1,
+        [26],
     ),
     ("FRAME_ORDER", "SERIOUS", {"frame": lambda t: np.where(t.frame == 3, 9, t.frame)}, 1, [50]),
     ("OFF_DETECTOR", "SERIOUS", {"row_px": lambda t: with_rows(t.row_px, {7: 767.6, 8: -0.6, 9: 767.4})}, 2, [9, 10]),

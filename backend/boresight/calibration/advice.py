@@ -80,10 +80,9 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
         return
     for i in observed.weak():
         if observed.singular_values[i] > 0:
-            yield (
-                f"Weakly determined: {observed.sentence(i)} Do not read these parameters one by one; "
-                "hold one of them fixed, or add frames that cover more of the detector."
-            )
+            alone = len(observed.named(i)) == 1
+            caution = "Hold it fixed" if alone else "Do not read these parameters one by one; hold one of them fixed"
+            yield f"Weakly determined: {observed.sentence(i)} {caution}, or add frames that cover more of the detector."
 
 
 def _of_consistency(
@@ -95,14 +94,14 @@ def _of_consistency(
     implied = float(np.median(problem.arcs.sigma_px)) * np.sqrt(fit.mean)
     if fit.mean > fit.upper:
         yield (
-            f"The residuals are larger than the stated centroid noise explains (chi-square {fit.mean:.3g} per degree of "
-            f"freedom, at most {fit.upper:.3g} expected): the sigmas are about {np.sqrt(fit.mean):.2g} times too small; a "
+            f"The residuals are larger than the stated centroid noise explains (chi-square {fit.mean:.4g} per degree of "
+            f"freedom, at most {fit.upper:.4g} expected): the sigmas are about {np.sqrt(fit.mean) - 1:.1%} too small; a "
             f"centroid sigma of {implied:.3g} px would explain them, or look for wrong matches."
         )
     elif fit.mean < fit.lower:
         yield (
-            f"The residuals are smaller than the stated centroid noise explains (chi-square {fit.mean:.3g} per degree of "
-            f"freedom, at least {fit.lower:.3g} expected): the sigmas are too wide; {implied:.3g} px would fit."
+            f"The residuals are smaller than the stated centroid noise explains (chi-square {fit.mean:.4g} per degree of "
+            f"freedom, at least {fit.lower:.4g} expected): the sigmas are too wide; {implied:.3g} px would fit."
         )
     if settings.sequential and nis.mean > max(nis.upper, fit.mean * 1.05):
         yield (

@@ -95,8 +95,11 @@ def _lines(result: dict[str, Any]) -> Iterator[str]:
     from boresight.figures.printed_table import HEADINGS, printed_rows
 
     words = [result["method"], result["variant"], result["status"].replace("_", " ")]
+    left_out = "; ".join(f"{item['count']:,} {item['what']}: {item['reason']}" for item in result["left_out"])
     counts = ", ".join(f"{result[key]:,} {key}" for key in ("frames", "exposures", "stars", "pairs"))
     yield f"{result['sensor']}: {', '.join(word for word in words if word)}; {counts}"
+    if left_out:
+        yield f"left out: {left_out}"
     yield ""
     yield aligned([HEADINGS, *(row.cells for row in printed_rows(result))], left=(0, 1, 6))
     yield ""

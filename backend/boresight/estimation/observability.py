@@ -65,12 +65,18 @@ class Observability:
         v = self.V[:, i] * np.sign(self.V[np.argmax(np.abs(self.V[:, i])), i])
         return {name: float(value) for name, value in zip(self.names, v, strict=True)}
 
+    def named(self, i: int) -> list[tuple[str, float]]:
+        """Symbols and components of direction i that are large enough to be named, largest first."""
+        parts = sorted(zip(self.symbols, self.direction(i).values(), strict=True), key=lambda part: -abs(part[1]))
+        return [(symbol, value) for symbol, value in parts if abs(value) >= NAMED]
+
     def sentence(self, i: int) -> str:
         """Say in words what direction i is and how well it is known."""
-        parts = sorted(zip(self.symbols, self.direction(i).values(), strict=True), key=lambda part: -abs(part[1]))
-        named = [(symbol, value) for symbol, value in parts if abs(value) >= NAMED]
+        named = self.named(i)
         sigma = self.sigma_of_direction[i]
         known = f"is known to {sigma:.2g} typical sigmas" if np.isfinite(sigma) else "is not determined by these data"
+        if len(self.names) == 1:
+            return f"{self.symbols[0]} is the only free parameter: it {known}."
         if len(named) == 1:
             return f"{named[0][0]} moves nearly alone: it {known}."
         ratio = ", ".join(f"{value:+.2f} {symbol}" for symbol, value in named)

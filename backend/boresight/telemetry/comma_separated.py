@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.formats import blank_rows
+from boresight.telemetry.formats import blank_rows, worth_threads
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import FLOAT_COLUMNS, INTEGER_COLUMNS
 
@@ -83,7 +83,7 @@ def _read(text: bytes, header: list[str], typed: dict[str, pa.DataType]) -> pa.T
     try:
         return arrow_csv.read_csv(
             pa.BufferReader(text),
-            read_options=arrow_csv.ReadOptions(column_names=header, skip_rows=1),
+            read_options=arrow_csv.ReadOptions(column_names=header, skip_rows=1, use_threads=worth_threads(text)),
             convert_options=arrow_csv.ConvertOptions(
                 column_types={column: typed.get(column, pa.string()) for column in header},
                 null_values=[""],

@@ -114,6 +114,21 @@ class Evidence:
         """(n_exposures,) usable rows of each exposure."""
         return self.count_per_exposure(self.usable)
 
+    @cached_property
+    def spread_per_exposure(self) -> tuple[FloatArray, FloatArray]:
+        """(n_exposures,) standard deviation of the usable centroids across and along their main direction, pixels."""
+        which, n = self.exposures.of_entry[self.usable], len(self.exposures)
+        row, col = self.telemetry.row_px[self.usable], self.telemetry.col_px[self.usable]
+        count = np.maximum(np.bincount(which, minlength=n), 1)
+
+        def mean(values: FloatArray) -> FloatArray:
+            return np.bincount(which, values, minlength=n) / count
+
+        row, col = row - mean(row)[which], col - mean(col)[which]
+        half_sum, half_difference = (mean(row * row) + mean(col * col)) / 2, (mean(row * row) - mean(col * col)) / 2
+        radius = np.hypot(half_difference, mean(row * col))
+        return np.sqrt(np.maximum(half_sum - radius, 0.0)), np.sqrt(half_sum + radius)
+
     def count_per_exposure(self, rows: BoolArray) -> IntArray:
         """Count the marked (n_rows,) rows of each exposure, (n_exposures,)."""
         return np.bincount(self.exposures.of_entry[rows], minlength=len(self.exposures)).astype(np.int64)

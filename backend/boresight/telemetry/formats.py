@@ -10,6 +10,16 @@ _PARQUET_MAGIC = b"PAR1"
 _SUFFIXES = {".csv": "CSV", ".jsonl": "JSON Lines", ".ndjson": "JSON Lines", ".parquet": "Parquet"}
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_WORTH_THREADS_BYTES = 8_000_000
+
+
+def worth_threads(data: bytes) -> bool:
+    """Whether Arrow should read with its pool of threads.
+
+    A small file gains nothing by it, and a process that a refusal ends while the pool is still starting aborts on its
+    way out, once in some dozens of times on a busy machine.
+    """
+    return len(data) > _WORTH_THREADS_BYTES
 
 
 def read_bytes(path: Path, name: str) -> bytes:

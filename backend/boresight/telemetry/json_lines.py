@@ -10,7 +10,7 @@ import orjson
 import pyarrow as pa
 import pyarrow.json as arrow_json
 
-from boresight.telemetry.formats import blank_rows
+from boresight.telemetry.formats import blank_rows, worth_threads
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import FLOAT_COLUMNS, INTEGER_COLUMNS
 
@@ -53,7 +53,9 @@ def _read(text: bytes, types: dict[str, pa.DataType]) -> pa.Table | None:
     """Read with the given types, others as they are found; None when some cell does not fit."""
     try:
         return arrow_json.read_json(
-            pa.BufferReader(text), parse_options=arrow_json.ParseOptions(explicit_schema=pa.schema(list(types.items())))
+            pa.BufferReader(text),
+            read_options=arrow_json.ReadOptions(use_threads=worth_threads(text)),
+            parse_options=arrow_json.ParseOptions(explicit_schema=pa.schema(list(types.items()))),
         )
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
         return None

@@ -6,6 +6,7 @@ import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 
 from boresight.errors import RefusedInputError
+from boresight.telemetry.formats import worth_threads
 from boresight.telemetry.refusals import Faults
 
 #: There is no header; a viewer counts from 1.
@@ -34,7 +35,7 @@ def read_parquet(name: str, data: bytes) -> pa.Table:
         _refuse_repeated_columns(name, file.schema_arrow.names)
         if file.metadata.num_rows > _MOST_ROWS:
             raise RefusedInputError(f"{name} has {file.metadata.num_rows} rows: split it below {_MOST_ROWS}.")
-        table = file.read()
+        table = file.read(use_threads=worth_threads(data))
         table.validate(full=True)  # text that is not UTF-8 would only be noticed where it is used
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise RefusedInputError(

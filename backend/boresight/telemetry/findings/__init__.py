@@ -14,6 +14,7 @@ from boresight.telemetry.findings.finding import SEVERITIES, Finding, Severity
 FINDINGS: tuple[Callable[[Evidence], Finding | None], ...] = (
     stars.nothing_matched,
     stars.few_stars,
+    stars.on_one_line,
     times.frames_descend,
     centroids.stars_off_detector,
     centroids.repeated_stars,

@@ -12,6 +12,8 @@ _MANY_EXPOSURES = 0.2
 _MAGNITUDES = (-2.0, 20.0)
 _MAGNITUDE_MISMATCH = 2.0
 _ENOUGH_MAGNITUDES = 20
+#: Spread across over spread along, below which a calibration calls stars collinear too.
+_LINE = 0.005
 
 
 def nothing_matched(evidence: Evidence) -> Finding | None:
@@ -42,6 +44,22 @@ def few_stars(evidence: Evidence) -> Finding | None:
     marked = np.zeros(len(evidence.telemetry), dtype=np.bool_)
     marked[evidence.exposures.start[few]] = True
     return Finding("FEW_STARS", severity, sentence, count, row_numbers(evidence, marked))
+
+
+def on_one_line(evidence: Evidence) -> Finding | None:
+    """Find exposures whose usable stars all lie on one line, where arcs say nothing across it."""
+    full = evidence.usable_per_exposure >= MINIMUM_STARS
+    width, length = evidence.spread_per_exposure
+    line = full & (width <= _LINE * length)
+    count, exposures = int(line.sum()), int(full.sum())
+    if not count:
+        return None
+    what = counted(count, "exposure has all its usable stars", "exposures have all their usable stars")
+    sentence = f"{what} on one line and {'is' if count == 1 else 'are'} left out of use: send other fields."
+    marked = np.zeros(len(evidence.telemetry), dtype=np.bool_)
+    marked[evidence.exposures.start[line]] = True
+    severity: Severity = "SERIOUS" if count == exposures else "CAUTION"
+    return Finding("ON_ONE_LINE", severity, sentence, count, row_numbers(evidence, marked))
 
 
 def many_unmatched(evidence: Evidence) -> Finding | None:
