@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import pytest
 
+from boresight.resources import folder
 from boresight.services import parameter_sets
 from boresight.store.sessions import writing
 
@@ -31,6 +33,14 @@ def test_a_sensor_shows_its_status_baseline_and_rms_before_and_after(house, read
     assert "PS-ST16-1-0" in page
     assert "ground calibration" in page
     assert f"{rms['initial'] * 1e6:.1f} → {rms['final'] * 1e6:.2f}" in page
+
+
+def test_names_of_sensors_and_sets_may_wrap(house):
+    page = house.visitor("victor").get("/")
+    assert '<th scope="row" class="name"><a href="/sensors/1">' in page
+    assert '<td class="name"><a href="/parameter-sets/1">' in page
+    sheet = (folder("frontend") / "static" / "pages.css").read_text()
+    assert re.search(r"table\.fleet \.name {[^}]*overflow-wrap: anywhere", sheet)
 
 
 def test_a_failed_run_is_serious_for_the_fleet_on_every_page(house, read):
