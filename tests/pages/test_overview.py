@@ -41,6 +41,7 @@ def test_names_of_sensors_and_sets_may_wrap(house):
     assert '<td class="name"><a href="/parameter-sets/1">' in page
     sheet = (folder("frontend") / "static" / "pages.css").read_text()
     assert re.search(r"table\.fleet \.name {[^}]*overflow-wrap: anywhere", sheet)
+    assert re.search(r"\.todo li {[^}]*overflow-wrap: anywhere", sheet)
 
 
 def test_a_failed_run_is_serious_for_the_fleet_on_every_page(house, read):
