@@ -79,7 +79,7 @@ def create_app(settings: Settings) -> FastAPI:
 
 def _furnish(app: FastAPI, settings: Settings) -> None:
     """Give the application what its endpoints use."""
-    settings.data_folder.mkdir(parents=True, exist_ok=True)
+    settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     state = app.state
     state.settings = settings
     state.engine = open_engine(settings.database_url)

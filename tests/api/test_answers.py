@@ -48,9 +48,9 @@ def test_another_body_under_the_same_key_is_refused(house: House, once: dict[str
 
 def test_another_address_under_the_same_key_is_refused(house: House, once: dict[str, str]) -> None:
     client = house.person("ada")
-    runs = [house.launched()["id"] for _ in range(2)]
-    assert client.post(f"/api/v1/runs/{runs[0]}:cancel", headers=once).status_code == 200
-    assert client.post(f"/api/v1/runs/{runs[1]}:cancel", headers=once).status_code == 422
+    runs = [client.get(f"/api/v1/runs/{house.launched()['id']}") for _ in range(2)]
+    answers = [client.post(f"{run.url.path}:cancel", headers={**once, "If-Match": run.headers["etag"]}) for run in runs]
+    assert [answer.status_code for answer in answers] == [200, 422]
 
 
 def test_one_persons_key_is_not_anothers(house: House, once: dict[str, str]) -> None:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
+import orjson
 import pytest
+
+from boresight.store.idempotent_responses import response_under
+from boresight.store.sessions import reading
 
 from .conftest import PASSWORD, House
 
@@ -69,6 +74,23 @@ def test_a_key_of_an_approver_cannot_sign(house: House, decision: str) -> None:
     )
     assert answer.status_code == 403
     assert "Only a person who is logged in may sign" in answer.json()["detail"]
+
+
+def test_a_signature_sent_again_with_its_key_gets_the_first_answer_and_keeps_no_password(house: House) -> None:
+    approval = house.submitted()
+    body = {"meaning": "I approve.", "password": PASSWORD, "comment": "Seen."}
+    address, headers = f"/api/v1/approvals/{approval['id']}:approve", {**_tag(approval), "Idempotency-Key": "sign-once"}
+    first, again = (house.person("alan").post(address, json=body, headers=headers) for _ in range(2))
+    assert (first.status_code, again.status_code) == (200, 200)
+    assert again.json() == first.json()
+    assert again.headers["idempotent-replayed"] == "true"
+    other = house.person("alan").post(address, json={**body, "comment": "Other."}, headers=headers)
+    assert other.status_code == 422
+    bare = orjson.dumps({"meaning": "I approve.", "comment": "Seen."})
+    with reading(house.app.state.engine) as session:
+        kept = response_under(session, "sign-once", "alan session")
+        assert kept is not None
+        assert kept.request_sha256 == hashlib.sha256(f"POST {address}?\n".encode() + bare).hexdigest()
 
 
 def test_a_signature_needs_the_password_again(house: House) -> None:

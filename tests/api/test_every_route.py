@@ -13,12 +13,15 @@ from typing import Any
 
 import httpx
 import pytest
+import sqlalchemy as sa
 
 from boresight.api import schemas
 from boresight.api.openapi import ProblemDocument
 from boresight.api.paging import Page
 from boresight.api.routes import NOUNS, PREFIX
 from boresight.server import create_app
+from boresight.store.sessions import reading
+from boresight.store.tables import Base
 
 from .conftest import PASSWORD, House, settings_in
 
@@ -83,7 +86,8 @@ def _record(house: House) -> Made:
     client = house.person("ada")
     sensor = house.new_sensor()
     found = client.get("/api/v1/parameter-sets", params={"sensor_id": sensor["id"]}).json()["items"][0]
-    return "olga", {"json": {"parameter_set_id": found["id"], "onboard_state": "SENT", "source": "Pass 1"}}
+    step = {"parameter_set_id": found["id"], "onboard_state": "SENT", "source": "Pass 1"}
+    return "olga", {"json": step, "headers": _versioned(found)}
 
 
 def _new_user(house: House) -> dict[str, Any]:
@@ -93,7 +97,20 @@ def _new_user(house: House) -> dict[str, Any]:
 
 def _user(house: House, **options: Any) -> Made:
     client = house.person("adele")
-    return "adele", {"user_id": client.post("/api/v1/users", json=_new_user(house)).json()["id"], **options}
+    made = client.post("/api/v1/users", json=_new_user(house))
+    return "adele", {"user_id": made.json()["id"], "headers": {"If-Match": made.headers["etag"]}, **options}
+
+
+def _archive(house: House) -> Made:
+    number = house.ready_sensor()[1]
+    read = house.person("ada").get(f"/api/v1/telemetry-sets/{number}")
+    return "ada", {"telemetry_set_id": number, "headers": {"If-Match": read.headers["etag"]}}
+
+
+def _cancel(house: House) -> Made:
+    number = house.launched()["id"]
+    read = house.person("ada").get(f"/api/v1/runs/{number}")
+    return "ada", {"run_id": number, "headers": {"If-Match": read.headers["etag"]}}
 
 
 def _key(house: House) -> Made:
@@ -117,11 +134,11 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "upload_telemetry_set": _upload,
     "get_telemetry_set": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
     "get_telemetry_file": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
-    "archive_telemetry_set": lambda house: ("ada", {"telemetry_set_id": house.ready_sensor()[1]}),
+    "archive_telemetry_set": _archive,
     "list_runs": lambda _: ("victor", {}),
     "launch_run": _launch,
     "get_run": lambda house: ("victor", {"run_id": house.launched()["id"]}),
-    "cancel_run": lambda house: ("ada", {"run_id": house.launched()["id"]}),
+    "cancel_run": _cancel,
     "get_run_result": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
@@ -240,6 +257,42 @@ def test_a_transition_from_an_older_version_is_refused_with_412(name: str, house
     answer = _ask(client, name, options)
     assert answer.status_code == 412
     assert "changed since" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("name", TRANSITIONS)
+def test_the_document_asks_for_if_match_where_the_operation_does(name: str) -> None:
+    named = {parameter["name"]: parameter for parameter in OPERATIONS[name]["parameters"]}
+    assert (named["If-Match"]["in"], named["If-Match"]["required"]) == ("header", True)
+
+
+TRIED = [name for name in UNSAFE if name != "log_out"]
+
+
+@pytest.mark.parametrize("name", TRIED)
+def test_validate_only_answers_200_and_changes_nothing(name: str, house: House) -> None:
+    who, options = GOOD[name](house)
+    client = house.person(who)
+    before = _written(house)
+    options["params"] = {"validate_only": "true"}
+    answer = _ask(client, name, {**options, "headers": {"Idempotency-Key": "try", **options.get("headers", {})}})
+    assert answer.status_code == 200, answer.text
+    assert name == "edit_sensor" or answer.headers["x-validate-only"] == "true"
+    assert _written(house) == before
+
+
+def _written(house: House) -> list[int]:
+    """Count the rows of every table."""
+    with reading(house.app.state.engine) as session:
+        tables = Base.metadata.sorted_tables
+        return [session.scalar(sa.select(sa.func.count()).select_from(table)) or 0 for table in tables]
+
+
+@pytest.mark.parametrize("name", WITH_ID)
+def test_a_number_that_no_row_can_have_is_refused(name: str, house: House) -> None:
+    number = next(word for word in re.findall(r"{(\w+)}", OPERATIONS[name]["path"]) if word.endswith("_id"))
+    options = {**BODIES.get(name, {}), number: 10**25, "headers": {"If-Match": '"v1"'}}
+    answer = _ask(house.person("ada"), name, options)
+    assert answer.status_code == 422, answer.text
 
 
 ABLE = {"approve": "alan", "refuse": "alan", "promote_parameter_set": "olga"}  # who may do it, where not the analyst

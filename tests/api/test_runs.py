@@ -24,6 +24,20 @@ def test_a_launch_answers_202_with_the_address_of_the_run(house: House) -> None:
     )
 
 
+@pytest.mark.parametrize("member", ["sensor_id", "telemetry_set_id", "validation_set_id"])
+def test_a_body_with_a_number_that_no_row_can_have_is_refused(house: House, member: str) -> None:
+    order = {"sensor_id": 1, "telemetry_set_id": 1, member: 10**25}
+    assert house.person("ada").post("/api/v1/runs", json=order).status_code == 422
+
+
+def test_a_label_with_a_control_character_is_refused(house: House) -> None:
+    sensor_id, set_id = house.ready_sensor()
+    order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "label": "a\x00b"}
+    answer = house.person("ada").post("/api/v1/runs", json=order)
+    assert answer.status_code == 422
+    assert answer.json()["detail"] == "The label has the control character U+0000 at place 2; remove it."
+
+
 @pytest.mark.parametrize("where", ["query", "body"])
 def test_validate_only_says_what_it_would_be_and_queues_nothing(house: House, where: str) -> None:
     sensor_id, set_id = house.ready_sensor()
@@ -70,10 +84,13 @@ def test_lists_filter_by_state_sensor_and_method(house: House) -> None:
 
 def test_a_waiting_run_is_cancelled_at_once_and_an_ended_one_not_again(house: House) -> None:
     run, client = house.launched(), house.person("ada")
-    answer = client.post(f"/api/v1/runs/{run['id']}:cancel", json={"reason": "wrong set"})
+    address = f"/api/v1/runs/{run['id']}"
+    seen = {"If-Match": client.get(address).headers["etag"]}
+    answer = client.post(f"{address}:cancel", json={"reason": "wrong set"}, headers=seen)
     assert (answer.status_code, answer.json()["state"]) == (200, "CANCELLED")
     assert "wrong set" in answer.json()["reason"]
-    again = client.post(f"/api/v1/runs/{run['id']}:cancel")
+    assert client.post(f"{address}:cancel", headers=seen).status_code == 412
+    again = client.post(f"{address}:cancel", headers={"If-Match": answer.headers["etag"]})
     assert again.status_code == 409
     assert "CANCELLED already" in again.json()["detail"]
 

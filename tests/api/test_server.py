@@ -160,3 +160,17 @@ def test_plotly_draws_and_exports_under_the_policy_without_a_word_in_the_console
     assert paths > 5
     assert picture == "data:image/png;base64,"
     assert said == []
+
+
+def test_the_documentation_is_found_beside_the_routes_too(house: House) -> None:
+    answer = house.anybody().get("/api/v1/docs")
+    assert (answer.status_code, answer.headers["location"]) == (307, "/docs")
+
+
+def test_nobody_else_reads_the_database(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path / "data")
+    with serving(settings):
+        modes = {path.name: path.stat().st_mode & 0o777 for path in settings.data_folder.glob("*.sqlite3*")}
+    assert modes
+    assert set(modes.values()) == {0o600}
+    assert settings.data_folder.stat().st_mode & 0o777 == 0o700

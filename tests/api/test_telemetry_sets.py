@@ -164,7 +164,8 @@ def test_a_file_over_the_limit_is_refused_while_it_is_read(tmp_path: Path, annou
 def test_archived_sets_are_listed_only_when_asked(house: House) -> None:
     sensor_id, set_id = house.ready_sensor()
     client = house.person("ada")
-    assert client.post(f"/api/v1/telemetry-sets/{set_id}:archive").json()["archived_utc"]
+    seen = {"If-Match": client.get(f"/api/v1/telemetry-sets/{set_id}").headers["etag"]}
+    assert client.post(f"/api/v1/telemetry-sets/{set_id}:archive", headers=seen).json()["archived_utc"]
     params = {"sensor_id": sensor_id}
     assert client.get("/api/v1/telemetry-sets", params=params).json()["items"] == []
     found = client.get("/api/v1/telemetry-sets", params={**params, "archived": True}).json()["items"]

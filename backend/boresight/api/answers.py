@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from http import HTTPStatus
 from typing import Annotated, Any
 
 import orjson
@@ -18,6 +19,7 @@ from fastapi import Depends, Header
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.api.dependencies import OnlyAsked
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
 from boresight.store.idempotent_responses import forget_responses, response_under
@@ -26,6 +28,7 @@ from boresight.store.tables import IdempotentResponse
 
 KEPT_FOR_S = 24 * 3600.0
 LONGEST_KEY = 200
+PASSWORDS = ("password", "current")
 NUMBERS = orjson.OPT_SERIALIZE_NUMPY
 
 
@@ -45,7 +48,8 @@ class Answer:
 
 def json_response(body: Any, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """Write a document as JSON; numbers in full, NaN and infinity as null."""
-    return Response(orjson.dumps(body, option=NUMBERS), status, headers, "application/json")
+    content = b"" if status == HTTPStatus.NO_CONTENT else orjson.dumps(body, option=NUMBERS)
+    return Response(content, status, headers, "application/json")
 
 
 @dataclass
@@ -54,6 +58,7 @@ class Once:
 
     key: str | None
     request_sha256: str
+    tried: bool = False
 
     def answer(self, session: Session, actor: Actor, act: Callable[[], Answer]) -> Response:
         """Act and remember the answer, or give the answer that was remembered.
@@ -63,6 +68,10 @@ class Once:
         RefusedInputError
             When the key was used for another request.
         """
+        if self.tried:
+            shown = act()
+            body = shown.body if shown.kept is None else shown.kept
+            return json_response(body, headers={"X-Validate-Only": "true"})
         if self.key is None:
             return act().response()
         owner = f"{actor.name} {actor.credential}"
@@ -97,6 +106,17 @@ def digest(request: Request, content: bytes) -> str:
     return hashlib.sha256(address.encode() + content).hexdigest()
 
 
+def _without_passwords(content: bytes) -> bytes:
+    """Leave the passwords out of a JSON body: what is kept of a request must not help to guess one."""
+    try:
+        body = orjson.loads(content)
+    except orjson.JSONDecodeError:
+        return content
+    if not isinstance(body, dict):
+        return content
+    return orjson.dumps({name: value for name, value in body.items() if name not in PASSWORDS})
+
+
 IdempotencyKey = Annotated[
     str | None,
     Header(
@@ -105,9 +125,10 @@ IdempotencyKey = Annotated[
 ]
 
 
-async def once(request: Request, idempotency_key: IdempotencyKey = None) -> Once:
+async def once(request: Request, asked: OnlyAsked, idempotency_key: IdempotencyKey = None) -> Once:
     """Read the key, and digest the request if there is one."""
-    return Once(idempotency_key, digest(request, await request.body()) if idempotency_key else "")
+    content = _without_passwords(await request.body()) if idempotency_key else b""
+    return Once(idempotency_key, digest(request, content) if idempotency_key else "", asked)
 
 
 Idempotent = Annotated[Once, Depends(once)]

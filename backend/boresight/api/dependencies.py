@@ -7,27 +7,36 @@ pool: were they to wait for the database inside it, they could take every thread
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import Depends
+from fastapi import Depends, Header, Query
 from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api.cookies import SESSION_COOKIE, LogIn
-from boresight.errors import ForbiddenError, PreconditionRequiredError, StaleError, UnauthenticatedError
+from boresight.errors import (
+    ForbiddenError,
+    PreconditionRequiredError,
+    RefusedInputError,
+    StaleError,
+    UnauthenticatedError,
+)
 from boresight.services import api_keys, users
 from boresight.services.actors import Actor
-from boresight.store.sessions import Session, reading, writing
+from boresight.store.sessions import Session, only_try, reading, writing
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
 CSRF_HEADER = "X-CSRF-Token"
 CSRF_FIELD = "csrf_token"
+DRY = "Check everything, change nothing: 200 with what would be, and `X-Validate-Only: true`."
 
 
 def _bearer(headers: Headers) -> str | None:
@@ -91,6 +100,41 @@ async def write_session(request: Request) -> AsyncIterator[Session]:
     state.workers.notify()
 
 
+def only_asked(validate_only: Annotated[bool, Query(description=DRY)] = False) -> bool:
+    """Whether the request only asks what would come of it."""
+    return validate_only
+
+
+OnlyAsked = Annotated[bool, Depends(only_asked)]
+
+
+def never_tried(request: Request) -> None:
+    """Refuse `validate_only` where there is nothing to try.
+
+    Raises
+    ------
+    RefusedInputError
+        When it was given.
+    """
+    if "validate_only" in request.query_params:
+        raise RefusedInputError("Logging in and out cannot be tried with validate_only; leave it out.")
+
+
+async def write_or_try(request: Request, asked: OnlyAsked) -> AsyncIterator[Session]:
+    """Open the request's transaction for writing, or with `validate_only` for a trial that is rolled back at its end.
+
+    A trial holds the same lock and makes the same checks; files that it stored stay, referred to by nothing.
+    """
+    state = request.app.state
+    if not asked:
+        async with asynccontextmanager(write_session)(request) as session:
+            yield session
+        return
+    async with state.write_lock, contextmanager_in_threadpool(writing(state.engine)) as session:
+        only_try(session)
+        yield session
+
+
 async def csrf(request: Request) -> None:
     """Refuse an unsafe request that a cookie authenticates unless it repeats the log-in's CSRF token.
 
@@ -122,21 +166,34 @@ async def _form_token(request: Request) -> str:
     return value if isinstance(value, str) else ""
 
 
-def seen_version(request: Request) -> int:
-    """Return the version in `If-Match`, which every transition must state.
+def seen_tag(
+    if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read.")] = None,
+) -> str:
+    """Return the tag in `If-Match`, which every transition must state.
 
     Raises
     ------
     PreconditionRequiredError
         When the header is absent.
+    """
+    if if_match is None:
+        raise PreconditionRequiredError('Say which version you saw: send its ETag in If-Match, as in If-Match: "v3".')
+    return if_match.strip()
+
+
+SeenTag = Annotated[str, Depends(seen_tag)]
+
+
+def seen_version(given: SeenTag) -> int:
+    """Return the version that the tag in `If-Match` names.
+
+    Raises
+    ------
     StaleError
         When it cannot be the tag of any version.
     """
-    given = request.headers.get("if-match")
-    if given is None:
-        raise PreconditionRequiredError('Say which version you saw: send its ETag in If-Match, as in If-Match: "v3".')
-    digits = given.strip().removeprefix('"v').removesuffix('"')
-    if given.strip() != f'"v{digits}"' or not digits.isdecimal():
+    digits = given.removeprefix('"v').removesuffix('"')
+    if given != f'"v{digits}"' or not digits.isdecimal():
         raise StaleError(f"No version has the tag {given}; read it again and send its ETag in If-Match.")
     return int(digits)
 
@@ -144,6 +201,23 @@ def seen_version(request: Request) -> int:
 def etag(version: int) -> str:
     """Return the entity tag of a version."""
     return f'"v{version}"'
+
+
+def tag_of(*parts: Any) -> str:
+    """Return the entity tag of a row without a version, from the columns that its transitions change."""
+    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"'
+
+
+def require_tag(given: str, current: str, name: str) -> None:
+    """Refuse a transition by someone who did not see the row as it is.
+
+    Raises
+    ------
+    StaleError
+        When it changed since.
+    """
+    if given != current:
+        raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
 
 
 def log_in_person(
@@ -173,5 +247,6 @@ def log_out_person(request: Request, response: Response) -> None:
 
 Who = Annotated[Actor, Depends(current_actor)]
 Reading = Annotated[Session, Depends(read_session, scope="function")]
-Writing = Annotated[Session, Depends(write_session, scope="function")]
+Writing = Annotated[Session, Depends(write_or_try, scope="function")]
+LoggingIn = Annotated[Session, Depends(write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]

@@ -101,9 +101,20 @@ def corrected(document: dict[str, Any]) -> dict[str, Any]:
     """Say in an OpenAPI document what the framework cannot know: refusals are problems only, and what success means."""
     for methods in document["paths"].values():
         for operation in methods.values():
+            _describe_headers_and_trials(operation)
             for answer in operation["responses"].values():
                 if MEDIA_TYPE in answer.get("content", {}):
                     answer["content"] = {MEDIA_TYPE: answer["content"][MEDIA_TYPE]}
                 if answer["description"] == "Successful Response":
                     answer["description"] = f"{operation['summary']}: done."
     return document
+
+
+def _describe_headers_and_trials(operation: dict[str, Any]) -> None:
+    """Say that `If-Match` must be there, which the framework leaves to the 428, and what a trial answers."""
+    named = {parameter["name"]: parameter for parameter in operation.get("parameters", ())}
+    if "If-Match" in named:
+        named["If-Match"] |= {"required": True, "schema": {"type": "string", "title": "If-Match"}}
+    if "validate_only" in named and "200" not in operation["responses"]:
+        trial = {"description": "The trial of `validate_only`: what would be, and nothing kept."}
+        operation["responses"]["200"] = trial

@@ -17,6 +17,7 @@ from fastapi import Depends, Query
 from pydantic import BaseModel, Field
 from starlette.requests import Request
 
+from boresight.api.numbers import GREATEST_ID
 from boresight.errors import RefusedInputError
 
 USUAL_LENGTH = 50
@@ -67,7 +68,7 @@ def _last_id(cursor: str, filters: str) -> int:
         number = int(last_id)
     except (binascii.Error, ValueError) as error:
         raise RefusedInputError("This cursor cannot be read; begin again without one.") from error
-    if made_for != filters:
+    if not 0 <= number <= GREATEST_ID or made_for != filters:
         raise RefusedInputError("This cursor belongs to a list with other filters; begin again without one.")
     return number
 

@@ -21,7 +21,7 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
 from boresight.api.answers import IdempotencyKey, Once, digest
-from boresight.api.dependencies import current_actor
+from boresight.api.dependencies import OnlyAsked, current_actor
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 HOW = "Send multipart/form-data with the fields sensor_id, purpose and file."
 LONGEST_FIELD_BYTES = 4096
+LONGEST_NUMBER = 18  # digits that always fit a key of the store
 MOST_PARTS = 20
 
 
@@ -63,7 +64,7 @@ class Upload:
             When it is missing or none.
         """
         text = self.fields.get(name, "")
-        if not text.isdecimal():
+        if not text.isdecimal() or len(text) > LONGEST_NUMBER:
             raise RefusedInputError(f"The field {name} must be a number, not {text!r}. {HOW}")
         return int(text)
 
@@ -184,12 +185,14 @@ async def _receive(request: Request, upload: Upload) -> None:
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]
 
 
-async def once_uploaded(request: Request, upload: Uploaded, idempotency_key: IdempotencyKey = None) -> Once:
+async def once_uploaded(
+    request: Request, upload: Uploaded, asked: OnlyAsked, idempotency_key: IdempotencyKey = None
+) -> Once:
     """Read the key, and digest fields and file if there is one."""
     if not idempotency_key:
-        return Once(None, "")
+        return Once(None, "", asked)
     content = repr(sorted(upload.fields.items())).encode() + await run_in_threadpool(_digest, upload.file())
-    return Once(idempotency_key, digest(request, content))
+    return Once(idempotency_key, digest(request, content), asked)
 
 
 def _digest(path: Path) -> bytes:

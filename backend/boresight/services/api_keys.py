@@ -14,6 +14,7 @@ from collections.abc import Collection, Sequence
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
 from boresight.services import audit
 from boresight.services.actors import SCOPES, Actor, refuse_key, require_person
+from boresight.services.words import refuse_control_characters
 from boresight.store import api_keys as rows
 from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import ApiKey, User
@@ -42,6 +43,7 @@ def create_key(
     user_id = require_person(actor, "make an API key")
     if unknown := sorted(set(scopes) - set(SCOPES)):
         raise RefusedInputError(f"There is no scope {', '.join(unknown)}; the scopes are {', '.join(SCOPES)}.")
+    refuse_control_characters(label=label)
     if not label.strip():
         raise RefusedInputError("The key needs a label that says what uses it.")
     if expires_days is not None and not 1 <= expires_days <= LONGEST_DAYS:

@@ -15,6 +15,7 @@ from boresight.services import users
 from boresight.services.actors import Actor, require_person, require_role
 from boresight.services.staleness import refuse_moved
 from boresight.services.transitions import move, require_seen, resting_state, who_changed
+from boresight.services.words import refuse_control_characters
 from boresight.store import approvals as rows
 from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session, utc_now
@@ -118,6 +119,7 @@ def sign(
     require_seen(session, approval, seen_version)
     _refuse_words(decision, meaning, comment)
     _refuse_decided(session, approval, decision)
+    refuse_control_characters(meaning=meaning, comment=comment)
     users.verify_password(session, actor, password)
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     refuse_moved(session, actor, approval, parameter_set)

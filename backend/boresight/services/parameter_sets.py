@@ -22,6 +22,7 @@ from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope, require_user
 from boresight.services.staleness import make_others_stale, refuse_moved
 from boresight.services.transitions import bound_hashes, move, require_seen, resting_state, subject_of, who_changed
+from boresight.services.words import refuse_control_characters
 from boresight.store import approvals as approval_rows
 from boresight.store import parameter_sets as rows
 from boresight.store.blobs import BlobStore
@@ -198,6 +199,7 @@ def submit(session: Session, actor: Actor, parameter_set_id: int, reason: str, s
     require_role(actor, "analyst")
     require_scope(actor, "parameter-sets")
     user_id = require_user(actor, "submit a parameter set")
+    refuse_control_characters(reason=reason)
     row = get_parameter_set(session, parameter_set_id)
     require_seen(session, row, seen_version)
     if row.ground_state not in SUBMITTABLE:
@@ -232,6 +234,7 @@ def withdraw(
         When the actor, the version or the state does not allow it.
     """
     require_scope(actor, "parameter-sets")
+    refuse_control_characters(reason=reason)
     row = get_parameter_set(session, parameter_set_id)
     require_seen(session, row, seen_version)
     approval = approval_rows.latest_of(session, row.id, "OPEN", "APPROVED")

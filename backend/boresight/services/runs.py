@@ -18,6 +18,7 @@ from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.run_estimates import pairs_of, predicted_s, seconds_per_star
+from boresight.services.words import refuse_control_characters
 from boresight.store import run_events, run_lists
 from boresight.store import runs as rows
 from boresight.store.blobs import BlobStore
@@ -109,6 +110,7 @@ def _ordered(
         raise RefusedInputError(f"{telemetry.name} cannot validate a calibration made from itself; choose another set.")
     if len(label) > LABEL_LENGTH:
         raise RefusedInputError(f"The label has {len(label)} characters; shorten it to {LABEL_LENGTH}.")
+    refuse_control_characters(label=label)
     parsed = CalibrationSettings.parse(settings)
     known = CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
     if strange := [name for name in parsed.free or () if name not in known]:
@@ -176,6 +178,7 @@ def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run
     """
     require_role(actor, "analyst")
     require_scope(actor, "runs")
+    refuse_control_characters(reason=reason)
     before = get_run(session, run_id).state
     if before in TERMINAL_RUN_STATES:
         raise ConflictError(f"Run {run_id} is {before} already; there is nothing to stop.")

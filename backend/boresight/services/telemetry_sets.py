@@ -19,6 +19,7 @@ from boresight.errors import NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.sensors import get_sensor
+from boresight.services.words import refuse_control_characters
 from boresight.sky.catalogue import Catalogue
 from boresight.store import telemetry_sets as rows
 from boresight.store.blobs import BlobStore, register_blob
@@ -85,6 +86,7 @@ def prepared(
     RefusedInputError
         When the file cannot be read, with rows and columns.
     """
+    refuse_control_characters(file_name=file_name)
     telemetry = read_telemetry(path, _base_name(file_name))
     sensor = parse_sensor(sensor_document)
     check_against_sensor(telemetry, sensor)

@@ -16,7 +16,8 @@ from boresight.errors import ConflictError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope, require_user
 from boresight.services.parameter_sets import get_parameter_set
-from boresight.services.transitions import subject_of
+from boresight.services.transitions import require_seen, subject_of
+from boresight.services.words import refuse_control_characters
 from boresight.store import parameter_sets as set_rows
 from boresight.store import uplinks as rows
 from boresight.store.sessions import Session, utc_now, utc_text
@@ -33,18 +34,29 @@ NEXT: dict[str, tuple[str, ...]] = {
 }
 
 
-def record(session: Session, actor: Actor, parameter_set_id: int, onboard_state: str, source: str) -> Uplink:
+def record(
+    session: Session,
+    actor: Actor,
+    parameter_set_id: int,
+    onboard_state: str,
+    source: str,
+    seen_version: int | None = None,
+) -> Uplink:
     """Record the next on-board state of a set, with where it is known from.
 
     Parameters
     ----------
     source
         Pass, procedure or read-back file that it is known from; needed.
+    seen_version
+        Version of the set that was looked at; None where a form shows the next steps itself.
 
     Raises
     ------
     ForbiddenError
         When the actor is no operator.
+    StaleError
+        When the set changed since.
     RefusedInputError
         When the state does not exist or the source is missing.
     ConflictError
@@ -53,7 +65,10 @@ def record(session: Session, actor: Actor, parameter_set_id: int, onboard_state:
     require_role(actor, "operator")
     require_scope(actor, "uplinks")
     require_user(actor, "record an uplink")
+    refuse_control_characters(source=source)
     row = get_parameter_set(session, parameter_set_id)
+    if seen_version is not None:
+        require_seen(session, row, seen_version)
     _refuse_step(row, onboard_state, source)
     if onboard_state == "ACTIVE" and (active := set_rows.active_set(session, row.sensor_id)) is not None:
         _write(session, actor, active, "UNKNOWN", f"{row.name} was read back as active: {source.strip()}")

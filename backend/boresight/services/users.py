@@ -24,6 +24,7 @@ from boresight.errors import (
 from boresight.services import audit
 from boresight.services.actors import Actor, refuse_key, require_person, require_role
 from boresight.services.roles import known_roles
+from boresight.services.words import refuse_control_characters
 from boresight.store import users as rows
 from boresight.store.sessions import Session, keep_despite_refusal, utc_after, utc_now
 from boresight.store.tables import LoginFailure, User
@@ -56,6 +57,7 @@ def create_user(
     name = name.strip()
     if not LOGIN_NAME.fullmatch(name):
         raise RefusedInputError(f"{name!r} is no log-in name: use 1 to 64 letters, digits and . _ @ -.")
+    refuse_control_characters(printed_name=printed_name)
     if rows.user_named(session, name) is not None:
         raise ConflictError(f"There is a user {name!r} already; choose another log-in name.")
     user = User(

@@ -8,7 +8,7 @@ on PostgreSQL), so that a rule proven by reading and then writing inside one tra
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ __all__ = [
     "head_revision",
     "keep_despite_refusal",
     "migrate",
+    "only_try",
     "open_engine",
     "reading",
     "utc_after",
@@ -50,6 +51,7 @@ PRAGMAS = (
 )
 WRITER_LOCK = 0x626F7265  # "bore": the advisory lock that makes one writer at a time on PostgreSQL
 KEPT = "kept despite refusal"
+TRIED = "only tried"
 
 
 def utc_now() -> str:
@@ -90,7 +92,12 @@ def open_engine(url: str) -> Engine:
 
 def _open_sqlite(address: sa.URL) -> Engine:
     """Open a SQLite file, making its folder, with the pragmas on every connection."""
-    Path(str(address.database)).expanduser().parent.mkdir(parents=True, exist_ok=True)
+    path = Path(str(address.database)).expanduser()
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not path.exists():
+        path.touch(mode=0o600)
+    with suppress(PermissionError):  # of a file that another account owns and shares
+        path.chmod(0o600)  # it holds password hashes; SQLite gives its journals the same mode
     engine = sa.create_engine(address)
     sa.event.listen(engine, "connect", _on_sqlite_connect)
     sa.event.listen(engine, "begin", _on_sqlite_begin)
@@ -141,7 +148,21 @@ def writing(engine: Engine) -> Iterator[Session]:
             if session.info.get(KEPT):
                 session.commit()
             raise
+        _end(session)
+
+
+def _end(session: Session) -> None:
+    """Commit what was written; what was only tried is checked against the schema and rolled back."""
+    if session.info.get(TRIED):
+        session.flush()
+        session.rollback()
+    else:
         session.commit()
+
+
+def only_try(session: Session) -> None:
+    """Make this transaction a trial: every check is made, and nothing of it is kept at its end."""
+    session.info[TRIED] = True
 
 
 def keep_despite_refusal(session: Session) -> None:

@@ -11,6 +11,7 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.services import api_keys
@@ -59,7 +60,7 @@ def create_api_key(wanted: NewKey, actor: Who, once: Idempotent, session: Writin
     response_model=schemas.ApiKey,
     responses=refusals(404),
 )
-def revoke_api_key(key_id: int, actor: Who, once: Idempotent, session: Writing) -> Response:
+def revoke_api_key(key_id: Id, actor: Who, once: Idempotent, session: Writing) -> Response:
     """End a key at once."""
     return once.answer(
         session,

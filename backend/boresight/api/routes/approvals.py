@@ -9,8 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import Answer, json_response
+from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.services import approvals
@@ -39,8 +40,8 @@ def _shown(session: Session, row: Any) -> schemas.Document:
     return {**schemas.written(schemas.Approval, row), "signatures": signatures}
 
 
-def _answer(session: Session, row: Any) -> Response:
-    return Answer(_shown(session, row), headers={"ETag": etag(row.version)}).response()
+def _answer(session: Session, row: Any) -> Answer:
+    return Answer(_shown(session, row), headers={"ETag": etag(row.version)})
 
 
 @router.get("", name="list_approvals", summary="List requests", response_model=Page[schemas.Approval])
@@ -49,7 +50,7 @@ def list_approvals(
     session: Reading,
     page: Paged,
     state: Annotated[str | None, Query(examples=["OPEN"])] = None,
-    parameter_set_id: int | None = None,
+    parameter_set_id: Id | None = None,
 ) -> Response:
     """List requests for approval, newest first."""
     found = approvals.list_approvals(
@@ -65,9 +66,9 @@ def list_approvals(
     response_model=schemas.Approval,
     responses=refusals(404),
 )
-def get_approval(approval_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+def get_approval(approval_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
     """Read a request with its signatures; the ETag is for signing."""
-    return _answer(session, approvals.get_approval(session, approval_id))
+    return _answer(session, approvals.get_approval(session, approval_id)).response()
 
 
 @router.post(
@@ -77,9 +78,11 @@ def get_approval(approval_id: int, actor: Who, session: Reading) -> Response:  #
     response_model=schemas.Approval,
     responses=TRANSITION,
 )
-def approve(approval_id: int, signing: Signing, actor: Who, seen: SeenVersion, session: Writing) -> Response:
+def approve(
+    approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+) -> Response:
     """Approve, as a second person: not the submitter, not who launched the run, no administrator, no API key."""
-    return _signed(session, actor, approval_id, "APPROVE", signing, seen)
+    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "APPROVE", signing, seen))
 
 
 @router.post(
@@ -89,13 +92,15 @@ def approve(approval_id: int, signing: Signing, actor: Who, seen: SeenVersion, s
     response_model=schemas.Approval,
     responses=TRANSITION,
 )
-def refuse(approval_id: int, signing: Signing, actor: Who, seen: SeenVersion, session: Writing) -> Response:
+def refuse(
+    approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+) -> Response:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
-    return _signed(session, actor, approval_id, "REFUSE", signing, seen)
+    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "REFUSE", signing, seen))
 
 
-def _signed(session: Session, actor: Actor, approval_id: int, decision: str, signing: Signing, seen: int) -> Response:
-    """Sign; a signature is not replayed from an Idempotency-Key, for its version makes a second one impossible."""
+def _signed(session: Session, actor: Actor, approval_id: Id, decision: str, signing: Signing, seen: int) -> Answer:
+    """Sign, and tell how the request now stands."""
     password = signing.password.get_secret_value()
     approvals.sign(session, actor, approval_id, decision, signing.meaning, signing.comment, password, seen)
     return _answer(session, approvals.get_approval(session, approval_id))

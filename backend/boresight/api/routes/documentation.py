@@ -11,7 +11,7 @@ from fastapi import APIRouter
 from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup, escape
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 FOLDER = Path(__file__).resolve().parents[1] / "documentation"
 
@@ -29,6 +29,12 @@ def _environment() -> Environment:
 def documentation(request: Request) -> HTMLResponse:
     """Show every operation with its parameters, bodies and refusals."""
     return HTMLResponse(_environment().get_template("page.html").render(**_content(request.app.openapi())))
+
+
+@router.get("/api/v1/docs", name="documentation_of_version")
+def documentation_of_version() -> RedirectResponse:
+    """Lead to the page from beside the routes that it documents."""
+    return RedirectResponse("/docs")
 
 
 @router.get("/docs/style.css", name="documentation_style")

@@ -13,6 +13,7 @@ from starlette.responses import Response
 
 from boresight.api.answers import json_response
 from boresight.api.dependencies import Reading, Who
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.routes.runs import result_so_far
 from boresight.errors import NotFoundError, RefusedInputError
@@ -28,7 +29,7 @@ Compare = Annotated[str, Query(description="Other runs to show with it: `2,3`.",
 
 
 @router.get("/{run_id}/figures", name="list_figures", summary="List the figures", responses=refusals(404))
-def list_figures(run_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+def list_figures(run_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
     """List the figures of a run with how to read each."""
     runs.get_run(session, run_id)
     items = [
@@ -45,7 +46,7 @@ def list_figures(run_id: int, actor: Who, session: Reading) -> Response:  # noqa
 
 @router.get("/{run_id}/figures/{name}", name="get_figure", summary="Read a figure", responses=refusals(404))
 def get_figure(
-    run_id: int,
+    run_id: Id,
     name: FigureName,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
@@ -67,7 +68,7 @@ def get_figure(
     responses={**refusals(404), 200: {"content": {"text/csv": {}}, "description": "The columns in SI, never thinned."}},
 )
 def get_figure_data(
-    run_id: int,
+    run_id: Id,
     name: FigureName,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
@@ -90,7 +91,7 @@ def _figure(name: str) -> Figure:
     return FIGURES[name]
 
 
-def _others(text: str, run_id: int) -> list[int]:
+def _others(text: str, run_id: Id) -> list[int]:
     """Read the numbers of the runs to compare a run with, each once."""
     words = [word.strip() for word in text.split(",") if word.strip()]
     if len(words) >= MOST_OVERLAID or not all(word.isdecimal() for word in words):
@@ -98,7 +99,7 @@ def _others(text: str, run_id: int) -> list[int]:
     return [number for number in dict.fromkeys(map(int, words)) if number != run_id]
 
 
-def _label(session: Session, run_id: int) -> str:
+def _label(session: Session, run_id: Id) -> str:
     """Name a run in a legend."""
     run = runs.get_run(session, run_id)
     return f"Run {run_id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"

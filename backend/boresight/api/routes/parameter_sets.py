@@ -12,6 +12,7 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.services import parameter_sets
@@ -23,7 +24,7 @@ class FromRun(BaseModel):
     """Which run's result becomes a candidate."""
 
     model_config = ConfigDict(extra="forbid")
-    run_id: int
+    run_id: Id
 
 
 class Submission(BaseModel):
@@ -49,7 +50,7 @@ def list_parameter_sets(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     page: Paged,
-    sensor_id: int | None = None,
+    sensor_id: Id | None = None,
     ground_state: Annotated[str | None, Query(examples=["BASELINE"])] = None,
 ) -> Response:
     """List parameter sets, newest first."""
@@ -85,7 +86,7 @@ def create_parameter_set(source: FromRun, actor: Who, once: Idempotent, session:
     responses=refusals(404),
 )
 def get_parameter_set(
-    parameter_set_id: int,
+    parameter_set_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
 ) -> Response:
@@ -102,7 +103,7 @@ def get_parameter_set(
     responses=refusals(404, 409, 412, 428),
 )
 def submit_parameter_set(
-    parameter_set_id: int, submission: Submission, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    parameter_set_id: Id, submission: Submission, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
 ) -> Response:
     """Ask that this set become the baseline. The request binds the hashes of set, run and incumbent."""
 
@@ -122,7 +123,7 @@ def submit_parameter_set(
     responses=refusals(404, 409, 412, 428),
 )
 def withdraw_parameter_set(
-    parameter_set_id: int,
+    parameter_set_id: Id,
     actor: Who,
     seen: SeenVersion,
     once: Idempotent,
@@ -144,7 +145,7 @@ def withdraw_parameter_set(
     responses=refusals(404, 409, 412, 428),
 )
 def promote_parameter_set(
-    parameter_set_id: int, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    parameter_set_id: Id, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
 ) -> Response:
     """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
     return once.answer(session, actor, lambda: _answer(parameter_sets.promote(session, actor, parameter_set_id, seen)))

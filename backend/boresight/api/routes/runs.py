@@ -12,7 +12,8 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.dependencies import OnlyAsked, Reading, SeenTag, Who, Writing, require_tag, tag_of
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.figures.report import render_report
@@ -21,8 +22,6 @@ from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 
 router = APIRouter(prefix="/runs", tags=["runs"])
-
-DryRunAsked = Annotated[bool, Query(description="As in the body: check everything, change nothing.")]
 
 
 class Launch(BaseModel):
@@ -36,10 +35,10 @@ class Launch(BaseModel):
             ]
         },
     )
-    sensor_id: int
-    telemetry_set_id: int
+    sensor_id: Id
+    telemetry_set_id: Id
     settings: schemas.Document = Field(default_factory=dict, description="Method, variant, free parameters and so on.")
-    validation_set_id: int | None = Field(None, description="A set that is held out and only judged with.")
+    validation_set_id: Id | None = Field(None, description="A set that is held out and only judged with.")
     label: str = ""
     validate_only: bool = Field(
         default=False, description="Check everything, change nothing, and say what it would be."
@@ -53,6 +52,15 @@ class Cancellation(BaseModel):
     reason: str = ""
 
 
+def _tagged(row: Any, status: int = 200, **headers: str) -> Answer:
+    """Answer with a run; its tag changes with its state and attempt, not with its progress."""
+    return Answer(_shown(row), status, {"ETag": _tag(row), **headers})
+
+
+def _tag(row: Any) -> str:
+    return tag_of(row.id, row.state, row.attempt)
+
+
 def _shown(row: Any) -> schemas.Document:
     return schemas.written(schemas.Run, row)
 
@@ -62,8 +70,8 @@ def list_runs(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     page: Paged,
-    sensor_id: int | None = None,
-    telemetry_set_id: int | None = None,
+    sensor_id: Id | None = None,
+    telemetry_set_id: Id | None = None,
     method: str | None = None,
     state: Annotated[list[schemas.RunState] | None, Query(description="Repeat for several.")] = None,
 ) -> Response:
@@ -88,11 +96,9 @@ def list_runs(
     response_model=schemas.Run,
     responses={**refusals(404, 409), 200: {"model": schemas.DryRun, "description": "The dry run of `validate_only`."}},
 )
-def launch_run(
-    order: Launch, actor: Who, once: Idempotent, session: Writing, *, validate_only: DryRunAsked = False
-) -> Response:
+def launch_run(order: Launch, actor: Who, once: Idempotent, session: Writing, asked: OnlyAsked) -> Response:
     """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be."""
-    dry = validate_only or order.validate_only
+    dry = asked or order.validate_only
 
     def act() -> Answer:
         made = runs.launch(
@@ -107,15 +113,16 @@ def launch_run(
         )
         if isinstance(made, dict):
             return Answer(made)
-        return Answer(_shown(made), 202, {"Location": f"/api/v1/runs/{made.id}"})
+        return _tagged(made, 202, Location=f"/api/v1/runs/{made.id}")
 
-    return act().response() if dry else once.answer(session, actor, act)
+    once.tried = dry
+    return once.answer(session, actor, act)
 
 
 @router.get("/{run_id}", name="get_run", summary="Read a run", response_model=schemas.Run, responses=refusals(404))
-def get_run(run_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+def get_run(run_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
     """Read a run: its state, its progress, and when it has ended its summary."""
-    return json_response(_shown(runs.get_run(session, run_id)))
+    return _tagged(runs.get_run(session, run_id)).response()
 
 
 @router.post(
@@ -123,19 +130,24 @@ def get_run(run_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG
     name="cancel_run",
     summary="Stop a run",
     response_model=schemas.Run,
-    responses=refusals(404, 409),
+    responses=refusals(404, 409, 412, 428),
 )
 def cancel_run(
-    run_id: int, actor: Who, once: Idempotent, session: Writing, cancellation: Cancellation | None = None
+    run_id: Id, actor: Who, seen: SeenTag, once: Idempotent, session: Writing, cancellation: Cancellation | None = None
 ) -> Response:
-    """Stop a run: one that waits ends at once, one that computes as soon as it notices. No version is needed."""
+    """Stop a run: one that waits ends at once, one that computes as soon as it notices. The ETag is that of the run."""
     reason = cancellation.reason if cancellation else ""
-    return once.answer(session, actor, lambda: Answer(_shown(runs.cancel(session, actor, run_id, reason))))
+
+    def act() -> Answer:
+        require_tag(seen, _tag(runs.get_run(session, run_id)), f"Run {run_id}")
+        return _tagged(runs.cancel(session, actor, run_id, reason))
+
+    return once.answer(session, actor, act)
 
 
 @router.get("/{run_id}/result", name="get_run_result", summary="Read the calibration", responses=refusals(404))
 def get_run_result(
-    run_id: int,
+    run_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     request: Request,
@@ -152,7 +164,7 @@ def get_run_result(
     responses=refusals(404),
 )
 def get_run_log(
-    run_id: int,
+    run_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     page: Paged,
@@ -170,7 +182,7 @@ def get_run_log(
     responses=refusals(404, 409),
 )
 def get_run_report(
-    run_id: int,
+    run_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     request: Request,
@@ -181,7 +193,7 @@ def get_run_report(
     return HTMLResponse(report, headers=headers)
 
 
-def result_so_far(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
+def result_so_far(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:
     """Return a run's calibration, complete or so far; with nothing yet, one that only says that it runs."""
     found = runs.result(session, blobs, run_id)
     return found if found is not None else _nothing_yet(runs.get_run(session, run_id).state)

@@ -10,6 +10,7 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.services import sensors, uplinks
@@ -65,7 +66,7 @@ def register_sensor(document: SensorFile, actor: Who, once: Idempotent, session:
     response_model=schemas.Sensor,
     responses=refusals(404),
 )
-def get_sensor(sensor_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+def get_sensor(sensor_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
     """Read a sensor with its file; the ETag is for `PUT`."""
     return _shown(sensors.get_sensor(session, sensor_id)).response()
 
@@ -77,7 +78,7 @@ def get_sensor(sensor_id: int, actor: Who, session: Reading) -> Response:  # noq
     response_model=schemas.Sensor,
     responses=refusals(404, 412, 428),
 )
-def edit_sensor(sensor_id: int, document: SensorFile, actor: Who, seen: SeenVersion, session: Writing) -> Response:
+def edit_sensor(sensor_id: Id, document: SensorFile, actor: Who, seen: SeenVersion, session: Writing) -> Response:
     """Replace the sensor file for runs launched from now on. Name, model, detector and parity stay."""
     return _shown(sensors.edit_sensor(session, actor, sensor_id, document, seen)).response()
 
@@ -89,7 +90,7 @@ def edit_sensor(sensor_id: int, document: SensorFile, actor: Who, seen: SeenVers
     responses=refusals(404),
 )
 def get_sensor_at(
-    sensor_id: int,
+    sensor_id: Id,
     at: Annotated[str, Query(description="ISO 8601, UTC.", examples=["2026-11-21T03:04:05Z"])],
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,

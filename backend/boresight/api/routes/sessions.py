@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Depends
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import json_response
-from boresight.api.dependencies import Who, Writing, log_in_person, log_out_person
+from boresight.api.dependencies import LoggingIn, Who, log_in_person, log_out_person, never_tried
 from boresight.api.openapi import refusals
 from boresight.services.actors import Actor
 
-router = APIRouter(prefix="/sessions", tags=["sessions"])
+router = APIRouter(prefix="/sessions", tags=["sessions"], dependencies=[Depends(never_tried)])
 
 
 class Credentials(BaseModel):
@@ -40,7 +40,7 @@ def _shown(actor: Actor, csrf_token: str | None) -> Response:
 @router.post(
     "", name="log_in", summary="Log in", status_code=201, response_model=schemas.Session, responses=refusals(429)
 )
-def log_in(credentials: Credentials, session: Writing, request: Request) -> Response:
+def log_in(credentials: Credentials, session: LoggingIn, request: Request) -> Response:
     """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Too many failures make a name wait."""
     carrier = Response()
     password = credentials.password.get_secret_value()

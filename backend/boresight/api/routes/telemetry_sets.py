@@ -11,7 +11,8 @@ from starlette.responses import FileResponse, Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.dependencies import Reading, SeenTag, Who, Writing, require_tag, tag_of
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.api.uploads import Uploaded, UploadedOnce
@@ -52,6 +53,14 @@ def _prepare(request: Request, actor: Who, upload: Uploaded) -> Iterator[telemet
 Ready = Annotated[telemetry_sets.Prepared, Depends(_prepare, scope="function")]
 
 
+def _tagged(row: Any, status: int = 200, **headers: str) -> Answer:
+    return Answer(_shown(row), status, {"ETag": _tag(row), **headers})
+
+
+def _tag(row: Any) -> str:
+    return tag_of(row.id, row.archived_utc)
+
+
 def _shown(row: Any) -> schemas.Document:
     return schemas.written(schemas.TelemetrySet, row)
 
@@ -61,7 +70,7 @@ def list_telemetry_sets(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     page: Paged,
-    sensor_id: int | None = None,
+    sensor_id: Id | None = None,
     purpose: Literal["calibration", "validation"] | None = None,
     archived: Annotated[bool, Query(description="Show the archived ones too.")] = False,
 ) -> Response:
@@ -98,7 +107,7 @@ def upload_telemetry_set(
         purpose = upload.fields.get("purpose", "calibration")
         blobs, sensor_id = request.app.state.blobs, upload.number("sensor_id")
         row = telemetry_sets.store_prepared(session, actor, blobs, sensor_id, ready, purpose)
-        return Answer(_shown(row), 201, {"Location": f"/api/v1/telemetry-sets/{row.id}"})
+        return _tagged(row, 201, Location=f"/api/v1/telemetry-sets/{row.id}")
 
     return once.answer(session, actor, act)
 
@@ -111,12 +120,12 @@ def upload_telemetry_set(
     responses=refusals(404),
 )
 def get_telemetry_set(
-    telemetry_set_id: int,
+    telemetry_set_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
 ) -> Response:
     """Read a telemetry set with its quality report."""
-    return json_response(_shown(telemetry_sets.get_telemetry_set(session, telemetry_set_id)))
+    return _tagged(telemetry_sets.get_telemetry_set(session, telemetry_set_id)).response()
 
 
 @router.get(
@@ -127,7 +136,7 @@ def get_telemetry_set(
     responses=refusals(404),
 )
 def get_telemetry_file(
-    telemetry_set_id: int,
+    telemetry_set_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     request: Request,
@@ -143,12 +152,16 @@ def get_telemetry_file(
     name="archive_telemetry_set",
     summary="Archive a telemetry set",
     response_model=schemas.TelemetrySet,
-    responses=refusals(404),
+    responses=refusals(404, 412, 428),
 )
-def archive_telemetry_set(telemetry_set_id: int, actor: Who, once: Idempotent, session: Writing) -> Response:
+def archive_telemetry_set(
+    telemetry_set_id: Id, actor: Who, seen: SeenTag, once: Idempotent, session: Writing
+) -> Response:
     """Put a set out of sight; nothing is deleted. Uploading the same bytes brings it back."""
-    return once.answer(
-        session,
-        actor,
-        lambda: Answer(_shown(telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id))),
-    )
+
+    def act() -> Answer:
+        row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+        require_tag(seen, _tag(row), row.name)
+        return _tagged(telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id))
+
+    return once.answer(session, actor, act)

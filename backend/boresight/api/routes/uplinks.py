@@ -8,7 +8,8 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.dependencies import Reading, SeenVersion, Who, Writing
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.services import uplinks
@@ -20,7 +21,7 @@ class Record(BaseModel):
     """A step on board, and where it is known from."""
 
     model_config = ConfigDict(extra="forbid")
-    parameter_set_id: int
+    parameter_set_id: Id
     onboard_state: str = Field(examples=["SENT"])
     source: str = Field(
         description="The pass, the procedure or the read-back file.", examples=["Pass 4711, TC log line 88"]
@@ -32,8 +33,8 @@ def list_uplinks(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     page: Paged,
-    parameter_set_id: int | None = None,
-    sensor_id: int | None = None,
+    parameter_set_id: Id | None = None,
+    sensor_id: Id | None = None,
 ) -> Response:
     """List what was recorded, newest first."""
     found = uplinks.list_uplinks(
@@ -48,13 +49,16 @@ def list_uplinks(
     summary="Record a step on board",
     status_code=201,
     response_model=schemas.Uplink,
-    responses=refusals(404, 409),
+    responses=refusals(404, 409, 412, 428),
 )
-def record_uplink(record: Record, actor: Who, once: Idempotent, session: Writing) -> Response:
-    """Record the next on-board state of a set: NOT SENT, SENT, LOADED, VERIFIED, ACTIVE; MISMATCH or UNKNOWN."""
+def record_uplink(record: Record, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing) -> Response:
+    """Record the next on-board state of a set: NOT SENT, SENT, LOADED, VERIFIED, ACTIVE; MISMATCH or UNKNOWN.
+
+    `If-Match` is the ETag of the parameter set.
+    """
 
     def act() -> Answer:
-        row = uplinks.record(session, actor, record.parameter_set_id, record.onboard_state, record.source)
+        row = uplinks.record(session, actor, record.parameter_set_id, record.onboard_state, record.source, seen)
         return Answer(schemas.written(schemas.Uplink, row), 201)
 
     return once.answer(session, actor, act)

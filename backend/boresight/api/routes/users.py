@@ -10,10 +10,12 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.dependencies import Reading, SeenTag, Who, Writing, require_tag, tag_of
+from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.services import users
+from boresight.store.sessions import Session
 
 router = APIRouter(prefix="/users", tags=["users"])
 
@@ -44,7 +46,17 @@ class Password(BaseModel):
 
 
 def _answer(row: Any, status: int = 200, **headers: str) -> Answer:
-    return Answer(schemas.written(schemas.User, row), status, headers)
+    return Answer(schemas.written(schemas.User, row), status, {"ETag": _tag(row), **headers})
+
+
+def _tag(row: Any) -> str:
+    return tag_of(row.id, row.roles, row.disabled_utc, row.session_epoch)
+
+
+def _require_seen(session: Session, user_id: int, seen: str) -> None:
+    """Refuse a change by someone who did not see the person's roles and state as they are."""
+    row = users.get_user(session, user_id)
+    require_tag(seen, _tag(row), row.printed_name)
 
 
 @router.get("", name="list_users", summary="List people", response_model=Page[schemas.User])
@@ -81,7 +93,7 @@ def create_user(person: NewUser, actor: Who, once: Idempotent, session: Writing)
 @router.get(
     "/{user_id}", name="get_user", summary="Read a person", response_model=schemas.User, responses=refusals(404)
 )
-def get_user(user_id: int, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+def get_user(user_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
     """Read a person."""
     return _answer(users.get_user(session, user_id)).response()
 
@@ -91,11 +103,16 @@ def get_user(user_id: int, actor: Who, session: Reading) -> Response:  # noqa: A
     name="change_roles",
     summary="Change roles",
     response_model=schemas.User,
-    responses=refusals(404, 409),
+    responses=refusals(404, 409, 412, 428),
 )
-def change_roles(user_id: int, given: Roles, actor: Who, once: Idempotent, session: Writing) -> Response:
+def change_roles(user_id: Id, given: Roles, actor: Who, seen: SeenTag, once: Idempotent, session: Writing) -> Response:
     """Give a person these roles instead of those held; administrators only."""
-    return once.answer(session, actor, lambda: _answer(users.change_roles(session, actor, user_id, given.roles)))
+
+    def act() -> Answer:
+        _require_seen(session, user_id, seen)
+        return _answer(users.change_roles(session, actor, user_id, given.roles))
+
+    return once.answer(session, actor, act)
 
 
 @router.post(
@@ -103,11 +120,16 @@ def change_roles(user_id: int, given: Roles, actor: Who, once: Idempotent, sessi
     name="disable_user",
     summary="Keep a person out",
     response_model=schemas.User,
-    responses=refusals(404, 409),
+    responses=refusals(404, 409, 412, 428),
 )
-def disable_user(user_id: int, actor: Who, once: Idempotent, session: Writing) -> Response:
+def disable_user(user_id: Id, actor: Who, seen: SeenTag, once: Idempotent, session: Writing) -> Response:
     """Keep a person out and end every log-in; what they did stays."""
-    return once.answer(session, actor, lambda: _answer(users.disable_user(session, actor, user_id)))
+
+    def act() -> Answer:
+        _require_seen(session, user_id, seen)
+        return _answer(users.disable_user(session, actor, user_id))
+
+    return once.answer(session, actor, act)
 
 
 @router.post(
@@ -115,11 +137,16 @@ def disable_user(user_id: int, actor: Who, once: Idempotent, session: Writing) -
     name="enable_user",
     summary="Let a person in again",
     response_model=schemas.User,
-    responses=refusals(404),
+    responses=refusals(404, 412, 428),
 )
-def enable_user(user_id: int, actor: Who, once: Idempotent, session: Writing) -> Response:
+def enable_user(user_id: Id, actor: Who, seen: SeenTag, once: Idempotent, session: Writing) -> Response:
     """Let a disabled person in again."""
-    return once.answer(session, actor, lambda: _answer(users.enable_user(session, actor, user_id)))
+
+    def act() -> Answer:
+        _require_seen(session, user_id, seen)
+        return _answer(users.enable_user(session, actor, user_id))
+
+    return once.answer(session, actor, act)
 
 
 @router.post(
@@ -129,10 +156,12 @@ def enable_user(user_id: int, actor: Who, once: Idempotent, session: Writing) ->
     response_model=schemas.User,
     responses=refusals(404, 429),
 )
-def change_password(user_id: int, given: Password, actor: Who, session: Writing) -> Response:
+def change_password(user_id: Id, given: Password, actor: Who, once: Idempotent, session: Writing) -> Response:
     """Set one's own password, knowing the current one, or as an administrator another's. Every log-in then ends."""
     password, current = given.password.get_secret_value(), given.current.get_secret_value()
-    return _answer(users.change_password(session, actor, user_id, password, current)).response()
+    return once.answer(
+        session, actor, lambda: _answer(users.change_password(session, actor, user_id, password, current))
+    )
 
 
 @router.post(
@@ -142,7 +171,11 @@ def change_password(user_id: int, given: Password, actor: Who, session: Writing)
     status_code=204,
     responses=refusals(404),
 )
-def end_sessions(user_id: int, actor: Who, session: Writing) -> Response:
+def end_sessions(user_id: Id, actor: Who, once: Idempotent, session: Writing) -> Response:
     """End every log-in of a person: one's own, or as an administrator another's."""
-    users.end_sessions(session, actor, user_id)
-    return Response(status_code=204)
+
+    def act() -> Answer:
+        users.end_sessions(session, actor, user_id)
+        return Answer({}, 204)
+
+    return once.answer(session, actor, act)
