@@ -112,6 +112,7 @@ def use_kernel_folder(settings: Settings) -> None:
     """Point Numba's cache into the data folder; call before `boresight.kernels` is first imported."""
     if "NUMBA_CACHE_DIR" not in os.environ:
         try:
+            settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # it will hold password hashes
             settings.kernel_folder.mkdir(parents=True, exist_ok=True)
         except OSError:
             return  # a read-only home: Numba falls back to its own cache folder
