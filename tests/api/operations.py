@@ -1,0 +1,191 @@
+"""Every operation of the OpenAPI document, and for each a request that succeeds.
+
+An operation that is not in GOOD fails by name, so a new route cannot come without its test.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from boresight.api import schemas
+from boresight.api.paging import Page
+from boresight.server import create_app
+
+from .conftest import PASSWORD, House, settings_in
+
+with tempfile.TemporaryDirectory() as _folder:
+    OPENAPI = create_app(settings_in(Path(_folder))).openapi()
+OPERATIONS = {
+    operation["operationId"]: {"method": method.upper(), "path": path, **operation}
+    for path, methods in OPENAPI["paths"].items()
+    for method, operation in methods.items()
+}
+OPEN = ("health", "readiness", "metrics", "log_in")  # ask nobody who acts
+TRANSITIONS = [name for name, operation in OPERATIONS.items() if "428" in operation["responses"]]
+UNSAFE = [name for name, operation in OPERATIONS.items() if operation["method"] != "GET" and name != "log_in"]
+WITH_ID = [name for name, operation in OPERATIONS.items() if "_id}" in operation["path"]]
+
+Made = tuple[str, dict[str, Any]]  # who asks, and path values with request options
+
+
+def _versioned(row: dict[str, Any]) -> dict[str, str]:
+    return {"If-Match": f'"v{row["version"]}"'}
+
+
+def _upload(house: House) -> Made:
+    files = {"file": ("t.csv", house.telemetry_csv)}
+    return "ada", {"data": {"sensor_id": str(house.new_sensor()["id"])}, "files": files}
+
+
+def _launch(house: House) -> Made:
+    sensor_id, set_id = house.ready_sensor()
+    return "ada", {"json": {"sensor_id": sensor_id, "telemetry_set_id": set_id}}
+
+
+def _edit(house: House) -> Made:
+    row = house.new_sensor()
+    return "ada", {"sensor_id": row["id"], "json": row["document"], "headers": _versioned(row)}
+
+
+def _submit(house: House) -> Made:
+    row = house.candidate()
+    return "ada", {"parameter_set_id": row["id"], "json": {"reason": "It moved."}, "headers": _versioned(row)}
+
+
+def _withdraw(house: House) -> Made:
+    approval = house.submitted()
+    client = house.person("ada")
+    row = client.get(f"/api/v1/parameter-sets/{approval['parameter_set_id']}").json()
+    return "ada", {"parameter_set_id": row["id"], "headers": _versioned(row)}
+
+
+def _promote(house: House) -> Made:
+    row = house.approved()
+    return "olga", {"parameter_set_id": row["id"], "headers": _versioned(row)}
+
+
+def _sign(house: House) -> Made:
+    approval = house.submitted()
+    body = {"meaning": "I have read it.", "comment": "Seen.", "password": PASSWORD}
+    return "alan", {"approval_id": approval["id"], "json": body, "headers": _versioned(approval)}
+
+
+def _record(house: House) -> Made:
+    client = house.person("ada")
+    sensor = house.new_sensor()
+    found = client.get("/api/v1/parameter-sets", params={"sensor_id": sensor["id"]}).json()["items"][0]
+    step = {"parameter_set_id": found["id"], "onboard_state": "SENT", "source": "Pass 1"}
+    return "olga", {"json": step, "headers": _versioned(found)}
+
+
+def _new_user(house: House) -> dict[str, Any]:
+    name = house.sensor_file()["name"]
+    return {"name": name, "printed_name": "Someone", "password": PASSWORD, "roles": ["viewer"]}
+
+
+def _user(house: House, **options: Any) -> Made:
+    client = house.person("adele")
+    made = client.post("/api/v1/users", json=_new_user(house))
+    return "adele", {"user_id": made.json()["id"], "headers": {"If-Match": made.headers["etag"]}, **options}
+
+
+def _archive(house: House) -> Made:
+    number = house.ready_sensor()[1]
+    read = house.person("ada").get(f"/api/v1/telemetry-sets/{number}")
+    return "ada", {"telemetry_set_id": number, "headers": {"If-Match": read.headers["etag"]}}
+
+
+def _cancel(house: House) -> Made:
+    number = house.launched()["id"]
+    read = house.person("ada").get(f"/api/v1/runs/{number}")
+    return "ada", {"run_id": number, "headers": {"If-Match": read.headers["etag"]}}
+
+
+def _key(house: House) -> Made:
+    client = house.person("ada")
+    return "ada", {"key_id": client.post("/api/v1/api-keys", json={"label": "x"}).json()["id"]}
+
+
+GOOD: dict[str, Callable[[House], Made]] = {
+    "health": lambda _: ("victor", {}),
+    "readiness": lambda _: ("victor", {}),
+    "metrics": lambda _: ("victor", {}),
+    "list_sensors": lambda _: ("victor", {}),
+    "register_sensor": lambda house: ("ada", {"json": house.sensor_file()}),
+    "get_sensor": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "edit_sensor": _edit,
+    "get_sensor_at": lambda house: (
+        "victor",
+        {"sensor_id": house.new_sensor()["id"], "params": {"at": "2099-01-01T00:00:00Z"}},
+    ),
+    "list_telemetry_sets": lambda _: ("victor", {}),
+    "upload_telemetry_set": _upload,
+    "get_telemetry_set": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
+    "get_telemetry_file": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
+    "archive_telemetry_set": _archive,
+    "list_runs": lambda _: ("victor", {}),
+    "launch_run": _launch,
+    "get_run": lambda house: ("victor", {"run_id": house.launched()["id"]}),
+    "cancel_run": _cancel,
+    "get_run_result": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
+    "list_figures": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_figure": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
+    "get_figure_data": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
+    "list_parameter_sets": lambda _: ("victor", {}),
+    "create_parameter_set": lambda house: ("ada", {"json": {"run_id": house.finished()}}),
+    "get_parameter_set": lambda house: ("victor", {"parameter_set_id": house.candidate()["id"]}),
+    "submit_parameter_set": _submit,
+    "withdraw_parameter_set": _withdraw,
+    "promote_parameter_set": _promote,
+    "list_approvals": lambda _: ("victor", {}),
+    "get_approval": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "approve": _sign,
+    "refuse": _sign,
+    "list_uplinks": lambda _: ("victor", {}),
+    "record_uplink": _record,
+    "stream_events": lambda _: ("victor", {}),
+    "list_audit": lambda _: ("victor", {}),
+    "verify_audit": lambda _: ("victor", {}),
+    "list_users": lambda _: ("adele", {}),
+    "create_user": lambda house: ("adele", {"json": _new_user(house)}),
+    "get_user": lambda _: ("adele", {"user_id": 1}),
+    "change_roles": lambda house: _user(house, json={"roles": ["operator"]}),
+    "disable_user": _user,
+    "enable_user": _user,
+    "change_password": lambda house: _user(house, json={"password": "another good one"}),
+    "end_sessions": _user,
+    "list_api_keys": lambda _: ("ada", {}),
+    "create_api_key": lambda _: ("ada", {"json": {"label": "nightly"}}),
+    "revoke_api_key": _key,
+    "log_in": lambda _: ("victor", {"json": {"name": "victor", "password": PASSWORD}}),
+    "get_session": lambda _: ("victor", {}),
+    "log_out": lambda _: ("victor", {}),
+}
+
+
+def ask(client: httpx.Client, name: str, options: dict[str, Any]) -> httpx.Response:
+    """Send a request for an operation; of an endless answer only the head is read."""
+    operation = OPERATIONS[name]
+    inside = re.findall(r"{(\w+)}", operation["path"])
+    path = operation["path"].format(**{key: options.get(key, 1) for key in inside})
+    kept = {key: value for key, value in options.items() if key not in inside}
+    if name != "stream_events":
+        return client.request(operation["method"], path, **kept)
+    with client.stream(operation["method"], path, **kept) as answer:
+        return answer
+
+
+def documented_shape(name: str, status: int) -> Any:
+    """Return the model that the OpenAPI document gives for an answer; None where it gives none."""
+    content = OPERATIONS[name]["responses"][str(status)].get("content", {})
+    named = content.get("application/json", {}).get("schema", {}).get("$ref", "").rsplit("/", 1)[-1]
+    listed = re.fullmatch(r"Page_(\w+)_", named)
+    return Page[getattr(schemas, listed[1])] if listed else getattr(schemas, named, None)
