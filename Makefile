@@ -73,7 +73,7 @@ $(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
 	$(INSTALL) --no-deps --editable .
 	@mkdir -p $(MADE) && touch $@
 
-$(COMPILED): $(MADE)/runtime backend/boresight/kernels.py
+$(COMPILED): $(MADE)/runtime $(wildcard backend/boresight/kernels/*.py)
 	@$(BIN)/boresight warm --data .demo
 	@touch $@
 

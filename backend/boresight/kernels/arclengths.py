@@ -1,4 +1,4 @@
-"""The hot loops, compiled by Numba: arrays in, arrays out; each has one documented caller.
+"""The camera, the arcs between stars, the batch and the square-root filter as compiled loops.
 
 The layout is a structure of arrays. The stars of all exposures stand one exposure after another in the order that
 `estimation.arcs` chose; exposure `k` owns the stars `star_start[k]:star_start[k + 1]`, n of them, and their 2n - 3 arcs
