@@ -125,8 +125,7 @@ def run_sequential(
 ) -> Estimate:
     """Run a filter over the set, a chunk of frames at a time; each chunk's weights are taken at the state before it."""
     run_filter = FILTERS[settings.method]
-    noise = settings.process_noise_sigma if settings.variant == "q" else 0.0
-    tuning = Tuning(linearisations=settings.linearisations, process_noise=noise)
+    tuning = Tuning(linearisations=settings.linearisations, process_noise=settings.process_noise)
     state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
     # the filter as printed takes one frame at a time from the first
     pooled = (

@@ -1,0 +1,56 @@
+"""The settings of a calibration: what is accepted, what is refused and in which words."""
+
+import json
+
+import pytest
+
+from boresight.calibration.settings import CHOICES, CalibrationSettings
+from boresight.errors import RefusedInputError
+
+
+@pytest.mark.parametrize(("name", "word"), [(name, word) for name, words in CHOICES.items() for word in words])
+def test_every_word_of_every_choice_is_accepted_and_kept(name, word):
+    assert CalibrationSettings.parse({name: word}).document()[name] == word
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_any_other_word_is_refused_with_the_words_there_are(name):
+    with pytest.raises(RefusedInputError, match=f"Setting '{name}' is 'other'; choose from {', '.join(CHOICES[name])}"):
+        CalibrationSettings.parse({name: "other"})
+
+
+def test_every_setting_survives_its_document():
+    chosen = CalibrationSettings(
+        method="sqrf", variant="no-refit", match="rematch", match_rule="flight", flight_tolerance_urad=120.0,
+        leave_out_doubles=True, forgetting_factor=0.99,
+    )  # fmt: skip
+
+    assert CalibrationSettings.parse(json.loads(json.dumps(chosen.document()))) == chosen
+
+
+@pytest.mark.parametrize(
+    ("document", "sentence"),
+    [
+        ({"forgetting_factor": 0.4, "method": "sqrf"}, "give a number from 0.5 to 1"),
+        ({"forgetting_factor": float("nan"), "method": "sqrf"}, "give a number from 0.5 to 1"),
+        ({"huber_threshold": 0}, "give a number from 0.1 to 10"),
+        ({"flight_tolerance_urad": -1}, "give a number from 0.1"),
+        ({"leave_out_doubles": "yes"}, "give true or false"),
+        ({"method": "sqrf", "robust": "huber"}, "Robust loss is the batch's"),
+        ({"method": "sqrf", "error": "cosine"}, "The cosine error is the batch's"),
+        ({"error": "cosine", "robust": "huber"}, "set 'robust' to 'none'"),
+        ({"forgetting_factor": 0.9}, "A forgetting factor is a filter's"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(document, sentence):
+    with pytest.raises(RefusedInputError, match=sentence):
+        CalibrationSettings.parse(document)
+
+
+def test_no_refit_is_q_with_the_matches_of_the_baseline():
+    no_refit = CalibrationSettings(method="sqrf", variant="no-refit", match_parameters="latest")
+
+    assert no_refit.matched_with == "baseline"
+    assert no_refit.process_noise == no_refit.process_noise_sigma > 0
+    assert CalibrationSettings(method="sqrf", variant="q").matched_with == "latest"
+    assert CalibrationSettings(method="sqrf").process_noise == 0
