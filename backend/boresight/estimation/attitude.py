@@ -1,0 +1,204 @@
+"""Attitude from star directions: Wahba's problem, and the mean of many rotations.
+
+Attitude of one exposure
+------------------------
+The rotation C that takes catalogue directions s_i nearest to the measured ones s_d, with weights 1/σ² (Wahba 1965):
+
+    J(C) = 1/2 Σ |s_d - C s_i|² / σ²        B = Σ s_d s_i^T / σ² = U diag(s_1, s_2, s_3) V^T
+    C = U diag(1, 1, d) V^T                 d = det U det V = ±1                                  (Markley 1988)
+
+J grows about the weakest axis as (s_2 + d s_3) |θ|²/2: where that vanishes, all stars lie in one direction, or the measured
+field is the mirror image of the catalogue's, and there is no attitude. With the isotropic direction error of E
+section II-B the error θ of C(θ) = C_estimated C_true^T has the covariance
+
+    P = [Σ (I - s_d s_d^T) / σ²]^-1         (Shuster & Oh 1981)            and 2 J is chi-square with 2 n - 3 degrees of freedom.
+
+Parity
+------
+With parity -1 the detector's axes are left-handed and no rotation leads to them. The measured (x, y, z) is then taken as the
+right-handed (x, -y, z), as the notation page says, and C, P and θ are about the axes of that triad.
+
+Mean rotation
+-------------
+The mean of rotations q_k with weights w_k minimises Σ w_k |C(q) - C(q_k)|² (Frobenius), so it maximises q^T M q with
+M = Σ w_k q_k q_k^T: it is the eigenvector of the largest eigenvalue, blind to the sign of each q_k.
+With θ_k the turn from the mean to q_k, the first-order covariance of the mean is Σ w_k² θ_k θ_k^T / (Σ w_k)² times n / (n - 1):
+the scatter says how good the mean is, whatever the weights claim.
+
+References
+----------
+Markley, "Attitude Determination using Vector Observations and the Singular Value Decomposition", J. Astronaut. Sci. 36, 1988.
+Shuster & Oh, "Three-axis Attitude Determination from Vector Observations", J. Guidance and Control 4, 1981.
+Markley, Cheng, Crassidis, Oshman, "Averaging Quaternions", J. Guidance, Control and Dynamics 30, 2007.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.estimation.rotations import conjugate, product, quaternion_of, rotation_vector
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Mean square angle off one direction below which stars count as parallel, rad²: 0.2 arcsec, far below any centroid error.
+PARALLEL = 1e-12
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """Attitude of one exposure.
+
+    Parameters
+    ----------
+    C
+        (3, 3) C_di, ICRS to the right-handed detector triad.
+    quaternion
+        (4,) the same, x y z w.
+    covariance
+        (3, 3) of the error θ about the axes of that triad, rad².
+    cost
+        J: half the weighted sum of squares that is left.
+    """
+
+    C: FloatArray
+    quaternion: FloatArray
+    covariance: FloatArray
+    cost: float
+
+
+@dataclass(frozen=True)
+class Attitudes:
+    """Attitudes of many exposures; NaN where an exposure gives none.
+
+    Parameters
+    ----------
+    C
+        (n_exposures, 3, 3) C_di.
+    covariance
+        (n_exposures, 3, 3), rad².
+    cost
+        (n_exposures,) J.
+    """
+
+    C: FloatArray
+    covariance: FloatArray
+    cost: FloatArray
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which exposures have an attitude, (n_exposures,)."""
+        return np.isfinite(self.cost)
+
+    @property
+    def quaternion(self) -> FloatArray:
+        """(n_exposures, 4) x y z w."""
+        return quaternion_of(self.C)
+
+
+def triad(s_d: FloatArray, parity: int) -> FloatArray:
+    """Directions (n, 3) in D as seen from the right-handed detector triad; its own inverse."""
+    return np.asarray(s_d * np.array([1.0, float(parity), 1.0]))
+
+
+def wahba(s_d: FloatArray, s_i: FloatArray, sigma_rad: FloatArray, parity: int = 1) -> Attitude | None:
+    """Attitude of one exposure.
+
+    Parameters
+    ----------
+    s_d
+        (n, 3) measured unit directions in D.
+    s_i
+        (n, 3) unit directions of the same stars, ICRS.
+    sigma_rad
+        (n,) one-axis direction errors.
+    parity
+        Of the detector axes, see above.
+
+    Returns
+    -------
+    The attitude, or None when fewer than two stars point in different directions.
+    """
+    if len(s_d) < 2:
+        return None
+    solved = attitudes(np.array([0, len(s_d)]), s_d, s_i, sigma_rad, parity)
+    if not solved.known[0]:
+        return None
+    return Attitude(solved.C[0], solved.quaternion[0], solved.covariance[0], float(solved.cost[0]))
+
+
+def attitudes(
+    star_start: IntArray, s_d: FloatArray, s_i: FloatArray, sigma_rad: FloatArray, parity: int = 1
+) -> Attitudes:
+    """Attitudes of many exposures at once.
+
+    Parameters
+    ----------
+    star_start
+        (n_exposures + 1,) first star of each exposure, and the end; an exposure may be empty.
+    s_d, s_i, sigma_rad
+        (n_stars, 3), (n_stars, 3), (n_stars,) as in `wahba`.
+    """
+    s_d = triad(s_d, parity)
+    weight = 1 / sigma_rad**2
+    total = _sums(weight, star_start)
+    B = _sums(weight[:, None, None] * s_d[:, :, None] * s_i[:, None, :], star_start)
+    information = total[:, None, None] * np.eye(3) - _sums(
+        weight[:, None, None] * s_d[:, :, None] * s_d[:, None, :], star_start
+    )
+    C, curvature = _nearest_rotations(B)
+    known = (curvature > PARALLEL * total) & (np.diff(star_start) >= 2)
+    C = np.where(known[:, None, None], C, np.nan)
+    covariance = np.full_like(C, np.nan)
+    covariance[known] = np.linalg.inv(information[known])
+    left = s_d - np.einsum("nij,nj->ni", np.repeat(C, np.diff(star_start), axis=0), s_i)
+    cost = np.where(known, 0.5 * _sums(weight * np.sum(left * left, axis=-1), star_start), np.nan)
+    return Attitudes(C, covariance, cost)
+
+
+def _sums(values: FloatArray, start: IntArray) -> FloatArray:
+    """Sums of (n_stars, ...) over each exposure, (n_exposures, ...)."""
+    sums = np.zeros((len(start) - 1, *values.shape[1:]))
+    filled = np.diff(start) > 0  # reduceat would answer an empty run with the next star
+    if filled.any():
+        sums[filled] = np.add.reduceat(values, start[:-1][filled], axis=0)
+    return sums
+
+
+def _nearest_rotations(B: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotations (n, 3, 3) nearest to B, and the curvature s_2 + d s_3 (n,) of J about the weakest axis."""
+    U, s, Vt = np.linalg.svd(B)
+    d = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    U[:, :, 2] *= d[:, None]
+    return U @ Vt, s[:, 1] + d * s[:, 2]
+
+
+def mean_rotation(quaternions: FloatArray, weights: FloatArray) -> FloatArray:
+    """Weighted mean of rotations, a unit quaternion (4,) with w >= 0.
+
+    Parameters
+    ----------
+    quaternions
+        (n, 4) unit quaternions, each of either sign.
+    weights
+        (n,) not negative, not all zero.
+    """
+    M = np.einsum("n,ni,nj->ij", weights, quaternions, quaternions)
+    q = np.linalg.eigh(M)[1][:, -1]
+    return np.asarray(-q if q[3] < 0 else q)
+
+
+def turns_from(mean: FloatArray, quaternions: FloatArray) -> FloatArray:
+    """Rotation vectors θ_k (n, 3), rad, of C(θ_k) = C(q_k) C(mean)^T."""
+    return rotation_vector(product(quaternions, conjugate(mean)))
+
+
+def mean_rotation_covariance(quaternions: FloatArray, weights: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of `mean_rotation` from the scatter of at least two independent rotations, rad²."""
+    theta = turns_from(mean_rotation(quaternions, weights), quaternions)
+    n = len(weights)
+    scatter = np.einsum("n,ni,nj->ij", weights**2, theta, theta) / weights.sum() ** 2
+    return np.asarray(scatter * n / (n - 1))

@@ -1,0 +1,176 @@
+"""Wahba's attitude and the mean rotation: exact without noise, as good as they claim with it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from boresight.estimation.attitude import (
+    attitudes,
+    mean_rotation,
+    mean_rotation_covariance,
+    triad,
+    wahba,
+)
+from boresight.estimation.rotations import (
+    matrix_of,
+    product,
+    quaternion_of,
+    quaternion_of_vector,
+    rotation_vector,
+)
+from tests.strategies import rotations
+
+PARITIES = pytest.mark.parametrize("parity", [1, -1])
+
+
+def field(rng, n=8, half_angle_rad=0.17):
+    """Unit directions (n, 3) within a field of view about z."""
+    off = half_angle_rad * np.sqrt(rng.random(n))
+    turn = 2 * np.pi * rng.random(n)
+    return np.column_stack([np.sin(off) * np.cos(turn), np.sin(off) * np.sin(turn), np.cos(off)])
+
+
+def noisy(s, sigma_rad, rng):
+    """Directions with isotropic errors across the line of sight."""
+    error = rng.normal(size=s.shape) * sigma_rad[:, None]
+    moved = s + error - s * np.sum(error * s, axis=1, keepdims=True)
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+
+def turn_between(estimated, true):
+    return rotation_vector(quaternion_of(estimated @ true.T))
+
+
+@given(C=rotations(), parity=st.sampled_from([1, -1]), n=st.integers(2, 20), seed=st.integers(0, 2**32 - 1))
+def test_without_noise_the_attitude_is_exact_for_either_parity(C, parity, n, seed):
+    rng = np.random.default_rng(seed)
+    s_d = field(rng, n)
+    s_d[0] = [0.1, 0.05, np.sqrt(1 - 0.0125)]
+    s_d[1] = [-0.1, 0.02, np.sqrt(1 - 0.0104)]
+
+    solved = wahba(s_d, triad(s_d, parity) @ C, rng.uniform(1e-5, 1e-3, n), parity)
+
+    np.testing.assert_allclose(solved.C, C, atol=1e-12)
+    np.testing.assert_allclose(matrix_of(solved.quaternion), C, atol=1e-12)
+    assert solved.cost < 1e-15
+
+
+@given(before=rotations(), after=rotations(), seed=st.integers(0, 2**32 - 1))
+def test_turning_either_frame_turns_the_attitude_with_it(before, after, seed):
+    rng = np.random.default_rng(seed)
+    sigma = np.full(8, 1e-3)
+    s_i = field(rng)
+    s_d = noisy(s_i, sigma, rng)
+
+    plain, turned = wahba(s_d, s_i, sigma), wahba(s_d @ after.T, s_i @ before, sigma)
+
+    np.testing.assert_allclose(turned.C, after @ plain.C @ before, atol=1e-10)
+    np.testing.assert_allclose(turned.covariance, after @ plain.covariance @ after.T, atol=1e-9 * 1e-3)
+    assert turned.cost == pytest.approx(plain.cost, rel=1e-6)
+
+
+@PARITIES
+def test_the_attitude_has_the_error_it_claims_and_the_cost_is_chi_square(parity):
+    rng = np.random.default_rng(41)
+    n, runs = 7, 4000
+    s_d, C = field(rng, n), matrix_of(rng.normal(size=4))
+    sigma = rng.uniform(5e-5, 3e-4, n)
+    start = np.arange(runs + 1) * n
+    measured = noisy(np.tile(s_d, (runs, 1)), np.tile(sigma, runs), rng)
+
+    solved = attitudes(start, measured, np.tile(triad(s_d, parity) @ C, (runs, 1)), np.tile(sigma, runs), parity)
+
+    theta = rotation_vector(quaternion_of(solved.C @ C.T))
+    nees = np.einsum("ni,nij,nj->n", theta, np.linalg.inv(solved.covariance), theta)
+    assert chi2.ppf(0.005, 3 * runs) < nees.sum() < chi2.ppf(0.995, 3 * runs)
+    spread = np.linalg.solve(np.linalg.cholesky(solved.covariance[0]), theta.T)
+    np.testing.assert_allclose(np.cov(spread), np.eye(3), atol=0.09)
+    dof = runs * (2 * n - 3)
+    assert chi2.ppf(0.005, dof) < 2 * solved.cost.sum() < chi2.ppf(0.995, dof)
+
+
+@PARITIES
+def test_the_wrong_parity_leaves_a_cost_no_noise_explains(parity):
+    rng = np.random.default_rng(42)
+    s_d, sigma = field(rng), np.full(8, 1e-4)
+    s_i = triad(s_d, parity) @ matrix_of(rng.normal(size=4))
+
+    assert wahba(s_d, s_i, sigma, parity).cost < 1e-6
+    assert wahba(s_d, s_i, sigma, -parity).cost > 1e3
+
+
+@pytest.mark.parametrize("s_d", [np.zeros((0, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.6, 0.8]] * 4)])
+def test_fewer_than_two_directions_give_no_attitude(s_d):
+    assert wahba(s_d, s_d, np.full(len(s_d), 1e-4)) is None
+
+
+def test_two_measured_directions_of_one_star_give_no_attitude():
+    s_d = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, np.sqrt(0.99)]])
+
+    assert wahba(s_d, s_d[[0, 0]], np.full(2, 1e-4)) is None
+
+
+def test_many_exposures_at_once_are_each_what_they_are_alone():
+    rng = np.random.default_rng(43)
+    start = np.array([0, 0, 5, 6, 14, 14])
+    s_i, sigma = field(rng, 14), rng.uniform(1e-4, 1e-3, 14)
+    s_d = noisy(s_i, sigma, rng)
+
+    solved = attitudes(start, s_d, s_i, sigma)
+
+    np.testing.assert_array_equal(solved.known, [False, True, False, True, False])
+    for exposure in (1, 3):
+        stars = slice(start[exposure], start[exposure + 1])
+        alone = wahba(s_d[stars], s_i[stars], sigma[stars])
+        np.testing.assert_allclose(solved.C[exposure], alone.C, atol=1e-12)
+        np.testing.assert_allclose(solved.quaternion[exposure], alone.quaternion, atol=1e-12)
+        np.testing.assert_allclose(solved.covariance[exposure], alone.covariance, rtol=1e-9)
+
+
+def test_no_star_at_all_is_no_attitude_and_no_error():
+    empty = np.zeros((0, 3))
+
+    assert not attitudes(np.zeros(4, np.int64), empty, empty, np.zeros(0)).known.any()
+
+
+@given(C=rotations(), seed=st.integers(0, 2**32 - 1), n=st.integers(1, 20))
+def test_the_mean_is_blind_to_signs_and_turns_with_its_rotations(C, seed, n):
+    rng = np.random.default_rng(seed)
+    q = quaternion_of_vector(0.2 * rng.normal(size=(n, 3)))
+    weights = rng.uniform(0.1, 1.0, n)
+
+    mean = mean_rotation(q, weights)
+    turned = mean_rotation(product(quaternion_of(C), q) * rng.choice([-1.0, 1.0], (n, 1)), weights)
+
+    np.testing.assert_allclose(matrix_of(turned), C @ matrix_of(mean), atol=1e-9)
+
+
+def test_the_mean_minimises_the_weighted_distance_between_matrices():
+    rng = np.random.default_rng(44)
+    q, weights = quaternion_of_vector(0.3 * rng.normal(size=(6, 3))), rng.uniform(0.1, 1.0, 6)
+    mean = mean_rotation(q, weights)
+
+    def distance(p):
+        return float(np.sum(weights * np.sum((matrix_of(p) - matrix_of(q)) ** 2, axis=(1, 2))))
+
+    for step in 1e-3 * np.vstack([np.eye(3), -np.eye(3)]):
+        assert distance(product(quaternion_of_vector(step), mean)) > distance(mean)
+
+
+def test_the_covariance_of_the_mean_is_what_repetition_shows():
+    rng = np.random.default_rng(45)
+    true = rng.normal(size=4)
+    true /= np.linalg.norm(true)
+    sigma = rng.uniform(0.5e-3, 2e-3, 40)
+    factor = np.array([[1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.0, -0.3, 4.0]])
+    errors, claimed = [], []
+    for _ in range(1500):
+        theta = sigma[:, None] * rng.normal(size=(40, 3)) @ factor.T
+        q = product(quaternion_of_vector(theta), true)
+        errors.append(turn_between(matrix_of(mean_rotation(q, sigma**-2)), matrix_of(true)))
+        claimed.append(mean_rotation_covariance(q, sigma**-2))
+    whiten = np.linalg.inv(np.linalg.cholesky(np.mean(claimed, axis=0)))
+
+    np.testing.assert_allclose(whiten @ np.cov(np.transpose(errors)) @ whiten.T, np.eye(3), atol=0.15)
