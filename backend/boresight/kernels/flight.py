@@ -1,0 +1,68 @@
+"""The geometric check of the flight code as a compiled loop: which matches of an exposure agree with each other.
+
+A match says that detection i is star i. Two matches agree when the arc between the detections, as the camera measures it, and the
+arc between the stars of the catalogue differ by no more than the tolerance (E section III-A.2). The match with the most
+disagreements is dropped, again and again, until none is left: at most n^3 steps for n matches, where the largest set that agrees,
+a maximum clique, would cost an exponential search. Of two matches with equally many disagreements the one whose arcs exceed the
+tolerance by more in sum is dropped, and of equal ones the later row.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_jit
+def _arclength(s, i, j):
+    """Return the angle between unit vectors i and j of `s` (n, 3) by atan2, rad."""
+    cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
+    cy = s[i, 2] * s[j, 0] - s[i, 0] * s[j, 2]
+    cz = s[i, 0] * s[j, 1] - s[i, 1] * s[j, 0]
+    cosine = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
+    return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), cosine)
+
+
+@_jit
+def _worst(excess, kept):
+    """Return the place of the match to drop from `excess` (n, n), or -1 when all that are kept agree."""
+    place, most, largest = -1, 0, 0.0
+    for i in range(len(kept)):
+        if not kept[i]:
+            continue
+        count, total = 0, 0.0
+        for j in range(len(kept)):
+            if kept[j] and excess[i, j] > 0.0:
+                count += 1
+                total += excess[i, j]
+        if count > most or (count == most and count > 0 and total >= largest):
+            place, most, largest = i, count, total
+    return place
+
+
+@_jit
+def agreeing_matches(exposure_start, s_d, s_i, matched, tolerance, accepted):
+    """Mark the matches of each exposure that agree among themselves.
+
+    The caller is `calibration.flight.flight_view`. `s_d`, `s_i` (n_rows, 3) are measured and catalogue directions, `matched`
+    (n_rows,) says which rows have both, `tolerance` is in rad; fills `accepted` (n_rows,).
+    """
+    for k in range(len(exposure_start) - 1):
+        first, last = exposure_start[k], exposure_start[k + 1]
+        rows = first + np.flatnonzero(matched[first:last])
+        n = len(rows)
+        excess, kept = np.zeros((n, n)), np.ones(n, np.bool_)
+        for i in range(n):
+            for j in range(i):
+                error = abs(_arclength(s_d, rows[i], rows[j]) - _arclength(s_i, rows[i], rows[j]))
+                excess[i, j] = excess[j, i] = error - tolerance
+        place = _worst(excess, kept)
+        while place >= 0:
+            kept[place] = False
+            place = _worst(excess, kept)
+        accepted[first:last] = False
+        accepted[rows] = kept
