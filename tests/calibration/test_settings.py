@@ -21,7 +21,7 @@ def test_any_other_word_is_refused_with_the_words_there_are(name):
 
 def test_every_setting_survives_its_document():
     chosen = CalibrationSettings(
-        method="sqrf", variant="no-refit", match="rematch", match_rule="flight", flight_tolerance_urad=120.0,
+        method="ukf", variant="no-refit", match="rematch", match_rule="flight", flight_tolerance_urad=120.0,
         leave_out_doubles=True, forgetting_factor=0.99,
     )  # fmt: skip
 
@@ -37,7 +37,7 @@ def test_every_setting_survives_its_document():
         ({"flight_tolerance_urad": -1}, "give a number from 0.1"),
         ({"leave_out_doubles": "yes"}, "give true or false"),
         ({"method": "sqrf", "robust": "huber"}, "Robust loss is the batch's"),
-        ({"method": "sqrf", "error": "cosine"}, "The cosine error is the batch's"),
+        ({"method": "ukf", "error": "cosine"}, "The cosine error is the batch's"),
         ({"error": "cosine", "robust": "huber"}, "set 'robust' to 'none'"),
         ({"forgetting_factor": 0.9}, "A forgetting factor is a filter's"),
     ],

@@ -18,8 +18,8 @@ def _filtered(field, method="sqrf", tuning=None, scale=10.0, pooled=True):
 
 @pytest.mark.parametrize("noise", [0.0, 0.02], ids=["no-q", "q"])
 @pytest.mark.parametrize("linearisations", [1, 6])
-@pytest.mark.parametrize("method", sorted(FILTERS))
-def test_every_filter_equals_the_covariance_form(method, linearisations, noise):
+@pytest.mark.parametrize("method", ["ekf", "sqrf"])
+def test_every_form_of_the_extended_filter_equals_the_covariance_form(method, linearisations, noise):
     field = weighed(star_field(np.random.default_rng(11), frames=40), GROUND)
     tuning = Tuning(linearisations=linearisations, process_noise=noise)
 

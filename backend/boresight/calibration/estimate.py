@@ -125,7 +125,7 @@ def run_sequential(
 ) -> Estimate:
     """Run a filter over the set, a chunk of frames at a time; each chunk's weights are taken at the state before it."""
     run_filter = FILTERS[settings.method]
-    tuning = Tuning(linearisations=settings.linearisations, process_noise=settings.process_noise)
+    tuning = Tuning(settings.linearisations, settings.process_noise, settings.forgetting_factor)
     state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
     # the filter as printed takes one frame at a time from the first
     pooled = (

@@ -107,7 +107,9 @@ class NormalEquations:
         return bool(np.isfinite(self.chi2) and np.isfinite(self.A).all() and np.isfinite(self.b).all())
 
 
-def normal_equations(arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> NormalEquations:
+def normal_equations(
+    arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray, threshold: float = np.inf
+) -> NormalEquations:
     """Evaluate A and b.
 
     Parameters
@@ -118,10 +120,12 @@ def normal_equations(arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale
         (n_free,) places of the free parameters in the state.
     scale
         (n_free,) their typical sigmas, SI.
+    threshold
+        Of Huber's loss, in whitened sigmas; infinite for least squares.
     """
     A, b = np.empty((len(free), len(free))), np.empty(len(free))
     chi2, total = kernels.normal_equations(
-        x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, free, scale, A, b
+        x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, free, scale, threshold, A, b
     )
     return NormalEquations(A, b, float(chi2), float(total))
 

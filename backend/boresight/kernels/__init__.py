@@ -1,6 +1,6 @@
 """The hot loops, compiled by Numba: arrays in, arrays out; each has one documented caller.
 
-`arclengths` holds the camera, the arcs, the batch and the square-root filter; `matching` the association of detections with
+`arclengths` holds the camera, the arcs, the batch and the square-root filters; `matching` the association of detections with
 stars. Neither calls the other, so that Numba's cache, which looks at one file's age, never serves a stale loop.
 """
 
@@ -11,6 +11,7 @@ from boresight.kernels.arclengths import (
     N_PARAMETERS,
     arcs_and_factors,
     carlson_update,
+    count_beyond,
     inflate,
     normal_equations,
     order_stars,
@@ -18,6 +19,7 @@ from boresight.kernels.arclengths import (
     solid_angles,
     square_root_filter,
     sums_of_squares,
+    unscented_filter,
     whitened_rows,
 )
 
@@ -26,6 +28,7 @@ __all__ = [
     "N_PARAMETERS",
     "arcs_and_factors",
     "carlson_update",
+    "count_beyond",
     "inflate",
     "normal_equations",
     "order_stars",
@@ -33,5 +36,6 @@ __all__ = [
     "solid_angles",
     "square_root_filter",
     "sums_of_squares",
+    "unscented_filter",
     "whitened_rows",
 ]

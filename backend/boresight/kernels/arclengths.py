@@ -1,4 +1,4 @@
-"""The camera, the arcs between stars, the batch and the square-root filter as compiled loops.
+"""The camera, the arcs between stars, the batch and the square-root filters as compiled loops.
 
 The layout is a structure of arrays. The stars of all exposures stand one exposure after another in the order that
 `estimation.arcs` chose; exposure `k` owns the stars `star_start[k]:star_start[k + 1]`, n of them, and their 2n - 3 arcs
@@ -173,10 +173,11 @@ def solid_angles(x, pitch, row_px, col_px, omega):
 
 
 @_jit
-def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scale, A, b):
-    """Accumulate A = H'^T H' (n_free, n_free) and b = H'^T e' (n_free,); return (chi-square, unweighted sum of squares).
+def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scale, threshold, A, b):
+    """Accumulate A = H'^T W H' (n_free, n_free) and b = H'^T W e' (n_free,); return (cost, unweighted sum of squares).
 
-    Called by `estimation.batch`. H' is whitened and in units of `scale` (the typical sigmas of the free parameters).
+    Called by `estimation.batch`. H' is whitened and in units of `scale` (the typical sigmas of the free parameters). W holds
+    Huber's weights min(1, threshold / |e'|), and an infinite threshold makes the cost chi-square; see `estimation.robust`.
     """
     most = _largest_exposure(star_start)
     n_free = free.shape[0]
@@ -193,6 +194,16 @@ def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scal
             x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e, H
         )
         for a in range(a1 - a0):
+            size = abs(e[a])
+            if size > threshold:
+                chi2 += threshold * (2.0 * size - threshold)
+                weight = threshold / size
+                e[a] *= weight
+                for p in range(n_free):
+                    b[p] += H[a, p] * e[a]
+                    for q in range(p + 1):
+                        A[p, q] += weight * H[a, p] * H[a, q]
+                continue
             chi2 += e[a] * e[a]
             for p in range(n_free):
                 b[p] += H[a, p] * e[a]
@@ -202,6 +213,26 @@ def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scal
         for q in range(p):
             A[q, p] = A[p, q]
     return chi2, total
+
+
+@_jit
+def count_beyond(x, pitch, star_start, row_px, col_px, phi, band, threshold):
+    """Return (arcs whose whitened residual is beyond `threshold`, sum of squares of all, each cut off at it).
+
+    Called by `estimation.robust`.
+    """
+    most = _largest_exposure(star_start)
+    w, e = np.empty((most, _STAR)), np.empty(2 * most)
+    beyond, total = 0, 0.0
+    for k in range(star_start.shape[0] - 1):
+        s0, s1 = star_start[k], star_start[k + 1]
+        a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
+        _exposure_residuals(x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e)
+        for a in range(a1 - a0):
+            size = abs(e[a])
+            beyond += size > threshold
+            total += min(size, threshold) ** 2
+    return beyond, total
 
 
 @_jit
@@ -303,6 +334,17 @@ def inflate(S, q, M):
 
 
 @_jit
+def _between_frames(S, q, widening, M):
+    """Widen S by a forgetting factor's 1 / sqrt(lambda), then add the process noise q (8,)."""
+    if widening != 1.0:
+        for i in range(S.shape[0]):
+            for j in range(i, S.shape[0]):
+                S[i, j] *= widening
+    if q.max() > 0.0:
+        inflate(S, q, M)
+
+
+@_jit
 def _prior_cost(S, z, z_prior, n_free, y):
     """|S^-1 (z - z_prior)|^2 by back substitution, the prior's share of a frame's cost."""
     cost = 0.0
@@ -329,26 +371,33 @@ def _frame_residuals(x, pitch, first, last, star_start, row_px, col_px, phi, ban
 
 
 @_jit
+def _largest_frame(frame_start, star_start):
+    """Return the number of arcs in the fullest frame, for scratch space."""
+    most = 0
+    for k in range(frame_start.shape[0] - 1):
+        k0, k1 = frame_start[k], frame_start[k + 1]
+        most = max(most, 2 * (star_start[k1] - star_start[k0]) - 3 * (k1 - k0))
+    return most
+
+
+@_jit
 def square_root_filter(
-    x, z, S, q, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    x, z, S, q, widening, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
     """Run the Carlson filter over frames; x (8,), z (8,) and S (8, 8) change in place, zero beyond the free parameters.
 
     Called by `estimation.filters.square_root`, which derives it. z is the step of the free parameters from their start in
-    typical sigmas. Frame k owns exposures `frame_start[k]:frame_start[k + 1]`. A frame is linearised again at its own posterior
+    typical sigmas. Before each frame S is multiplied by `widening`, and q added. Frame k owns exposures
+    `frame_start[k]:frame_start[k + 1]`. A frame is linearised again at its own posterior
     until the whitened residual there differs from its linear prediction by less than `rest`, at most `linearisations` times.
     Fills per frame: states (n_frames, 8), sigmas (n_frames, n_free) in typical sigmas, nis, dof, squares (post-update sum of
     squares, E Eq 33) and passes. Returns the number of frames done; fewer than asked when the state stopped being finite.
     """
     n_free = free.shape[0]
     n_frames = frame_start.shape[0] - 1
-    most_stars = _largest_exposure(star_start)
-    most_arcs = 0
-    for k in range(n_frames):
-        k0, k1 = frame_start[k], frame_start[k + 1]
-        most_arcs = max(most_arcs, 2 * (star_start[k1] - star_start[k0]) - 3 * (k1 - k0))
-    w, h = np.empty((most_stars, _STAR)), np.empty(N_PARAMETERS)
+    most_arcs = _largest_frame(frame_start, star_start)
+    w, h = np.empty((_largest_exposure(star_start), _STAR)), np.empty(N_PARAMETERS)
     e, H, post = np.empty(most_arcs), np.zeros((most_arcs, N_PARAMETERS)), np.empty(most_arcs)
     z_prior, z_at, S_prior = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty((N_PARAMETERS, N_PARAMETERS)).T
     f, gain, M, x0 = (
@@ -359,10 +408,8 @@ def square_root_filter(
     )
     for p in range(n_free):
         x0[p] = x[free[p]] - scale[p] * z[p]
-    noisy = q.max() > 0.0
     for k in range(n_frames):
-        if noisy:
-            inflate(S, q, M)
+        _between_frames(S, q, widening, M)
         z_prior[:] = z
         S_prior[:] = S
         n_arcs = 0
@@ -424,6 +471,150 @@ def square_root_filter(
         if not math.isfinite(total):
             return k
     return n_frames
+
+
+@_jit
+def unscented_filter(
+    x, z, S, q, widening, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    shrunk, straight, states, sigmas, nis, dof, squares, passes,
+):  # fmt: skip
+    """Run the square-root unscented filter over frames; arguments and result as in `square_root_filter`.
+
+    Called by `estimation.filters.unscented`, which derives it. A frame is regressed again about its own posterior until that
+    moves by less than `rest` of its sigmas and no sigma shrinks by more than the share `shrunk`; or only once, where the residuals
+    are `straight` (trace of C C^T) over a spread that the posterior stays inside.
+    """
+    n_free = free.shape[0]
+    n_frames = frame_start.shape[0] - 1
+    most = _largest_frame(frame_start, star_start)
+    w = np.empty((_largest_exposure(star_start), _STAR))
+    e, H, C = np.empty(most), np.zeros((most, N_PARAMETERS)), np.empty((most, N_PARAMETERS))
+    plus, minus = np.empty((N_PARAMETERS, most)), np.empty((N_PARAMETERS, most))
+    z_prior, z_at, point = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty(N_PARAMETERS)
+    S_prior, S_at = np.empty((N_PARAMETERS, N_PARAMETERS)).T, np.empty((N_PARAMETERS, N_PARAMETERS)).T
+    f, gain, M, x0 = (
+        np.empty(N_PARAMETERS),
+        np.empty(N_PARAMETERS),
+        np.empty((N_PARAMETERS, N_PARAMETERS)),
+        np.empty(n_free),
+    )
+    gamma = math.sqrt(n_free)
+    for p in range(n_free):
+        x0[p] = x[free[p]] - scale[p] * z[p]
+    for k in range(n_frames):
+        _between_frames(S, q, widening, M)
+        z_prior[:] = z
+        S_prior[:] = S
+        k0, k1 = frame_start[k], frame_start[k + 1]
+        n_arcs = 2 * (star_start[k1] - star_start[k0]) - 3 * (k1 - k0)
+        frame_nis = 0.0
+        done = 0
+        for turn in range(linearisations):
+            z_at[:] = z
+            S_at[:] = S
+            for i in range(n_free):
+                for side in range(2):
+                    reach = gamma if side == 0 else -gamma
+                    point[:] = x
+                    for p in range(n_free):
+                        point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
+                    _frame_residuals(
+                        point, pitch, k0, k1, star_start, row_px, col_px, phi, band, w,
+                        plus[i] if side == 0 else minus[i],
+                    )  # fmt: skip
+            _regress(plus, minus, S_at, n_free, n_arcs, e, H, C)
+            bent = _whiten_spread(C, n_free, n_arcs, e, H)
+            z[:] = z_prior
+            S[:] = S_prior
+            frame_nis = 0.0
+            for a in range(n_arcs):
+                innovation = e[a]
+                for p in range(N_PARAMETERS):
+                    innovation += H[a, p] * (z[p] - z_at[p])
+                frame_nis += carlson_update(z, S, H[a], innovation, f, gain)
+            for p in range(n_free):
+                x[free[p]] = x0[p] + scale[p] * z[p]
+            done = turn + 1
+            if bent < straight and _prior_cost(S_at, z, z_at, n_free, f) < 1.0:
+                break
+            if math.sqrt(_prior_cost(S, z, z_at, n_free, f)) < rest and _narrowing(S_at, S, n_free) < shrunk:
+                break
+        states[k] = x
+        for p in range(n_free):
+            variance = 0.0
+            for j in range(p, n_free):
+                variance += S[p, j] * S[p, j]
+            sigmas[k, p] = math.sqrt(variance)
+        total = _frame_residuals(x, pitch, k0, k1, star_start, row_px, col_px, phi, band, w, e)
+        nis[k], dof[k], squares[k], passes[k] = frame_nis, n_arcs, total, done
+        if not math.isfinite(total):
+            return k
+    return n_frames
+
+
+@_jit
+def _regress(plus, minus, S, n_free, n_arcs, e, H, C):
+    """Mean e (n_arcs,), slope H (n_arcs, 8) and even part C (n_arcs, 8) of residuals at the points z +- gamma S_i (n_free, n_arcs).
+
+    With D the odd part over gamma, the slope is H = D S^-1, by substitution as S is upper triangular.
+    """
+    gamma = math.sqrt(n_free)
+    for a in range(n_arcs):
+        mean = 0.0
+        for i in range(n_free):
+            mean += plus[i, a] + minus[i, a]
+        mean /= 2.0 * n_free
+        e[a] = mean
+        for i in range(n_free):
+            C[a, i] = (0.5 * (plus[i, a] + minus[i, a]) - mean) / gamma
+            value = 0.5 * (plus[i, a] - minus[i, a]) / gamma
+            for j in range(i):
+                value -= H[a, j] * S[j, i]
+            H[a, i] = value / S[i, i]
+
+
+@_jit
+def _whiten_spread(C, n_free, n_arcs, e, H):
+    """Multiply e and H by W with W (I + C C^T) W^T = I, and return a measure of C C^T: its trace, seen through W.
+
+    One column c of C at a time: I - c c^T (1 - 1 / sqrt(1 + c.c)) / c.c.
+    """
+    bent = 0.0
+    for i in range(n_free):
+        size = 0.0
+        for a in range(n_arcs):
+            size += C[a, i] * C[a, i]
+        bent += size
+        if size == 0.0:
+            continue
+        beta = (1.0 - 1.0 / math.sqrt(1.0 + size)) / size
+        along = 0.0
+        for a in range(n_arcs):
+            along += C[a, i] * e[a]
+        for a in range(n_arcs):
+            e[a] -= beta * along * C[a, i]
+        for p in range(n_free):
+            along = 0.0
+            for a in range(n_arcs):
+                along += C[a, i] * H[a, p]
+            for a in range(n_arcs):
+                H[a, p] -= beta * along * C[a, i]
+        for j in range(i + 1, n_free):
+            along = 0.0
+            for a in range(n_arcs):
+                along += C[a, i] * C[a, j]
+            for a in range(n_arcs):
+                C[a, j] -= beta * along * C[a, i]
+    return bent
+
+
+@_jit
+def _narrowing(before, after, n_free):
+    """Largest share by which a conditional sigma, a diagonal entry of S, shrank."""
+    worst = 0.0
+    for p in range(n_free):
+        worst = max(worst, 1.0 - abs(after[p, p] / before[p, p]))
+    return worst
 
 
 @_jit

@@ -35,6 +35,13 @@ METHODS = (
         "The same filter with a full covariance: use it to check the square-root filter, not instead of it.",
         sequential=True,
     ),
+    Method(
+        "ukf",
+        "Unscented filter",
+        "Slopes from points spread as wide as the parameters are uncertain: use it where the start is far off and the"
+        " extended filters claim too much. It takes about five times as long as the square-root filter.",
+        sequential=True,
+    ),
 )
 
 _BY_NAME = {method.name: method for method in METHODS}

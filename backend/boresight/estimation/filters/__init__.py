@@ -7,12 +7,14 @@ from collections.abc import Callable
 from boresight.estimation.filters.extended import extended_filter
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
 from boresight.estimation.filters.square_root import square_root_filter
+from boresight.estimation.filters.unscented import unscented_filter
 
 Filter = Callable[..., FilterHistory]
 
 FILTERS: dict[str, Filter] = {
     "sqrf": square_root_filter,
     "ekf": extended_filter,
+    "ukf": unscented_filter,
 }
 
 __all__ = ["FILTERS", "Filter", "FilterHistory", "FilterState", "Tuning"]

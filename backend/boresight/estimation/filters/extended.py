@@ -6,7 +6,7 @@ With the frame's whitened rows e' and H' (so R = I), linearised at z_lin::
     z <- z_prior - K (e' + H' (z_prior - z_lin))      erratum to Eq 26, printed plus
     P <- (I - K H) P (I - K H)^T + K K^T              Joseph's form of Eq 27, which keeps P symmetric and positive
 
-and P + Q between frames. It takes the same iterations as the square-root filter and gives the same estimate; it stands
+and P / lambda + Q between frames. It takes the same iterations as the square-root filter and gives the same estimate; it stands
 here as the independent form the fast one is proven by, and as a choice for those who want to read it.
 """
 
@@ -37,7 +37,7 @@ def extended_filter(
     nis, dof, squares, passes = np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
     for k in range(n):
         frame = arcs.frames(k, k + 1)
-        z_prior, P_prior = z, P + Q
+        z_prior, P_prior = z, P / tuning.forgetting + Q
         for turn in range(tuning.linearisations):
             z_lin = z
             e, H, _ = _rows(frame, x, free, scale)

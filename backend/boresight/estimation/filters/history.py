@@ -1,4 +1,9 @@
-"""What goes into a filter and what comes out, the same for every one."""
+"""What goes into a filter and what comes out, the same for every one.
+
+Between frames the parameters may have moved. Process noise says by how much, P <- P + Q. A forgetting factor lambda says how fast
+the past loses weight, P <- P / lambda: a frame m frames old counts lambda^m, so that the information of a constant parameter
+comes to rest at that of 1 / (1 - lambda) frames, whatever the parameter. Both may act, the forgetting first.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +29,21 @@ class Tuning:
         Most linearisations a frame; 1 is the printed filter, which a Table III start makes far over-confident.
     process_noise
         Standard deviation added a frame to each free parameter, in typical sigmas; 0 is No-Q.
+    forgetting
+        lambda, the share of its information that the filter carries from frame to frame; 1 forgets nothing.
     rest
         See `REST`.
     """
 
     linearisations: int = 6
     process_noise: float = 0.0
+    forgetting: float = 1.0
     rest: float = REST
+
+    @property
+    def widening(self) -> float:
+        """What a square root of the covariance is multiplied by between frames."""
+        return float(1 / np.sqrt(self.forgetting))
 
 
 @dataclass(frozen=True)

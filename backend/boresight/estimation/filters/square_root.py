@@ -9,7 +9,8 @@ The covariance of the scaled free parameters is P = S S^T with S upper triangula
     S <- S (I - f f^T / alpha)^(1/2)    erratum to Eq 84, by Carlson's triangular columns
 
 The printed I - f f^T can have negative eigenvalues, and with one residual vector kept for the whole frame the filter ends
-thousands of sigmas away. Between frames, P + Q is re-factored by rotations of [S M] (erratum to Eq 88, printed S + M).
+thousands of sigmas away. Between frames P becomes P / lambda + Q: S is multiplied by 1 / sqrt(lambda) (the forgetting factor of
+Griffith, see `history`), and the sum re-factored by rotations of [S M] (erratum to Eq 88, printed S + M).
 
 Iteration. From a ground calibration ten sigmas off, one linearisation a frame makes the filter far over-confident. So a frame is
 processed again from its prior with rows taken at its own posterior (the iterated extended Kalman filter, a Gauss-Newton step
@@ -49,14 +50,14 @@ def square_root_filter(
     scale
         (n_free,) typical sigmas, SI.
     tuning
-        Linearisations and process noise.
+        Linearisations, process noise and forgetting.
     """
     n, n_free = arcs.n_frames, len(free)
-    x, z, S, q = state.x.copy(), _padded(state.z), _padded(state.S), _padded(np.full(n_free, tuning.process_noise))
+    x, z, S, q = state.x.copy(), padded(state.z), padded(state.S), padded(np.full(n_free, tuning.process_noise))
     states, sigmas = np.empty((n, len(x))), np.empty((n, n_free))
     nis, dof, squares, passes = np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
     done = kernels.square_root_filter(
-        x, z, S, q, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band,
+        x, z, S, q, tuning.widening, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band,
         free, scale, tuning.linearisations, tuning.rest, states, sigmas, nis, dof, squares, passes,
     )  # fmt: skip
     return FilterHistory(
@@ -65,8 +66,8 @@ def square_root_filter(
     )  # fmt: skip
 
 
-def _padded(values: FloatArray) -> FloatArray:
+def padded(values: FloatArray) -> FloatArray:
     """Copy into the kernel's fixed size with zeros beyond, columns contiguous: Carlson's update walks down them."""
-    padded = np.zeros((kernels.N_PARAMETERS,) * values.ndim, order="F")
-    padded[tuple(slice(0, n) for n in values.shape)] = values
-    return padded
+    filled = np.zeros((kernels.N_PARAMETERS,) * values.ndim, order="F")
+    filled[tuple(slice(0, n) for n in values.shape)] = values
+    return filled
