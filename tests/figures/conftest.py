@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from tests.figures.examined import matching, trust
+
 NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
 INITIAL = (0.016, 972.0, 1296.0, 1.2e8, -2.1e3, 0.001, -0.002, 1.0)
 TYPICAL = (3.2e-5, 30.0, 25.0, 1.0e8, 1.0e3, 0.004, 0.004, 2.0e-4)
@@ -81,6 +83,8 @@ def ending(rng):
             "matched_star_ratio": 2.7,
             "frames": 80,
         },
+        "trust": trust(named(sigma)),
+        "matching": matching(),
         "timing_s": {"read": 0.1, "fit": 0.4},
         "inputs": {
             "sha256s": {"telemetry": "ab" * 32, "sensor": "cd" * 32},

@@ -1,15 +1,33 @@
 """Every chart of the product, each a pure function of calibration JSON; a new one is one file and one line here."""
 
+from boresight.figures.arc_uncertainty import ARC_UNCERTAINTY
 from boresight.figures.chart import Figure, Result, Table, Trace, figure_json
 from boresight.figures.convergence import CONVERGENCE
 from boresight.figures.coverage import COVERAGE
+from boresight.figures.drop_one import DROP_ONE
+from boresight.figures.efficiency import EFFICIENCY
+from boresight.figures.innovations import INNOVATIONS
+from boresight.figures.matching import MATCHING
+from boresight.figures.more_data import MORE_DATA
 from boresight.figures.observability import OBSERVABILITY
 from boresight.figures.parameters import PARAMETERS
 from boresight.figures.radial import RADIAL
+from boresight.figures.residual_against import RESIDUAL_AGAINST
+from boresight.figures.residual_map import RESIDUAL_MAP
 from boresight.figures.rms import RMS
+from boresight.figures.stars import STARS
+from boresight.figures.two_halves import TWO_HALVES
+from boresight.figures.whiteness import WHITENESS
 
-__all__ = ["FIGURES", "Figure", "Result", "Table", "Trace", "figure_json"]
+__all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Result", "Table", "Trace", "figure_json"]
 
-FIGURES: dict[str, Figure] = {
-    figure.name: figure for figure in (CONVERGENCE, RMS, RADIAL, OBSERVABILITY, COVERAGE, PARAMETERS)
-}
+CHAPTERS: dict[str, tuple[Figure, ...]] = {
+    "estimate": (CONVERGENCE, RMS, RADIAL, OBSERVABILITY, COVERAGE, PARAMETERS),
+    "trust": (
+        TWO_HALVES, ARC_UNCERTAINTY, MORE_DATA, EFFICIENCY, DROP_ONE, INNOVATIONS, WHITENESS, RESIDUAL_MAP,
+        RESIDUAL_AGAINST, STARS,
+    ),
+    "matching": (MATCHING,),
+}  # fmt: skip
+FIGURES: dict[str, Figure] = {figure.name: figure for chapter in CHAPTERS.values() for figure in chapter}
+WIDE = frozenset({"convergence", "observability", "two-halves", "more-data", "residual-map", "matching"})

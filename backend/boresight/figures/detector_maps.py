@@ -1,0 +1,67 @@
+"""Maps of a quantity over the detector, one a run, beside each other on one colour scale, first row on top."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.figures import theme
+from boresight.figures.trust_parts import FloatArray, Part, column
+
+MAX_MAPS = 4
+TITLE_LENGTH = 14
+
+
+def detector_map(part: Any, key: str, label: str, **scale: Any) -> go.Heatmap:
+    """Draw `part[key]` (n_rows, n_columns) in arcsec over the centres of its cells."""
+    return go.Heatmap(
+        x=list(part["col_px"]),
+        y=list(part["row_px"]),
+        z=theme.short(column(part[key])),
+        colorbar={"title": {"text": "arcsec"}, "thickness": 10},
+        hovertemplate=f"%{{z:.3g}} arcsec<br>column %{{x:.0f}}, row %{{y:.0f}}<extra>{label}</extra>",
+        hoverongaps=False,
+        **scale,
+    )
+
+
+def beside(drawn: Sequence[Part], key: str, **scale: Any) -> go.Figure:
+    """Lay the maps of several runs out in one row; only the last shows the scale, which is common."""
+    shown = drawn[:MAX_MAPS]
+    titles = [_short(style.label) for _, style, _ in shown] if len(shown) > 1 else None
+    figure = make_subplots(1, len(shown), subplot_titles=titles, horizontal_spacing=0.4 / max(4, len(shown)))
+    for place, (_, style, part) in enumerate(shown, start=1):
+        drawing = detector_map(part, key, style.label, showscale=place == len(shown), **scale)
+        figure.add_trace(drawing, row=1, col=place)
+    return figure
+
+
+def frame_maps(figure: go.Figure, n_maps: int) -> None:
+    """Make the first `n_maps` subplots detectors: square pixels, row 0 on top."""
+    for place in range(1, n_maps + 1):
+        where = {"row": 1, "col": place}
+        quiet = {"showgrid": False, "zeroline": False, "constrain": "domain"}
+        anchor = "x" if place == 1 else f"x{place}"
+        figure.update_xaxes(title_text="column (px)", nticks=max(2, 8 // n_maps), tickangle=0, **quiet, **where)
+        figure.update_yaxes(autorange="reversed", scaleanchor=anchor, scaleratio=1, **quiet, **where)
+    figure.update_yaxes(title_text="row (px)", row=1, col=1)
+
+
+def cells(part: Any, key: str) -> dict[str, list[Any]]:
+    """List one cell a row: its centre in px and its value."""
+    values: FloatArray = column(part[key])
+    places = [(row, col) for row in part["row_px"] for col in part["col_px"]]
+    return {
+        "row_px": [row for row, _ in places],
+        "col_px": [col for _, col in places],
+        key: theme.plain(values.ravel()),
+    }
+
+
+def _short(label: str) -> str:
+    """Keep of a label what stands over a narrow map: its first part; the hover has the whole."""
+    first = label.split(" · ", maxsplit=1)[0]
+    return first if len(first) <= TITLE_LENGTH else f"{first[: TITLE_LENGTH - 1]}…"

@@ -1,0 +1,149 @@
+"""What is left over on the detector: the residual of each centroid after the best attitude of its exposure.
+
+On the left the stars one by one, on the right their mean in each cell of a grid. Single residuals are noise of the
+centroids; a mean that is more than three of its own sigmas long is what the camera model has not understood. The sigma
+of a cell's mean is the scatter of its stars over the root of their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from boresight.figures import theme
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.trust_parts import FloatArray, absent, column, part_of, parts, whose
+
+TITLE = "Residuals on the detector"
+PART = "residuals"
+COLUMNS = ("row_px", "col_px", "d_row_px", "d_col_px")
+CELLS = 10  # along the longer side
+LEAST_STARS = 4  # in a cell, for a mean with a sigma
+CLEAR_SIGMA = 3.0
+ARROW_SHARE = 0.06  # of the detector's width: the length of the typical arrow
+
+
+@dataclass(frozen=True)
+class Field:
+    """Arrows: where they start and what they say, (n,) each, px; `clear` those that stand out of their noise."""
+
+    row: FloatArray
+    col: FloatArray
+    d_row: FloatArray
+    d_col: FloatArray
+    clear: NDArray[np.bool_]
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw the first run's stars as arrows, and the mean arrow of each cell."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    stars = _stars(drawn[0][2])
+    means = cell_means(stars)
+    names = [f"star by star, {_scale(stars):,.0f} times", f"mean of each cell, {_scale(means):,.0f} times"]
+    figure = make_subplots(1, 2, shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=names)
+    style = drawn[0][1]
+    _arrows(figure, stars, style, 1, theme.translucent(style.colour, 0.75))
+    _arrows(figure, means, style, 2, style.colour)
+    n_clear = int(np.sum(means.clear))
+    counted = f"{n_clear} of {len(means.row)} cell means are clear of their noise"
+    theme.dress(figure, title=f"Residuals{whose(drawn)}: {counted}", height_px=470, legend=False, hovermode="closest")
+    _frame(figure)
+    return figure
+
+
+def _stars(part: Result) -> Field:
+    row, col, d_row, d_col = (column(part[name]) for name in COLUMNS)
+    return Field(row, col, d_row, d_col, clear=np.zeros(len(row), dtype=bool))
+
+
+def cell_means(stars: Field) -> Field:
+    """Average the arrows of each cell of a square grid that has LEAST_STARS of them.
+
+    A mean is clear when either component is more than CLEAR_SIGMA of its own sigmas from zero.
+    """
+    size = max(np.ptp(stars.row), np.ptp(stars.col)) / CELLS or 1.0
+    place = np.stack([stars.row - stars.row.min(), stars.col - stars.col.min()]) // size
+    found = []
+    for cell in np.unique(place, axis=1).T:
+        inside = np.all(cell == place.T, axis=1)
+        if (n := int(inside.sum())) >= LEAST_STARS:
+            values = np.stack([stars.row, stars.col, stars.d_row, stars.d_col])[:, inside]
+            mean, sigma = values.mean(axis=1), values[2:].std(axis=1, ddof=1) / np.sqrt(n)
+            found.append([*mean, float(np.any(np.abs(mean[2:]) > CLEAR_SIGMA * sigma))])
+    row, col, d_row, d_col, clear = np.array(found, dtype=np.float64).reshape(-1, 5).T
+    return Field(row, col, d_row, d_col, clear > 0)
+
+
+def _scale(arrows: Field) -> float:
+    """Choose how many times longer than life the arrows are drawn: 1, 2 or 5 times a power of ten."""
+    typical = float(np.median(np.hypot(arrows.d_row, arrows.d_col))) if len(arrows.row) else 0.0
+    wanted = ARROW_SHARE * float(np.ptp(arrows.col)) / typical if typical > 0 and len(arrows.row) > 1 else 1.0
+    power = 10.0 ** np.floor(np.log10(max(wanted, 1.0)))
+    return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= max(wanted, 1.0)) * power)
+
+
+def _arrows(figure: go.Figure, arrows: Field, style: theme.RunStyle, place: int, colour: str) -> None:
+    """Draw each arrow as a line from its star, and the star as a mark: a diamond where the arrow is clear."""
+    scale, gap = _scale(arrows), np.full(len(arrows.row), np.nan)
+    x = np.stack([arrows.col, arrows.col + scale * arrows.d_col, gap], axis=1).ravel()
+    y = np.stack([arrows.row, arrows.row + scale * arrows.d_row, gap], axis=1).ravel()
+    line = {"color": colour, "width": 1 if place == 1 else 2}
+    where = {"row": 1, "col": place}
+    figure.add_trace(
+        go.Scatter(x=theme.short(x), y=theme.short(y), mode="lines", line=line, hoverinfo="skip", name=style.label),
+        **where,
+    )
+    figure.add_trace(
+        go.Scatter(
+            x=theme.short(arrows.col),
+            y=theme.short(arrows.row),
+            mode="markers",
+            name=style.label,
+            marker={
+                "color": colour,
+                "size": np.where(arrows.clear, 9, 3 if place == 1 else 4).astype(np.int8),
+                "symbol": ["diamond" if clear else "circle" for clear in arrows.clear] if place > 1 else "circle",
+            },
+            customdata=theme.short(np.stack([arrows.d_row, arrows.d_col], axis=1)),
+            hovertemplate="rows %{customdata[0]:+.3f} px, columns %{customdata[1]:+.3f} px<extra></extra>",
+        ),
+        **where,
+    )
+
+
+def _frame(figure: go.Figure) -> None:
+    quiet = {"showgrid": False, "zeroline": False, "constrain": "domain"}
+    for place, anchor in ((1, "x"), (2, "x2")):
+        figure.update_xaxes(title_text="column (px)", nticks=6, tickangle=0, **quiet, row=1, col=place)
+        figure.update_yaxes(scaleanchor=anchor, scaleratio=1, autorange="reversed", **quiet, row=1, col=place)
+    figure.update_yaxes(title_text="row (px)", row=1, col=1)
+
+
+def table(result: Result) -> Table:
+    """List one star a row: frame, star, place and residual in px."""
+    part = part_of(result, PART)
+    if not part:
+        return {}
+    columns: Table = {name: list(part[name]) for name in ("frame", "star_id") if part.get(name) is not None}
+    return columns | {name: theme.plain(column(part[name])) for name in COLUMNS}
+
+
+RESIDUAL_MAP = Figure(
+    name="residual-map",
+    title=TITLE,
+    guide=(
+        "Each line points from where a star was measured to where the camera model and the best attitude of its "
+        "exposure leave it, so many times longer than life; on the right the means of cells, a diamond where a mean "
+        "is clear of its noise. Arrows in all directions are good; arrows that turn together are a distortion that "
+        "the model does not have."
+    ),
+    draw=draw,
+    table=table,
+)
