@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from boresight.estimation import arcs
@@ -43,12 +43,14 @@ def test_the_order_is_a_permutation_and_keeps_R_well_conditioned(n, seed):
     R = arcs.covariance(s[places], np.ones(n))
     smallest = np.linalg.eigvalsh(R)[0]
     assert smallest > 0
+    assert fatness[0] > 0.05 or n < 12
     if fatness[0] > 0.02:
         # bending modes of a long strip of triangles are soft, yet whitening keeps at least eight of sixteen digits
         assert np.linalg.cond(R) < 1e8
 
 
 @given(seed=st.integers(0, 2**32 - 1), angle=st.floats(0, np.pi))
+@example(seed=2975, angle=0.0)  # placed greedily, the last three stars lie on one line
 @settings(deadline=None)
 def test_two_lines_of_stars_are_woven_so_that_no_three_in_a_row_are_collinear(seed, angle):
     rng = np.random.default_rng(seed)

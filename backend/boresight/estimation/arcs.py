@@ -7,9 +7,10 @@ scene says: with their full covariance the estimate meets the Cramer-Rao bound.
 Order
 -----
 Star i + 2 hangs on stars i and i + 1 by two arcs, so the triangle of each three consecutive stars must be fat: no small angle,
-which excludes collinear triples and coincident pairs alike. Up to six stars every order is tried. Beyond, the stars are sorted by
-azimuth about their mean, drawn in turn from three sectors of azimuth, and placed by looking a dozen candidates ahead
-for a triangle whose smallest angle is over 30 degrees: O(N log N).
+which excludes collinear triples and coincident pairs alike. Up to seven stars every order is tried. Beyond, the stars are sorted
+by azimuth about their mean, drawn in turn from three sectors of azimuth, and placed by looking a dozen candidates ahead for a
+triangle whose smallest angle is over 30 degrees: O(N log N). Where that leaves a thin triangle, for its last stars have no choice,
+stars of the thinnest are swapped with others as long as all the triangles that a swap touches come out fatter.
 
 Covariance
 ----------

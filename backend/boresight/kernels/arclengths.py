@@ -26,6 +26,7 @@ N_PARAMETERS = 8
 HALF_BANDWIDTH = 4
 _BAND = HALF_BANDWIDTH + 1
 _HALVINGS = 6  # of a filter step that raises its frame's cost
+_THIN = 0.1  # sine of an angle: orders with a thinner triangle are mended
 _STAR = 20  # numbers kept a star: s(3), 1/|r|, M(3), U_u U_v V_u V_v, U_f V_f, u v, f/D^2, rho2, U V, column offset
 
 # Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
@@ -734,6 +735,43 @@ def _greedy(x, y, pool, window, order):
 
 
 @_jit
+def _thinnest(x, y, order, first, last):
+    """Return the thinnest of the triangles that begin at places first <= place < last of an order, and where it begins."""
+    worst, place = 2.0, -1
+    for p in range(max(first, 0), min(last, order.shape[0] - 2)):
+        fat = _fatness(x, y, order[p], order[p + 1], order[p + 2])
+        if fat < worst:
+            worst, place = fat, p
+    return worst, place
+
+
+@_jit
+def _mend(x, y, order, wanted):
+    """Swap stars of the thinnest triangle with others while that makes all it touches fatter; return the thinnest left.
+
+    A greedy order leaves its last stars no choice: two lines of stars end with three on one line. Each swap looks at six
+    triangles, and ends with none as thin as the one it was made for, so at most as many swaps are made as there are thin triangles.
+    """
+    n = order.shape[0]
+    for _ in range(n):
+        worst, place = _thinnest(x, y, order, 0, n - 2)
+        if worst > wanted:
+            return worst
+        best, best_a, best_b = worst, 0, 0
+        for a in range(place, place + 3):
+            for b in range(n):
+                order[a], order[b] = order[b], order[a]
+                fat = min(_thinnest(x, y, order, a - 2, a + 1)[0], _thinnest(x, y, order, b - 2, b + 1)[0])
+                order[a], order[b] = order[b], order[a]
+                if fat > best:
+                    best, best_a, best_b = fat, a, b
+        if best <= worst:
+            return worst
+        order[best_a], order[best_b] = order[best_b], order[best_a]
+    return _thinnest(x, y, order, 0, n - 2)[0]
+
+
+@_jit
 def _exhaustive(x, y, n, order):
     """Try every order of at most seven stars, cutting branches that are already worse; return the best thinnest triangle."""
     trial = np.zeros(n, np.int64)
@@ -789,6 +827,8 @@ def order_stars(star_start, s, order, fatness):
         for attempt in range(24 if n <= 20 else 6):
             _interleave(ranked, attempt, pool[:n])
             thinnest = _greedy(x, y, pool[:n], 12, trial[:n])
+            if thinnest < _THIN:
+                thinnest = _mend(x, y, trial[:n], _THIN)
             if thinnest > fatness[k]:
                 fatness[k] = thinnest
                 order[s0 : s0 + n] = s0 + trial[:n]
