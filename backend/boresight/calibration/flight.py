@@ -7,14 +7,14 @@ based on the consistency of their geometry", and when "the sensed geometry is of
 
     | phi_ij(x) - phi_ij | <= tolerance        for every two matches i, j that are accepted,
 
-and an exposure is valid when at least N_min matches are accepted and they are at least `AGREEING_SHARE` of its matches. The
+and an exposure is valid when at least N_min matches are accepted and they are more than two thirds of its matches. The
 availability of x is the share of frames with a valid exposure.
 
 The flight code's tolerance is not published; ours is `ARC_SIGMAS` = 5 sigmas of an arc at the detector's centre,
 
     tolerance = 5 sqrt(2) sigma_px Delta / f,
 
-422 urad on the ST-16, beyond which a true match falls once in a million arcs. The share is needed because a wrong focal
+422 urad on the ST-16, beyond which a true arc falls once in a million. The share is needed because a wrong focal
 length stretches short arcs by less than the tolerance: without it four neighbours pass at any calibration. Both were chosen by
 measurement on the simulated calibration sets, ground calibration against truth (given matches, 200 frames):
 
@@ -53,18 +53,18 @@ BoolArray = NDArray[np.bool_]
 
 #: Tolerance of an arc, in its standard deviations at the detector's centre.
 ARC_SIGMAS = 5.0
-#: Least share of an exposure's matches that must agree.
-AGREEING_SHARE = 2.0 / 3.0
+#: More than so many of so many of an exposure's matches must agree.
+AGREEING, OF = 2, 3
 FLIGHT_REASONS = (
     "valid",
     "fewer stars matched than the least number",
     "fewer matches agree than the least number",
-    "fewer than two thirds of the matches agree",
+    "no more than two thirds of the matches agree",
 )
 
 
 class Identified(Protocol):
-    """What is asked of matches: arrays over the rows and the exposures of a telemetry set, in file order."""
+    """What the flight code is told: arrays over the rows and the exposures of a telemetry set, in file order."""
 
     @property
     def s_i(self) -> FloatArray:
@@ -176,5 +176,5 @@ def flight_view(
 
 def _reasons(matched: IntArray, agreeing: IntArray, minimum_stars: int) -> NDArray[np.int8]:
     """Why each exposure is not valid, (n_exposures,) index into `FLIGHT_REASONS`; the first that applies."""
-    tests = (matched < minimum_stars, agreeing < minimum_stars, agreeing < AGREEING_SHARE * matched)
+    tests = (matched < minimum_stars, agreeing < minimum_stars, OF * agreeing <= AGREEING * matched)
     return np.select(tests, (1, 2, 3), 0).astype(np.int8)
