@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.calibration.comparison import compared
 from boresight.calibration.problem import Problem, weighed
+from boresight.calibration.robust import Robustness
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import CancelledError
-from boresight.estimation import batch
+from boresight.estimation import batch, cosine
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters import FILTERS, FilterHistory, Tuning
 from boresight.estimation.filters.history import FilterState, start
@@ -61,6 +63,10 @@ class Estimate:
         A filter's frames so far; None for the batch.
     updated
         (n_updates,) frame number of each entry of the history.
+    robust
+        What Huber's loss changed; None for any other estimate.
+    remarks
+        Sentences that a person should read beside the numbers.
     """
 
     x: FloatArray
@@ -72,6 +78,8 @@ class Estimate:
     steps: tuple[batch.Step, ...] = ()
     history: FilterHistory | None = None
     updated: IntArray | None = None
+    robust: Robustness | None = None
+    remarks: tuple[str, ...] = ()
 
 
 Listener = Callable[[Estimate, float, str], None]
@@ -92,9 +100,12 @@ def run_batch(
     for _ in range(WEIGHINGS - 1):
         if fitted.status != "diverged":
             fitted = _fit(problem, fitted.x, parameters, settings, report, cancelled)
-    return Estimate(
+    estimate = Estimate(
         fitted.x, fitted.A, covariance(fitted.A), fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps)
     )
+    if settings.robust != "none":
+        return replace(estimate, robust=_robustness(problem, parameters, settings, fitted))
+    return _of_cosine(problem, parameters, estimate) if settings.error == "cosine" else estimate
 
 
 def _fit(
@@ -102,14 +113,38 @@ def _fit(
     x: FloatArray,
     parameters: Parameters,
     settings: CalibrationSettings,
-    report: Callable[[batch.Step], None],
+    report: Callable[[batch.Step], None] | None,
     cancelled: Asked,
 ) -> batch.BatchFit:
     """Fit once from x, with weights taken there."""
+    arcs = problem.weighed(x)
     return batch.fit(
-        problem.weighed(x), x, parameters.free, parameters.scale,
+        cosine.unweighted(arcs) if settings.error == "cosine" else arcs, x, parameters.free, parameters.scale,
         max_iterations=settings.max_iterations, report=report, cancelled=cancelled,
+        threshold=settings.huber_threshold if settings.robust == "huber" else np.inf,
     )  # fmt: skip
+
+
+def _robustness(
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, fitted: batch.BatchFit
+) -> Robustness:
+    """Set a robust fit beside least squares on the same arcs, started where it ended."""
+    plain = _fit(problem, fitted.x, parameters, replace(settings, robust="none"), None, _never)
+    n_arcs = 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures
+    return Robustness(settings.huber_threshold, fitted.beyond, n_arcs, fitted.x, plain.x)
+
+
+def _never() -> bool:
+    """Nobody cancels."""
+    return False
+
+
+def _of_cosine(problem: Problem, parameters: Parameters, estimate: Estimate) -> Estimate:
+    """Give a cosine fit the information that the arcs' true covariance leaves it."""
+    judged = compared(problem.weighed(estimate.x), estimate.x, parameters.free, parameters.scale)
+    if judged is None:
+        return estimate
+    return replace(estimate, A=judged.A, P=covariance(judged.A), chi2=judged.chi2, remarks=(judged.remark,))
 
 
 def _listen_batch(steps: tuple[batch.Step, ...], listen: Listener) -> None:

@@ -12,6 +12,8 @@ The fit has converged when the undamped Newton decrement over the determined dir
 estimate then lies within `REST` of its own standard deviation from the optimum. R depends on f a little (sigma in rad is
 sigma_px Delta / f), so the caller weighs the arcs again at the solution and fits once more.
 
+With Huber's loss (`robust`) both A and b carry its weights on the way, and A at the end is what that estimate is worth.
+
 References
 ----------
 Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05.
@@ -20,7 +22,7 @@ Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +30,7 @@ from numpy.typing import NDArray
 from boresight import kernels
 from boresight.errors import CancelledError
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.robust import insurance
 
 FloatArray = NDArray[np.float64]
 
@@ -50,7 +53,7 @@ class Step:
     sigma
         (n_free,) one-sigma of the free parameters there, in typical sigmas; infinite where not determined.
     chi2
-        Whitened sum of squares.
+        Whitened sum of squares, or of Huber's loss.
     sum_of_squares
         Unweighted sum of squares, rad^2.
     damping
@@ -82,6 +85,8 @@ class BatchFit:
         `converged`, `max_iterations`, `rank_deficient` or `diverged`.
     steps
         Every accepted iterate, the start first.
+    beyond
+        Arcs beyond the threshold of Huber's loss; 0 for least squares.
     """
 
     x: FloatArray
@@ -91,6 +96,7 @@ class BatchFit:
     rank: int
     status: str
     steps: tuple[Step, ...]
+    beyond: int = 0
 
 
 @dataclass(frozen=True)
@@ -157,6 +163,7 @@ def fit(
     scale: FloatArray,
     *,
     max_iterations: int = 50,
+    threshold: float = np.inf,
     report: Callable[[Step], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> BatchFit:
@@ -172,6 +179,8 @@ def fit(
         (n_free,) places of the free parameters.
     scale
         (n_free,) typical sigmas, SI.
+    threshold
+        Of Huber's loss, in whitened sigmas; infinite for least squares.
     report
         Told of each accepted iterate, the start included.
     cancelled
@@ -187,7 +196,7 @@ def fit(
         When `cancelled` says so.
     """
     x, damping, growth = x0.copy(), FIRST_DAMPING, 2.0
-    here = normal_equations(arcs, x, free, scale)
+    here = normal_equations(arcs, x, free, scale, threshold)
     steps: list[Step] = []
     status = "max_iterations" if here.finite() else "diverged"
     for iteration in range(max_iterations + 1):
@@ -208,7 +217,7 @@ def fit(
         dz = np.linalg.solve(here.A + damping * np.eye(len(free)), -here.b)
         trial = x.copy()
         trial[free] += scale * dz
-        there = normal_equations(arcs, trial, free, scale)
+        there = normal_equations(arcs, trial, free, scale, threshold)
         predicted = float(dz @ (damping * dz - here.b))
         ratio = (here.chi2 - there.chi2) / predicted if there.finite() and predicted > 0 else -1.0
         if ratio > 0 or (there.finite() and abs(here.chi2 - there.chi2) <= 1e-13 * here.chi2):
@@ -220,4 +229,12 @@ def fit(
     rank = int(determined(here.A)[2].sum()) if here.finite() else 0
     if status == "converged" and rank < len(free):
         status = "rank_deficient"
-    return BatchFit(x, here.A, here.chi2, here.sum_of_squares, rank, status, tuple(steps))
+    fitted = BatchFit(x, here.A, here.chi2, here.sum_of_squares, rank, status, tuple(steps))
+    return fitted if np.isinf(threshold) or not here.finite() else _insured(fitted, arcs, free, scale, threshold)
+
+
+def _insured(fitted: BatchFit, arcs: ArcSet, free: NDArray[np.int64], scale: FloatArray, threshold: float) -> BatchFit:
+    """Give a robust fit its own information, and the chi-square that shows what it did not follow."""
+    plain = normal_equations(arcs, fitted.x, free, scale)
+    paid = insurance(arcs, fitted.x, len(free), threshold)
+    return replace(fitted, A=paid.information_share * plain.A, chi2=plain.chi2, beyond=paid.beyond)
