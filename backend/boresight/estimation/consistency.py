@@ -7,6 +7,14 @@ A sum of squares of m independent unit normal numbers is chi-square with m degre
 - NEES, (x - truth)^T P^-1 (x - truth), m = free parameters: only where the truth is known, in simulation.
 
 RMS proves none of this: on an 82 urad noise floor a filter five times worse than the bound raises RMS by 0.7 urad.
+
+Whether a series is noise over time is another question, with three answers:
+
+- the share of values outside 95 % bounds, against the binomial distribution of that share when all is well;
+- runs (Wald & Wolfowitz 1940): values above and below the median should alternate as coin tosses do. With n_1 above and
+  n_2 below, n in all, the number of runs has mean 1 + 2 n_1 n_2 / n and variance 2 n_1 n_2 (2 n_1 n_2 - n) / (n^2 (n - 1));
+- autocorrelation r_l = sum_k y_k y_{k+l} / sum_k y_k^2, which for white noise is normal with variance (n - l) / (n (n + 2)), so
+  that Q = n (n + 2) sum_l r_l^2 / (n - l) is chi-square with as many degrees of freedom as lags (Ljung & Box 1978).
 """
 
 from __future__ import annotations
@@ -15,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import bdtr, chdtrc, chdtri, ndtr
 
 FloatArray = NDArray[np.float64]
 
@@ -64,3 +72,61 @@ def chi_square(total: float, dof: int) -> ChiSquare:
 def nees(error: FloatArray, P: FloatArray) -> float:
     """Normalised estimation error squared, error (n,) against covariance P (n, n); its expectation is n."""
     return float(error @ np.linalg.solve(P, error))
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Autocorrelation of a series, and how likely so much of it is by chance.
+
+    Parameters
+    ----------
+    autocorrelation
+        (n_lags,) r_1 ... r_n_lags.
+    value, dof
+        Q of Ljung and Box, and its degrees of freedom.
+    p
+        Chance of a Q as large when the series is white.
+    """
+
+    autocorrelation: FloatArray
+    value: float
+    dof: int
+    p: float
+
+
+def ljung_box(series: FloatArray, lags: int) -> Whiteness:
+    """Test whether a series (n,) of zero mean is white.
+
+    Raises
+    ------
+    ValueError
+        When there are not more values than lags.
+    """
+    n = len(series)
+    if not 0 < lags < n:
+        raise ValueError(f"Expected fewer lags than values, at least one; received {lags} lags of {n} values")
+    spectrum = np.abs(np.fft.rfft(series, 2 * n)) ** 2  # padded, so that the ends do not meet
+    products = np.fft.irfft(spectrum, 2 * n)[: lags + 1]
+    r = products[1:] / max(float(products[0]), np.finfo(float).tiny)
+    value = float(n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1))))
+    return Whiteness(r, value, lags, float(chdtrc(lags, value)))
+
+
+def runs_p_value(series: FloatArray) -> float:
+    """Chance of as few or as many runs about the median of a series (n,) when its values are independent; 1 for a short one."""
+    above = series[series != np.median(series)] > np.median(series)
+    n, n_1 = len(above), int(above.sum())
+    if n < 10 or n_1 in {0, n}:
+        return 1.0
+    pairs = 2.0 * n_1 * (n - n_1)
+    variance = pairs * (pairs - n) / (n * n * (n - 1))
+    runs = 1 + int(np.sum(above[1:] != above[:-1]))
+    return float(2 * ndtr(-abs(runs - 1 - pairs / n) / np.sqrt(variance)))
+
+
+def share_bounds(n: int, share: float) -> tuple[float, float]:
+    """Two-sided 95 % bounds of the share found among n when each is in with probability `share`."""
+    tail = (1 - CONFIDENCE) / 2
+    counts = np.arange(n + 1)
+    below = bdtr(counts.astype(float), n, share)
+    return float(np.searchsorted(below, tail)) / n, float(np.searchsorted(below, 1 - tail)) / n

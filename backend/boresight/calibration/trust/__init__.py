@@ -1,0 +1,142 @@
+"""Trust: how far a calibration can be believed, beyond its own sigmas; one part a file, each with its sentence.
+
+=================  ====================================================================================================
+`arc_map`          error of an arc about the detector, from the parameters alone
+`two_halves`       two halves of the set fitted apart, their difference against what both claim
+`efficiency`       claimed sigmas against the Cramér-Rao bound of the centroids
+`more_data`        predicted sigmas against further frames of the same kind
+`drop_one`         what holding each free parameter at its start would cost
+`innovations`      normalised innovations over time, with their bounds
+`whiteness`        whether the residuals drift
+`residuals`        centroids against the projected catalogue, in pixels
+`stars`            every star over its sightings, suspects named
+`against`          the residual against radius, magnitude, temperature and time
+=================  ====================================================================================================
+
+A part that cannot be had is null, and `unavailable` says why in a sentence. Large sets are thinned where a part needs more than
+a pass over the set a frame; such a part says how many frames it used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.problem import Problem
+from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.trust.advice import trust_advice
+from boresight.calibration.trust.against import residual_against
+from boresight.calibration.trust.arc_map import arc_sigma_map
+from boresight.calibration.trust.drop_one import drop_one, drop_one_sentence
+from boresight.calibration.trust.efficiency import efficiency
+from boresight.calibration.trust.ground import Ground, Unavailable, stand
+from boresight.calibration.trust.innovations import nis_over_time
+from boresight.calibration.trust.more_data import more_data
+from boresight.calibration.trust.residuals import Sightings, residuals, sightings
+from boresight.calibration.trust.stars import star_table, stars, stars_sentence
+from boresight.calibration.trust.two_halves import two_halves
+from boresight.calibration.trust.whiteness import whiteness
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.schema import Telemetry
+
+__all__ = ["trust_advice", "trust_view"]
+
+Part = Callable[[Ground], Any]
+
+#: Parts that need the ground alone.
+OF_THE_FIT: dict[str, Part] = {
+    "arc_sigma_map": arc_sigma_map,
+    "two_halves": two_halves,
+    "efficiency": efficiency,
+    "more_data": more_data,
+    "drop_one": drop_one,
+    "nis_over_time": nis_over_time,
+    "whiteness": whiteness,
+}
+OF_THE_STARS = ("residuals", "stars", "residual_against")
+BESIDE = ("drop_one_sentence", "stars_sentence", "stars_in_all")
+
+
+def trust_view(
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    estimate: Estimate,
+    telemetry: Telemetry,
+    catalogue: Catalogue | None = None,
+) -> dict[str, Any]:
+    """Judge a finished estimate in every way there is.
+
+    Parameters
+    ----------
+    problem, parameters, settings, estimate
+        As `calibrate` has them at its end; the arcs are weighed here.
+    telemetry
+        The set that the problem was built from, with the star numbers that it was built with.
+    catalogue
+        For what it says against a star's place; None says nothing.
+
+    Returns
+    -------
+    The `trust` object of the calibration JSON: every part, null where it cannot be had, with the reason in `unavailable`.
+    """
+    view: dict[str, Any] = {
+        **dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS, *BESIDE)),
+        "suspects": [],
+        "unavailable": {},
+    }
+    try:
+        ground = stand(problem, parameters, settings, estimate, telemetry, catalogue)
+    except Unavailable as reason:
+        view["unavailable"] = dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))
+        return view
+    for name, part in OF_THE_FIT.items():
+        _fill(view, name, partial(part, ground))
+    if view["drop_one"] is not None:
+        view["drop_one_sentence"] = drop_one_sentence(ground, view["drop_one"])
+    _fill_stars(view, ground)
+    return view
+
+
+def _fill(view: dict[str, Any], name: str, part: Callable[[], Any]) -> None:
+    """Put a part into the view, or the reason why it is not there."""
+    try:
+        view[name] = part()
+    except Unavailable as reason:
+        view["unavailable"][name] = str(reason)
+    except np.linalg.LinAlgError:
+        view["unavailable"][name] = "The numbers of this fit are too close to singular: free fewer parameters."
+
+
+def _fill_stars(view: dict[str, Any], ground: Ground) -> None:
+    """The parts that rest on residuals in pixels."""
+    found: list[Sightings] = []
+    _fill(view, "residuals", lambda: residuals(ground, _first(found, ground)))
+    if view["residuals"] is None:
+        reason = view["unavailable"]["residuals"]
+        view["unavailable"] |= {"stars": reason, "residual_against": reason}
+        return
+    entries, missing = residual_against(ground, found[0])
+    view["residual_against"] = entries
+    view["unavailable"] |= {f"residual_against.{name}": reason for name, reason in missing.items()}
+    _fill(view, "stars", lambda: _stars(view, ground, found[0]))
+
+
+def _first(found: list[Sightings], ground: Ground) -> Sightings:
+    """Take the sightings once and keep them for the other parts."""
+    found.append(sightings(ground))
+    return found[0]
+
+
+def _stars(view: dict[str, Any], ground: Ground, found: Sightings) -> list[dict[str, Any]]:
+    """The table of stars, and what is told of it beside."""
+    table = star_table(ground, found)
+    worst_first = np.argsort(-table.z)
+    view["suspects"] = [int(table.star_id[i]) for i in worst_first if table.suspect[i]]
+    view["stars_in_all"] = len(table.z)
+    view["stars_sentence"] = stars_sentence(table, found.arcs.n_frames, ground.arcs.n_frames)
+    return stars(ground, table)

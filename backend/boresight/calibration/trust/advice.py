@@ -1,0 +1,60 @@
+"""What the trust numbers ask a person to do: the sentences worth telling, the gravest first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+#: The claimed sigmas over the bound below which they are too small to be honest.
+TOO_SMALL = 0.97
+
+
+def trust_advice(trust: Mapping[str, Any]) -> list[str]:
+    """Collect the sentences that call for something, from the object that `trust_view` gives."""
+    return [*_of_geometry(trust), *_of_the_estimate(trust), *_of_time(trust), *_of_stars(trust), *_of_the_model(trust)]
+
+
+def _of_geometry(trust: Mapping[str, Any]) -> Iterator[str]:
+    """A mirrored detector is graver than anything else."""
+    sentence = trust["unavailable"].get("residuals", "")
+    if "parity" in sentence:
+        yield sentence
+
+
+def _of_the_estimate(trust: Mapping[str, Any]) -> Iterator[str]:
+    """Halves that differ, and sigmas below the bound."""
+    halves, efficiency = trust["two_halves"], trust["efficiency"]
+    if halves is not None and halves["chi2"]["value"] > halves["chi2"]["upper"]:
+        yield halves["sentence"]
+    if efficiency is not None and efficiency["overall_ratio"] < TOO_SMALL:
+        yield efficiency["sentence"]
+
+
+def _of_time(trust: Mapping[str, Any]) -> Iterator[str]:
+    """Drift, and innovations that keep no bounds."""
+    white, over_time, against = trust["whiteness"], trust["nis_over_time"], trust["residual_against"] or {}
+    if white is not None and not white["white"]:
+        yield white["sentence"]
+    yield from _uneven(against, ("temperature", "time"))
+    if over_time is not None and not over_time["consistent"]:
+        yield over_time["sentence"]
+
+
+def _of_stars(trust: Mapping[str, Any]) -> Iterator[str]:
+    """Stars to look at."""
+    if trust["suspects"]:
+        yield trust["stars_sentence"]
+
+
+def _of_the_model(trust: Mapping[str, Any]) -> Iterator[str]:
+    """What the camera model leaves over, and parameters it could do without."""
+    yield from _uneven(trust["residual_against"] or {}, ("radius", "magnitude"))
+    if any(not entry["needed"] for entry in trust["drop_one"] or ()):
+        yield trust["drop_one_sentence"]
+
+
+def _uneven(against: Mapping[str, Any], names: tuple[str, ...]) -> Iterator[str]:
+    """Sentences of the quantities that the residual depends on."""
+    for name in names:
+        if against.get(name) is not None and not against[name]["even"]:
+            yield against[name]["sentence"]

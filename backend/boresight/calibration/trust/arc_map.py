@@ -1,0 +1,58 @@
+"""How well an arc is known about the detector, from the parameters' covariance alone.
+
+`estimation.uncertainty.arc_sigma` derives it. The length is 5 degrees, or a quarter of the shorter side where the field is narrower
+than 10: long enough that focal length and distortion show, short enough that most places have arcs on all sides. Centroid noise is
+not in it: this is what the calibration itself adds to every arc that the sensor will measure at that place.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable, grid, nested
+from boresight.estimation.arcs import arclength
+from boresight.estimation.uncertainty import arc_sigma
+
+ARC_DEG = 5.0
+ROWS, COLUMNS = 13, 17
+
+
+def arc_length_rad(ground: Ground) -> float:
+    """Length of the map's arcs on this sensor."""
+    sensor = ground.problem.sensor
+    middle_row, middle_col = (sensor.rows - 1) / 2, (sensor.columns - 1) / 2
+    row = np.array([0.0, sensor.rows - 1.0, middle_row, middle_row])
+    col = np.array([middle_col, middle_col, 0.0, sensor.columns - 1.0])
+    s = ground.problem.camera.directions(ground.estimate.x, row, col, sensor.pixel_pitch_m)
+    shorter = float(arclength(s[[0, 2]], s[[1, 3]]).min())
+    return float(np.radians(ARC_DEG) if shorter >= 2 * np.radians(ARC_DEG) else shorter / 4)
+
+
+def arc_sigma_map(ground: Ground) -> dict[str, Any]:
+    """The map, with the length of its arcs and a sentence."""
+    if not ground.determined:
+        raise Unavailable(
+            "The data leave a direction of the parameters open, so arcs have no bounded error: hold it fixed."
+        )
+    sensor = ground.problem.sensor
+    row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
+    places = (np.repeat(row, COLUMNS), np.tile(col, ROWS))
+    length = arc_length_rad(ground)
+    sigma = arc_sigma(
+        ground.problem.camera, ground.estimate.x, ground.full_covariance(ground.estimate.P), places, length,
+        (sensor.rows, sensor.columns, sensor.pixel_pitch_m),
+    )  # fmt: skip
+    sigma_arcsec = ARCSEC * sigma.reshape(ROWS, COLUMNS)
+    best, worst, degrees = np.nanmin(sigma_arcsec), np.nanmax(sigma_arcsec), np.degrees(length)
+    return {
+        "row_px": nested(row),
+        "col_px": nested(col),
+        "sigma_arcsec": nested(sigma_arcsec),
+        "arc_deg": float(degrees),
+        "sentence": (
+            f"From the parameters alone an arc of {degrees:.2g}° is known to {best:.2g} arcsec at the best place of the "
+            f"detector and to {worst:.2g} arcsec at the worst (1 sigma)."
+        ),
+    }

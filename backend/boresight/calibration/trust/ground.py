@@ -1,0 +1,206 @@
+"""What every trust number stands on: a finished estimate, the set's whitened rows, and the frames' sums of them.
+
+The rows are taken at x, the best fit of the whole set. A batch ends there; a filter with process noise follows its last frames
+instead, and drift or displaced stars can only be told from its wandering where the wandering is taken out. There each frame k
+has the whitened residual e_k and scaled Jacobian H_k (E Eqs 80-82), so that for all frames together
+
+    A = sum_k H_k^T H_k      b_k = H_k^T e_k, the frame's score      chi2_k = e_k^T e_k      l_k = tr(H_k A^-1 H_k^T), its leverage.
+
+They come from one pass over the set; everything that is linear in the data follows from them without another. What needs more
+than a pass a frame takes frames spaced evenly over the set (`thinned`), and its part of the result says how many.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight import kernels
+from boresight.calibration.estimate import Estimate, Parameters, covariance
+from boresight.calibration.problem import Problem
+from boresight.calibration.settings import CalibrationSettings
+from boresight.estimation import batch
+from boresight.estimation.arcs import ArcSet
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.schema import Telemetry
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+MOST_ITERATIONS = 20
+ARCSEC = float(np.degrees(1.0) * 3600)
+
+
+class Unavailable(Exception):  # noqa: N818 - an answer, not an error
+    """A trust number that cannot be had; its text is the sentence that says why."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A finished estimate with its data.
+
+    Parameters
+    ----------
+    problem, parameters, settings, estimate, telemetry, catalogue
+        As `calibrate` has them at its end.
+    x
+        (n_parameters,) best fit of the whole set, SI.
+    arcs
+        The arcs, weighed there.
+    e, H
+        (n_arcs,) whitened residuals and (n_arcs, n_free) scaled Jacobian there.
+    """
+
+    problem: Problem
+    parameters: Parameters
+    settings: CalibrationSettings
+    estimate: Estimate
+    telemetry: Telemetry
+    catalogue: Catalogue | None
+    x: FloatArray
+    arcs: ArcSet
+    e: FloatArray
+    H: FloatArray
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the free parameters."""
+        return [self.problem.camera.parameter_names[p] for p in self.parameters.free]
+
+    @property
+    def symbols(self) -> list[str]:
+        """Their letters."""
+        return [self.problem.camera.symbols[p] for p in self.parameters.free]
+
+    @cached_property
+    def A(self) -> FloatArray:
+        """Information of the data alone, in typical sigmas."""
+        return np.asarray(self.H.T @ self.H)
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data determine every free parameter."""
+        return self.estimate.status != "rank_deficient"
+
+    def per_frame(self, values: FloatArray) -> FloatArray:
+        """Sums of (n_arcs, ...) over each frame, (n_frames, ...)."""
+        return np.asarray(np.add.reduceat(values, frame_arcs(self.arcs)[:-1], axis=0))
+
+    def full_covariance(self, P: FloatArray) -> FloatArray:
+        """P (n_free, n_free) in typical sigmas as (n_parameters, n_parameters) in SI, zero for fixed parameters."""
+        full = np.zeros((len(self.estimate.x),) * 2)
+        full[np.ix_(self.parameters.free, self.parameters.free)] = P * np.outer(
+            self.parameters.scale, self.parameters.scale
+        )
+        return full
+
+    def leverage(self) -> FloatArray:
+        """l_k of each frame, (n_frames,)."""
+        values, vectors = np.linalg.eigh(covariance(self.A))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        return self.per_frame(np.sum((self.H @ root) ** 2, axis=1))
+
+    def thinned(self, most: int) -> ArcSet:
+        """The arcs of at most so many frames, evenly spaced."""
+        n = self.arcs.n_frames
+        if n <= most:
+            return self.arcs
+        taken = np.zeros(n, np.bool_)
+        taken[np.linspace(0, n - 1, most).round().astype(int)] = True
+        return chosen(self.arcs, taken)
+
+
+def stand(
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    estimate: Estimate,
+    telemetry: Telemetry,
+    catalogue: Catalogue | None,
+) -> Ground:
+    """Find the best fit of the set and take the rows there.
+
+    Raises
+    ------
+    Unavailable
+        When there is nothing to stand on, with the sentence that says why.
+    """
+    if estimate.status == "diverged" or not np.isfinite(estimate.x).all():
+        raise Unavailable("The fit diverged, so there is no estimate to judge: free fewer parameters or start closer.")
+    x, arcs = _best_fit(problem, parameters, settings, estimate)
+    if arcs.n_arcs <= len(parameters.free):
+        raise Unavailable("There are no more arcs than free parameters, so nothing can be checked: add frames.")
+    e, H = np.empty(arcs.n_arcs), np.empty((arcs.n_arcs, len(parameters.free)))
+    kernels.whitened_rows(
+        x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band,
+        parameters.free, parameters.scale, e, H,
+    )  # fmt: skip
+    if not (np.isfinite(e).all() and np.isfinite(H).all()):
+        raise Unavailable("The camera model has no finite value at this estimate: free fewer parameters.")
+    return Ground(problem, parameters, settings, estimate, telemetry, catalogue, x, arcs, e, H)
+
+
+def _best_fit(
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
+) -> tuple[FloatArray, ArcSet]:
+    """State and arcs weighed there; the estimate itself where it is the best fit, or a robust one."""
+    arcs = problem.weighed(estimate.x)
+    if not settings.sequential and settings.error == "arclength":
+        return estimate.x, arcs
+    fitted = batch.fit(arcs, estimate.x, parameters.free, parameters.scale, max_iterations=MOST_ITERATIONS)
+    if fitted.status == "diverged":
+        return estimate.x, arcs
+    return fitted.x, problem.weighed(fitted.x)
+
+
+def frame_arcs(arcs: ArcSet) -> IntArray:
+    """First arc of each frame, and the end, (n_frames + 1,)."""
+    return np.asarray(2 * arcs.star_start[arcs.frame_start] - 3 * arcs.frame_start)
+
+
+def chosen(arcs: ArcSet, frames: BoolArray) -> ArcSet:
+    """Only those frames (n_frames,) of a weighed set, as a set of their own."""
+    exposures_in, stars_in = np.diff(arcs.frame_start), np.diff(arcs.star_start)
+    exposures = np.repeat(frames, exposures_in)
+    stars = np.repeat(exposures, stars_in)
+    arc = np.repeat(exposures, 2 * stars_in - 3)
+    return replace(
+        arcs,
+        frame=arcs.frame[frames],
+        frame_start=_starts(exposures_in[frames]),
+        star_start=_starts(stars_in[exposures]),
+        row_px=arcs.row_px[stars],
+        col_px=arcs.col_px[stars],
+        sigma_px=arcs.sigma_px[stars],
+        s_i=arcs.s_i[stars],
+        source_row=arcs.source_row[stars],
+        phi=arcs.phi[arc],
+        band=arcs.band[arc],
+    )
+
+
+def _starts(counts: IntArray) -> IntArray:
+    """First place of each run, and the end."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def grid(rows: int, columns: int, n_rows: int, n_columns: int) -> tuple[FloatArray, FloatArray]:
+    """Rows and columns of places spread over the detector, edges included, pixels."""
+    return np.linspace(0, rows - 1.0, n_rows), np.linspace(0, columns - 1.0, n_columns)
+
+
+def nested(values: NDArray[Any]) -> list[Any]:
+    """Nested lists of five significant digits, with null for what is not finite: for drawing, not for computing on."""
+    if values.ndim > 1:
+        return [nested(row) for row in values]
+    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values.tolist()]
+
+
+def probability(p: float) -> str:
+    """A probability as a person reads it."""
+    return f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"

@@ -1,0 +1,78 @@
+"""Normalised innovations over time: whether every part of the set is as well explained as the whole.
+
+A filter gives them itself: of each update the normalised innovation squared, chi-square with as many degrees of freedom as
+arcs. A batch has none, so each frame is judged at the end state, which it helped to find: its chi-square has the mean m_k - l_k
+with m_k its arcs and l_k = tr(H_k A^-1 H_k^T) its leverage, and is compared with a chi-square distribution of that many degrees
+of freedom. (Exact would be a sum of weighted squares; the weights differ from one by l_k / m_k at most on average, 0.1 % for a
+frame among a hundred.)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
+from boresight.estimation.consistency import CONFIDENCE, runs_p_value, share_bounds
+
+FloatArray = NDArray[np.float64]
+
+MOST_POINTS = 1000
+#: Chance of a run test so extreme below which the series is said to change with time.
+UNLIKELY = 0.01
+
+
+def nis_over_time(ground: Ground) -> dict[str, Any]:
+    """Innovations, or a batch's chi-squares, per degree of freedom, with their bounds."""
+    frame, values, dof = _series(ground)
+    tail = (1 - CONFIDENCE) / 2
+    per_dof, lower, upper = values / dof, chdtri(dof, 1 - tail) / dof, chdtri(dof, tail) / dof
+    outside = float(np.mean((per_dof < lower) | (per_dof > upper)))
+    low, high = share_bounds(len(values), 1 - CONFIDENCE)
+    runs = runs_p_value(per_dof)
+    shown = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_POINTS)).round().astype(int))
+    return {
+        "frame": frame[shown].tolist(),
+        "nis_per_dof": nested(per_dof[shown]),
+        "lower": nested(lower[shown]),
+        "upper": nested(upper[shown]),
+        "outside_share": outside,
+        "expected_share": 1 - CONFIDENCE,
+        "outside_bounds": [low, high],
+        "runs_p": runs,
+        "points_in_all": len(values),
+        "consistent": low <= outside <= high and runs >= UNLIKELY,
+        "sentence": _sentence(len(values), outside, (low, high), runs, ground.estimate.history is not None),
+    }
+
+
+def _series(ground: Ground) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Frame numbers, sums of squares and their degrees of freedom, (n,) each."""
+    history, updated = ground.estimate.history, ground.estimate.updated
+    if history is not None and updated is not None:
+        if not len(history.nis):
+            raise Unavailable("The filter took no frame in.")
+        return updated, history.nis, history.dof.astype(float)
+    leverage = ground.leverage()
+    dof = ground.per_frame(np.ones(len(ground.e))) - leverage
+    if dof.min() < 1:
+        raise Unavailable(
+            "One frame alone determines most of the parameters, so it cannot be judged by the rest: add frames."
+        )
+    return ground.arcs.frame, ground.per_frame(ground.e**2), dof
+
+
+def _sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:
+    """The verdict in words."""
+    what = "updates" if filtered else "frames"
+    share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} is what chance allows)"
+    wrong = "" if bounds[0] <= outside <= bounds[1] else ": the noise or the covariance is not what it is said to be"
+    order = (
+        "follow one another as by chance"
+        if runs >= UNLIKELY
+        else "do not follow one another as by chance: something changes"
+    )
+    return f"{share}{wrong}; high and low {what} {order} ({probability(runs)})."

@@ -1,0 +1,201 @@
+"""Every star over all its sightings, and those whose catalogue place the set contradicts.
+
+A star displaced by d = (east, north) from its catalogue place leaves r = M T d + noise of covariance sigma^2 M in each sighting
+(T turns sky into pixels, M is its own share, see `residuals`). With
+
+    u = sum T^T r / sigma^2         W = sum T^T M T / sigma^2         d = W^-1 u,
+
+u^T d is chi-square with two degrees of freedom for a star that stands where the catalogue says. It is divided by the square of
+the residuals' spread where that exceeds one, so that understated noise alone makes no suspect. A star is one when its p-value
+times the number of stars (Bonferroni) is below 1 %: of a hundred sets without a displaced star, one names any.
+
+A displaced star pulls the attitude and so makes its neighbours look displaced. So the worst are taken out, the residuals of the
+others are taken anew without them, and so on until nobody is suspect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable
+from boresight.calibration.trust.residuals import Sightings, sightings
+from boresight.sky.catalogue import SINGLE_STAR
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+MOST_SHOWN = 200
+MOST_ROUNDS = 6
+FAMILY_LEVEL = 0.01
+#: Stars that an attitude must keep when suspects are taken out of it.
+FEWEST_KEPT = 3
+#: A sighting so many sigmas off, while its star's others are not, is a wrong match rather than a wrong place.
+FAR_OFF = 6.0
+SOLUTIONS = {1: "stochastic solution", 3: "variable and double", 7: "accelerated motion", 9: "accelerated motion"}
+
+
+@dataclass(frozen=True)
+class StarTable:
+    """One entry a star; leading dimension n_stars.
+
+    Parameters
+    ----------
+    star_id, sightings
+        Hipparcos number and how often it was seen.
+    displacement_rad, sigma_rad
+        (n_stars, 2) east and north from the catalogue place, and one-sigma.
+    z
+        Displacement over its sigma: the root of u^T d, spread taken into account.
+    rms_px, worst_z
+        Of its residuals an axis, and the largest single one in sigmas.
+    pixel_rad
+        Angle of a pixel where it was seen.
+    suspect
+        Whether the set contradicts its place.
+    """
+
+    star_id: IntArray
+    sightings: IntArray
+    displacement_rad: FloatArray
+    sigma_rad: FloatArray
+    z: FloatArray
+    rms_px: FloatArray
+    worst_z: FloatArray
+    pixel_rad: FloatArray
+    suspect: BoolArray
+
+
+def star_table(ground: Ground, first: Sightings) -> StarTable:
+    """Judge every star, taking suspects out until none is left."""
+    if ground.telemetry.star_id is None:
+        raise Unavailable(
+            "The telemetry names no stars, so sightings of one star cannot be put together: give star_id."
+        )
+    ids = ground.telemetry.star_id[first.arcs.source_row]
+    table = _judged(ids, first)
+    for _ in range(MOST_ROUNDS):
+        new = _suspect(table) & ~table.suspect
+        if not new.any():
+            break
+        worst = new & (table.z >= table.z[new].max() / 2)
+        named = table.suspect | worst
+        again = _judged(ids, sightings(ground, _kept(ids, table.star_id[named], first)))
+        table = _merged(table, again, named)
+    return table
+
+
+def _suspect(table: StarTable) -> BoolArray:
+    """Stars beyond the level, (n_stars,)."""
+    return np.asarray(table.z**2 > -2 * np.log(FAMILY_LEVEL / len(table.z)))
+
+
+def _kept(ids: IntArray, out: IntArray, found: Sightings) -> BoolArray:
+    """Sightings that attitudes may rest on: none of these stars, unless too few would be left in the exposure."""
+    kept = ~np.isin(ids, out)
+    start = found.arcs.star_start
+    left = np.add.reduceat(kept.astype(int), start[:-1])
+    return np.asarray(kept | np.repeat(left < FEWEST_KEPT, np.diff(start)))
+
+
+def _merged(before: StarTable, after: StarTable, named: BoolArray) -> StarTable:
+    """Named stars as they were when named, the others as they are now."""
+    values = {}
+    for key, now in vars(after).items():
+        was = getattr(before, key)
+        values[key] = np.where(named if now.ndim == 1 else named[:, None], was, now)
+    return StarTable(**{**values, "suspect": named})
+
+
+def _judged(ids: IntArray, found: Sightings) -> StarTable:
+    """Add the sightings of each star up."""
+    seen = found.known
+    T, variance = found.from_sky[seen], found.arcs.sigma_px[seen] ** 2
+    star_id, of = np.unique(ids[seen], return_inverse=True)
+    n = len(star_id)
+    u = _summed(np.einsum("nki,nk->ni", T, found.r[seen]) / variance[:, None], of, n)
+    W = _summed((T.transpose(0, 2, 1) @ found.M[seen] @ T) / variance[:, None, None], of, n)
+    inverse = np.linalg.pinv(W, hermitian=True)
+    d = np.einsum("nij,nj->ni", inverse, u)
+    counts = np.bincount(of, minlength=n)
+    worst = np.zeros(n)
+    np.maximum.at(worst, of, np.abs(found.z[seen]).max(axis=1))
+    pixel = 1 / np.sqrt(np.abs(np.linalg.det(T)))
+    return StarTable(
+        star_id=star_id,
+        sightings=counts,
+        displacement_rad=d,
+        sigma_rad=np.sqrt(np.maximum(np.diagonal(inverse, axis1=1, axis2=2), 0.0)),
+        z=np.sqrt(np.maximum(np.einsum("ni,ni->n", u, d), 0.0)) / max(found.spread, 1.0),
+        rms_px=np.sqrt(_summed(np.mean(found.r[seen] ** 2, axis=1), of, n) / counts),
+        worst_z=worst / max(found.spread, 1.0),
+        pixel_rad=_summed(pixel, of, n) / counts,
+        suspect=np.zeros(n, np.bool_),
+    )
+
+
+def _summed(values: FloatArray, of: IntArray, n: int) -> FloatArray:
+    """Sums of (n_sightings, ...) over each star, (n, ...)."""
+    flat = values.reshape(len(values), -1)
+    columns = [np.bincount(of, flat[:, place], minlength=n) for place in range(flat.shape[1])]
+    return np.asarray(np.stack(columns, axis=-1).reshape(n, *values.shape[1:]), dtype=np.float64)
+
+
+def stars(ground: Ground, table: StarTable) -> list[dict[str, Any]]:
+    """The worst stars first, at most `MOST_SHOWN`, every suspect among the first."""
+    order = np.lexsort((-table.z, ~table.suspect))[:MOST_SHOWN]
+    solution = _solutions(ground, table.star_id[order])
+    return [_entry(table, place, kind) for place, kind in zip(order, solution, strict=True)]
+
+
+def _entry(table: StarTable, i: int, solution: str | None) -> dict[str, Any]:
+    """One star as JSON."""
+    flags = [] if solution is None else [solution]
+    if table.sightings[i] > 1 and table.worst_z[i] > FAR_OFF and table.worst_z[i] > 0.9 * table.z[i]:
+        flags.append("one sighting far off")
+    d = table.displacement_rad[i]
+    return {
+        "star_id": int(table.star_id[i]),
+        "sightings": int(table.sightings[i]),
+        "mean_residual_px": float(np.hypot(*d) / table.pixel_rad[i]),
+        "rms_px": float(table.rms_px[i]),
+        "z": float(table.z[i]),
+        "east_north_arcsec": [float(value) for value in d * ARCSEC],
+        "sigma_arcsec": [float(value) for value in table.sigma_rad[i] * ARCSEC],
+        "suspect": bool(table.suspect[i]),
+        "flags": flags,
+    }
+
+
+def _solutions(ground: Ground, star_id: IntArray) -> list[str | None]:
+    """What the catalogue says against each star's place, or None."""
+    if ground.catalogue is None:
+        return [None] * len(star_id)
+    index = ground.catalogue.index_of(star_id)
+    kinds = np.where(index >= 0, ground.catalogue.solution_type[index], -1)
+    return [
+        None
+        if kind == SINGLE_STAR
+        else "not in the catalogue"
+        if kind < 0
+        else SOLUTIONS.get(int(kind), "no single star")
+        for kind in kinds
+    ]
+
+
+def stars_sentence(table: StarTable, frames_used: int, frames: int) -> str:
+    """How many stars were judged and who is suspect."""
+    named = table.star_id[table.suspect]
+    of = "" if frames_used == frames else f" in {frames_used} frames spaced evenly over the set"
+    if not len(named):
+        return f"None of {len(table.z)} stars{of} is off its catalogue place by more than chance explains (1 % over all of them)."
+    worst = table.star_id[table.suspect][np.argsort(-table.z[table.suspect])][:10]
+    more = "" if len(named) <= len(worst) else f" and {len(named) - len(worst)} more"
+    return (
+        f"{len(named)} of {len(table.z)} stars{of} {'is' if len(named) == 1 else 'are'} off the catalogue place by more than "
+        f"chance explains (1 % over all of them): HIP {', '.join(map(str, worst))}{more}; check their matches or leave them out."
+    )
