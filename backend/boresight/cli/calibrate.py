@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from boresight.cli.calibration_options import GroupedCommand, calibration_options, chosen
 from boresight.cli.output import aligned, check_writable, json_option, write_json
 from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
@@ -18,20 +19,12 @@ from boresight.settings import read_settings, use_kernel_folder
 FAILED = ("diverged", "too_few_stars")
 
 
-@click.command()
+@click.command(cls=GroupedCommand)
 @click.argument("telemetry", type=click.Path(path_type=Path))
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
-@click.option("--method", default="batch", show_default=True, help="Estimator: batch, sqrf or ekf.")
-@click.option("--variant", default="no-q", show_default=True, help="Of a filter: no-q holds still, q follows drift.")
-@click.option(
-    "--free", metavar="NAMES", help="Parameters to estimate, as f_m,b2_per_m2; the sensor's own list if left out."
-)
-@click.option("--match", default="given", show_default=True, help="Star identities: those given in the file.")
+@calibration_options
 @click.option(
     "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
-)
-@click.option(
-    "--linearisations", type=int, default=6, show_default=True, help="Most a frame; 1 is the filter as printed."
 )
 @json_option
 def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_file: str | None, **choices: Any) -> None:
@@ -56,11 +49,8 @@ def _settings(choices: dict[str, Any]) -> Any:
     """Read the choices; one that does not exist is wrong usage."""
     from boresight.calibration.settings import CalibrationSettings
 
-    free = choices.pop("free")
-    if free is not None:
-        choices["free"] = [name.strip() for name in free.split(",") if name.strip()]
     try:
-        return CalibrationSettings.parse(choices)
+        return CalibrationSettings.parse(chosen(choices))
     except RefusedInputError as error:
         raise click.UsageError(str(error)) from error
 
