@@ -1,6 +1,7 @@
 // Identifiers and hashes are copied by a click or Enter: every element with data-copy.
 
 function prepare(element) {
+  if (element.matches("button")) return; // says itself what it copies
   element.tabIndex = 0;
   element.setAttribute("role", "button");
   element.setAttribute("aria-label", `Copy ${element.dataset.copy}`);
@@ -19,6 +20,6 @@ if (navigator.clipboard) {
     if (element) copy(element);
   });
   document.addEventListener("keydown", (event) => {
-    if (event.key === "Enter" && event.target.matches("[data-copy]")) copy(event.target);
+    if (event.key === "Enter" && event.target.matches("[data-copy]:not(button)")) copy(event.target);
   });
 }

@@ -31,12 +31,21 @@ function plotly() {
   return library;
 }
 
+// Figures near the window are drawn at once; the others one after another whenever the browser has nothing better to do
+const near = new IntersectionObserver(
+  (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => entry.target.begin()),
+  { rootMargin: "300px" },
+);
+const idle = () => new Promise((resolve) => (window.requestIdleCallback ? requestIdleCallback(resolve, { timeout: 1500 }) : setTimeout(resolve, 200)));
+let queue = Promise.resolve();
+
 const isEmpty = (figure) => !figure.data.some((trace) => ["x", "y", "z"].some((axis) => length(trace[axis]) > 0));
 const length = (values) => values?.length ?? (values?.bdata ? values.bdata.length : 0);
 const reasonOf = (figure) => figure.layout?.annotations?.[0]?.text ?? "Nothing to draw yet: the run has not come this far.";
 const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;
 
 class PlotFigure extends HTMLElement {
+  #begun = false;
   #figure = null;
   #busy = false;
   #again = false;
@@ -51,10 +60,20 @@ class PlotFigure extends HTMLElement {
     document.addEventListener("boresight:theme", () => this.#draw(), { signal });
     this.resizer = new ResizeObserver(() => this.#resize());
     this.resizer.observe(this.canvas);
-    this.refresh();
+    this.#say("loading", "Loading the figure.");
+    near.observe(this);
+    queue = queue.then(idle).then(() => this.begin());
+  }
+
+  /** Fetch and draw for the first time, unless that was done already. */
+  async begin() {
+    near.unobserve(this);
+    if (!this.#begun && this.isConnected) await this.refresh();
   }
 
   disconnectedCallback() {
+    near.unobserve(this);
+    this.#begun = false;
     this.#abort.abort();
     this.resizer.disconnect();
     if (this.canvas._fullLayout) window.Plotly.purge(this.canvas);
@@ -82,7 +101,7 @@ class PlotFigure extends HTMLElement {
       this.#again = true;
       return;
     }
-    this.#busy = true;
+    this.#begun = this.#busy = true;
     const slow = setTimeout(() => this.#say("loading", "Still working on this figure."), SLOW_MS);
     if (!this.#figure) this.#say("loading", "Loading the figure.");
     try {

@@ -1,8 +1,8 @@
 """How well an arc is known over the detector, from the covariance of the parameters alone.
 
-The arc starts at the place on the map and is five degrees long (a quarter of the field where that is narrower). Its
-variance is J P J^T with J the derivative of the arclength by the parameters: what the calibration itself adds to every
-measured angle there, whatever the centroids do.
+The arc lies about the place on the map, five degrees long or a quarter of the field where that is narrower. Its variance
+is J P J^T with J the derivative of the arclength by the parameters: what the calibration itself adds to every measured
+angle there, whatever the centroids do.
 """
 
 from __future__ import annotations
@@ -36,8 +36,9 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
 def _headline(drawn: Sequence[Part]) -> str:
     if len(drawn) > 1:
         return f"1σ of an arc over the detector, {len(drawn)} runs"
-    sigma = column(drawn[0][2][KEY])
-    return f"1σ of an arc: {np.nanmin(sigma):.3g} to {np.nanmax(sigma):.3g} arcsec over the detector"
+    sigma, degrees = column(drawn[0][2][KEY]), drawn[0][2].get("arc_deg")
+    arc = f"an arc of {degrees:.3g}°" if degrees is not None else "an arc"
+    return f"1σ of {arc}: {np.nanmin(sigma):.3g} to {np.nanmax(sigma):.3g} arcsec over the detector"
 
 
 def table(result: Result) -> Table:
@@ -50,7 +51,7 @@ ARC_UNCERTAINTY = Figure(
     name="arc-uncertainty",
     title=TITLE,
     guide=(
-        "Each place shows how uncertain an arc of five degrees (a quarter of a narrower field) is that starts there, "
+        "Each place shows how uncertain an arc of five degrees (a quarter of a narrower field) is about it, "
         "from the uncertainty of the parameters alone. Everywhere well below the noise of a centroid is good; a "
         "bright corner is where this calibration extrapolates."
     ),

@@ -1,7 +1,7 @@
 """Each parameter left out in turn: how much worse the fit becomes, and how far the others move to make up for it.
 
 With the parameter held at its initial value, chi-square rises by one on average if the parameter has nothing to do, and
-by more than 3.84 in one case of twenty. The others' shift is counted in their own sigmas.
+by more than 6.63 in one case of a hundred. The others' shift is counted in their own sigmas.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from boresight.figures.trust_parts import FloatArray, Part, absent, column, part
 
 TITLE = "Leaving one parameter out"
 PART = "drop_one"
-BY_CHANCE = 3.84  # the 95 % point of chi-square with one degree of freedom
+BY_CHANCE = 6.63  # the 99 % point of chi-square with one degree of freedom
 LEAST = 0.1  # the log axis starts here; a fit that became no worse is drawn as a bar of no height
 
 
@@ -34,16 +34,23 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         rises = column([row.get("chi2_increase") for row in one[2]])
         shifts = column([largest_shift(row) for row in one[2]])
         figure.add_trace(_bars(one, np.maximum(rises, LEAST), rises, "Δχ² %{customdata:.4g}"), row=1, col=1)
-        figure.add_trace(_bars(one, shifts, shifts, "%{y:.3g} σ"), row=2, col=1)
+        figure.add_trace(_bars(one, np.maximum(shifts, LEAST), shifts, "%{customdata:.3g} σ"), row=2, col=1)
     many = len(drawn) > 1
     theme.dress(figure, title=_headline(drawn), height_px=440, legend=many, hovermode="closest", barmode="group")
     figure.update_traces(showlegend=False, row=2, col=1)
-    figure.update_yaxes(title_text="χ² rises by", type="log", exponentformat="power", row=1, col=1)
-    figure.update_yaxes(title_text="others move (σ)", rangemode="tozero", row=2, col=1)
+    figure.update_yaxes(type="log", exponentformat="power", minexponent=3)
+    figure.update_yaxes(title_text="χ² rises by", range=_window(figure, 0), row=1, col=1)
+    figure.update_yaxes(title_text="others move (σ)", range=_window(figure, 1), row=2, col=1)
     figure.update_xaxes(showgrid=False)
     line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}
     figure.add_hline(y=BY_CHANCE, line=line, row=1, col=1)
     return figure
+
+
+def _window(figure: go.Figure, half: int) -> list[float]:
+    """Choose the decades of a half's log axis, from below LEAST to above its highest bar."""
+    highest = max(float(np.nanmax(np.asarray(trace.y, dtype=np.float64))) for trace in figure.data[half::2])
+    return [float(np.log10(LEAST)) - 0.1, float(np.log10(max(highest, 2 * BY_CHANCE))) + 0.3]
 
 
 def largest_shift(row: Mapping[str, Any]) -> float | None:
@@ -94,7 +101,7 @@ DROP_ONE = Figure(
     title=TITLE,
     guide=(
         "Each column holds one parameter at its initial value and fits the others: above, how much chi-square rises "
-        "(dotted: what chance alone reaches in one case of twenty), below, how far the others move. A hatched "
+        "(dotted: what chance alone reaches in one case of a hundred), below, how far the others move. A hatched "
         "parameter does no work here, and freeing it only widens the sigmas of the rest."
     ),
     draw=draw,

@@ -32,7 +32,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         return absent(TITLE, traces, PART)
     figure = go.Figure()
     for one in drawn:
-        _draw_run(figure, one, POINT_BUDGET // len(drawn))
+        _draw_run(figure, one, POINT_BUDGET // len(drawn), alone=len(drawn) == 1)
     theme.dress(figure, title=_headline(drawn), height_px=400, hovermode="closest")
     figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2})
     figure.update_xaxes(title_text="frame")
@@ -40,38 +40,41 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     return figure
 
 
-def _draw_run(figure: go.Figure, one: Part, limit: int) -> None:
+def _draw_run(figure: go.Figure, one: Part, limit: int, *, alone: bool) -> None:
     _, style, part = one
     frame, nis = column(part["frame"]), column(part["nis_per_dof"])
     low, high = (column(part[bound]) for bound in BOUNDS)
     kept = keep_extremes([nis], limit // 3)
     for name, bound in zip(BOUNDS, (low, high), strict=True):
-        shown = name == "upper"
-        options = {"name": f"{style.label} · 95 % bounds", "showlegend": shown, "hoverinfo": "skip"}
+        options = {"name": "95 % bounds", "showlegend": alone and name == "upper", "hoverinfo": "skip"}
         level = theme.line(style, frame[kept], bound[kept], **options)
         level.update(line={"dash": "dot", "width": 1, "color": theme.translucent(style.colour, 0.8)})
         figure.add_trace(level)
-    figure.add_trace(_points(one, frame, nis, (nis < low) | (nis > high), kept))
+    figure.add_trace(_points(one, frame, nis, (nis < low) | (nis > high), kept, alone=alone))
     mean = running_mean(nis, max(5, int(WINDOW_SHARE * len(nis))))
     sparse = keep_extremes([mean], limit // 3)
-    options = {"name": f"{style.label} · running mean", "hovertemplate": f"mean %{{y:.3g}}<extra>{style.label}</extra>"}
+    hover = f"mean %{{y:.3g}}<extra>{style.label}</extra>"
+    options = {"name": "running mean" if alone else style.label, "hovertemplate": hover, "showlegend": True}
     figure.add_trace(theme.line(style, frame[sparse], mean[sparse], **options))
+    if alone:
+        figure.update_traces(legendgroup=None)
 
 
-def _points(one: Part, frame: FloatArray, nis: FloatArray, outside: Any, kept: Any) -> go.Scatter:
+def _points(one: Part, frame: FloatArray, nis: FloatArray, outside: Any, kept: Any, *, alone: bool) -> go.Scatter:
     """Draw the frames, a frame outside its bounds by another shape."""
     style = one[1]
     return go.Scatter(
         x=theme.short(frame[kept]),
         y=theme.short(nis[kept]),
         mode="markers",
-        name=style.label,
+        name="one frame",
         legendgroup=style.label,
+        showlegend=alone,
         marker={
             "color": theme.translucent(style.colour, 0.55),
             "size": np.where(outside[kept], 7, 4).astype(np.int8),
             "symbol": ["x-thin-open" if out else "circle" for out in outside[kept]],
-            "line": {"width": 1.4},
+            "line": {"width": np.where(outside[kept], 1.6, 0.0).astype(np.float32), "color": style.colour},
         },
         hovertemplate=f"frame %{{x}}: %{{y:.3g}}<extra>{style.label}</extra>",
     )

@@ -41,6 +41,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
 def _panel(figure: go.Figure, drawn: Sequence[Part], name: str, where: dict[str, int], *, named: bool) -> None:
     """Add one parameter's curve of every run, and a mark at the frames that the run has."""
     item = quantity(name, drawn[0][0].result)
+    seen: list[list[FloatArray]] = []
     for trace, style, part in drawn:
         if name not in part["sigma"]:
             continue
@@ -48,30 +49,53 @@ def _panel(figure: go.Figure, drawn: Sequence[Part], name: str, where: dict[str,
         hover = f"%{{x:.0f}} frames: %{{y:.3g}} {item.change_unit}<extra>{style.label}</extra>"
         options: dict[str, Any] = {"hovertemplate": hover, "showlegend": named, "mode": "lines+markers"}
         curve = theme.line(style, frames, sigma * item.change_factor, **options)
-        curve.update(marker={"size": [8] + [4] * (len(frames) - 1), "color": style.colour})
+        curve.update(marker={"size": [8] + [4] * (len(frames) - 1), "color": style.colour, "line": {"width": 0}})
         figure.add_trace(curve, **where)
+        seen.append([frames, sigma * item.change_factor])
+    for update, values in zip((figure.update_xaxes, figure.update_yaxes), np.concatenate(seen, axis=1), strict=True):
+        ticks = round_decades(values)
+        update(tickvals=ticks, ticktext=[_tick(tick) for tick in ticks], **where)
     unit = f" ({item.change_unit})" if item.change_unit else ""
-    figure.update_yaxes(title={"text": f"σ<sub> </sub>{item.markup}{unit}", "standoff": 4}, **where)
+    figure.update_yaxes(title={"text": f"σ of {item.markup}{unit}", "standoff": 4}, **where)
 
 
 def _curve(result: Result, part: Result, name: str) -> tuple[FloatArray, FloatArray]:
     """Return frames in all (n,) and sigma (n,) in SI, beginning with what the run has now."""
     further, sigma = column(part["further_frames"]), column(part["sigma"][name])
-    now = (result.get("sigma") or {}).get(name)
+    now, frames_now = (result.get("sigma") or {}).get(name), part.get("frames") or result.get("frames")
     if now is not None and 0 not in further:
         further, sigma = np.append(0.0, further), np.append(now, sigma)
-    frames = further + float(result.get("frames") or 0)
+    frames = further + float(frames_now or 0)
     shown = frames > 0
     return frames[shown], sigma[shown]
+
+
+def round_decades(values: FloatArray) -> list[float]:
+    """Return the powers of ten, their doubles and quintuples within the values; the doubles go where they would crowd."""
+    known = values[np.isfinite(values) & (values > 0)]
+    low, high = float(np.min(known, initial=np.inf)), float(np.max(known, initial=0.0))
+    if not low <= high:
+        return []
+    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    steps = (1.0,) if high > 1e3 * low else (1.0, 2.0, 5.0)
+    return [step * 10.0**power for power in powers for step in steps if 0.8 * low <= step * 10.0**power <= 1.25 * high]
+
+
+def _tick(value: float) -> str:
+    """Write a tick in as few letters as it takes."""
+    if value >= 1e6:
+        return f"{value:.0e}".replace("e+0", "e").replace("e+", "e")
+    return f"{value / 1e3:g}k" if value >= 1e3 else f"{value:g}"
 
 
 def _dress(figure: go.Figure, drawn: Sequence[Part], n_rows: int, n_panels: int) -> None:
     many = len(drawn) > 1
     title = "Predicted sigma over frames in all, the mark at the left is now"
     theme.dress(figure, title=title, height_px=90 + n_rows * PANEL_HEIGHT_PX, legend=many, hovermode="closest")
-    figure.update_traces(showlegend=False) if not many else None
-    figure.update_xaxes(type="log", dtick="D1", tickformat="~s", tickangle=0)
-    figure.update_yaxes(type="log", dtick="D2", tickformat=".2~g", exponentformat="power")
+    if not many:
+        figure.update_traces(showlegend=False)
+    figure.update_xaxes(type="log", tickangle=0)
+    figure.update_yaxes(type="log")
     for place in range(n_rows * COLUMNS):
         where = {"row": place // COLUMNS + 1, "col": place % COLUMNS + 1}
         if place >= n_panels:

@@ -17,14 +17,20 @@ from plotly.offline import get_plotlyjs
 
 from boresight import __version__
 from boresight.errors import RefusedInputError
-from boresight.figures import FIGURES
+from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.chart import Result, Trace
 from boresight.figures.evidence import verdict
+from boresight.figures.matching import why_no_matching
+from boresight.figures.matching_table import flight_rows, flight_tolerance, match_counts, match_facts, reason_tables
 from boresight.figures.printed_table import HEADINGS, printed_rows
+from boresight.figures.star_table import star_rows, to_flag
 from boresight.figures.theme import LIGHT_TEMPLATE
+from boresight.figures.trust_marks import prospects, trust_marks
+from boresight.figures.trust_parts import why_absent
 from boresight.resources import folder
 
 SCHEMA = "boresight.calibration/1"
+MOST_STARS = 50  # in print; the run's CSV has more
 
 
 def write_report(result: Result, path: Path) -> None:
@@ -61,14 +67,40 @@ def render_report(result: Result) -> str:
         summary=list(_summary(result)),
         headings=HEADINGS,
         rows=printed_rows(result),
-        figures=list(FIGURES.values()),
+        chapters=CHAPTERS,
         figures_json=_inline({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
+        **_examined(result),
+        **_matched(result),
         provenance=list(flattened(result.get("inputs") or {})),
         timing=list(flattened(result.get("timing_s") or {})),
         command=command(result),
         plotly=Markup(get_plotlyjs()),  # noqa: S704 - the library's own file, as its writer inlines it
         version=__version__,
     )
+
+
+def _examined(result: Result) -> dict[str, Any]:
+    """Gather the chapter on trust."""
+    return {
+        "trust_marks": trust_marks(result),
+        "why_no_trust": why_absent(result, ""),
+        "prospects": prospects(result),
+        "stars": star_rows(result)[:MOST_STARS],
+        "to_flag": to_flag(result),
+    }
+
+
+def _matched(result: Result) -> dict[str, Any]:
+    """Gather the chapter on matching."""
+    matching = result.get("matching") or {}
+    return {
+        "match_counts": match_counts(matching) if matching else [],
+        "match_facts": match_facts(matching),
+        "flight": flight_rows(result),
+        "flight_tolerance": flight_tolerance(matching),
+        "reasons": reason_tables(matching),
+        "why_no_matching": why_no_matching(result),
+    }
 
 
 def _trace(result: Result) -> Trace:

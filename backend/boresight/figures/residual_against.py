@@ -21,8 +21,8 @@ from boresight.figures.trust_parts import FloatArray, Part, absent, column, part
 TITLE = "Residual against causes"
 PART = "residual_against"
 CAUSES = ("radius", "magnitude", "temperature", "time")
-UNITS = {"radius": "px", "magnitude": "mag", "temperature": "°C", "time": "s"}
-SHORTEST_REASON = 46
+UNITS = {"radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h"}
+REASON_LETTERS = 30  # a line of a reason inside its panel
 REACH_SIGMA = 1.96
 
 
@@ -34,8 +34,8 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure = make_subplots(2, 2, horizontal_spacing=0.1, vertical_spacing=0.2)
     for i, cause in enumerate(CAUSES):
         _panel(figure, drawn, cause, {"row": i // 2 + 1, "col": i % 2 + 1})
-    theme.dress(figure, title="Mean radial residual by bin, bars ±1.96σ of the mean; dotted: RMS", height_px=520)
-    figure.update_layout(hovermode="closest")
+    many, title = len(drawn) > 1, "Mean radial residual, 95 % bars; dotted: RMS"
+    theme.dress(figure, title=title, height_px=520, legend=many, hovermode="closest")
     _name_once(figure)
     return figure
 
@@ -55,16 +55,18 @@ def _panel(figure: go.Figure, drawn: Sequence[Part], cause: str, where: dict[str
 
 def _why(result: Result, cause: str) -> str:
     unavailable = (result.get("trust") or {}).get("unavailable") or {}
-    for name in (f"{PART}.{cause}", cause):
-        if unavailable.get(name):
-            return str(unavailable[name])
-    return f"The telemetry has no {cause}."
+    return str(unavailable.get(f"{PART}.{cause}") or f"The telemetry has no {cause}.")
 
 
 def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
     """Write a sentence into an empty panel, folded to its width."""
     words = "<br>".join(_folded(theme.escape(sentence)))
-    figure.add_annotation(text=words, x=0.5, y=0.5, xref="x domain", yref="y domain", **where)
+    number = 2 * (where["row"] - 1) + where["col"]
+    figure.add_trace(
+        go.Scatter(x=[None], y=[None], showlegend=False, hoverinfo="skip"), **where
+    )  # makes the axes stand
+    place = f"{number if number > 1 else ''} domain"
+    figure.add_annotation(text=words, x=0.5, y=0.5, xref=f"x{place}", yref=f"y{place}")
     figure.update_xaxes(showticklabels=False, showgrid=False, zeroline=False, range=[0, 1], **where)
     figure.update_yaxes(showticklabels=False, showgrid=False, zeroline=False, range=[0, 1], title_text=None, **where)
 
@@ -72,7 +74,7 @@ def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
 def _folded(sentence: str) -> list[str]:
     lines = [""]
     for word in sentence.split():
-        if len(lines[-1]) + len(word) > SHORTEST_REASON:
+        if len(lines[-1]) + len(word) > REASON_LETTERS:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".strip()
     return lines
@@ -85,9 +87,8 @@ def _centres(bins: Result) -> FloatArray:
 
 def sigma_of_mean(bins: Result) -> FloatArray:
     """Read the sigma of each bin's mean in px, (n,); where the result has none, RMS over the root of the count."""
-    for name in ("sigma_of_mean_px", "sigma_of_mean"):
-        if bins.get(name) is not None:
-            return column(bins[name])
+    if bins.get("sigma_of_mean_px") is not None:
+        return column(bins["sigma_of_mean_px"])
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(column(bins["rms_px"]) / np.sqrt(column(bins["count"])))
 
@@ -105,7 +106,7 @@ def _means(style: theme.RunStyle, bins: Result) -> go.Scatter:
 
 def _spread(style: theme.RunStyle, bins: Result) -> go.Scatter:
     hover = f"RMS %{{y:.3f}} px<extra>{style.label}</extra>"
-    drawn = theme.line(style, _centres(bins), column(bins["rms_px"]), hovertemplate=hover, name=f"{style.label} · RMS")
+    drawn = theme.line(style, _centres(bins), column(bins["rms_px"]), hovertemplate=hover)
     drawn.update(line={"dash": "dot", "width": 1.2}, connectgaps=False)
     return drawn
 
@@ -114,7 +115,8 @@ def _name_once(figure: go.Figure) -> None:
     """Name every run once in the legend, though it is drawn in four panels."""
     seen: set[str] = set()
     for trace in figure.data:
-        trace.showlegend = trace.name not in seen
+        trace.showlegend = trace.name is not None and trace.name not in seen
+        trace.legendgroup = trace.name
         seen.add(trace.name)
 
 

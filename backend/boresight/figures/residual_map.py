@@ -17,7 +17,7 @@ from plotly.subplots import make_subplots
 
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import FloatArray, absent, column, part_of, parts, whose
+from boresight.figures.trust_parts import FloatArray, absent, column, part_of, parts
 
 TITLE = "Residuals on the detector"
 PART = "residuals"
@@ -25,7 +25,7 @@ COLUMNS = ("row_px", "col_px", "d_row_px", "d_col_px")
 CELLS = 10  # along the longer side
 LEAST_STARS = 4  # in a cell, for a mean with a sigma
 CLEAR_SIGMA = 3.0
-ARROW_SHARE = 0.06  # of the detector's width: the length of the typical arrow
+ARROW_SHARE = 0.03  # of the detector's width: the length of the typical arrow
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,15 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         return absent(TITLE, traces, PART)
     stars = _stars(drawn[0][2])
     means = cell_means(stars)
-    names = [f"star by star, {_scale(stars):,.0f} times", f"mean of each cell, {_scale(means):,.0f} times"]
+    alone = f"{drawn[0][1].label} only: " if len(drawn) > 1 else ""
+    names = [f"{alone}star by star, {_scale(stars):,.0f} times", f"mean of each cell, {_scale(means):,.0f} times"]
     figure = make_subplots(1, 2, shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=names)
     style = drawn[0][1]
     _arrows(figure, stars, style, 1, theme.translucent(style.colour, 0.75))
     _arrows(figure, means, style, 2, style.colour)
     n_clear = int(np.sum(means.clear))
     counted = f"{n_clear} of {len(means.row)} cell means are clear of their noise"
-    theme.dress(figure, title=f"Residuals{whose(drawn)}: {counted}", height_px=470, legend=False, hovermode="closest")
+    theme.dress(figure, title=f"Residuals: {counted}", height_px=470, legend=False, hovermode="closest")
     _frame(figure)
     return figure
 
@@ -108,6 +109,7 @@ def _arrows(figure: go.Figure, arrows: Field, style: theme.RunStyle, place: int,
             name=style.label,
             marker={
                 "color": colour,
+                "line": {"width": 0},
                 "size": np.where(arrows.clear, 9, 3 if place == 1 else 4).astype(np.int8),
                 "symbol": ["diamond" if clear else "circle" for clear in arrows.clear] if place > 1 else "circle",
             },

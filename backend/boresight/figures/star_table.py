@@ -38,6 +38,11 @@ class StarRow:
     flags: str
 
     @property
+    def numbers(self) -> tuple[float | str, ...]:
+        """What the columns of `cells` are sorted by; an empty word where there is no number."""
+        return tuple("" if n is None else n for n in (self.sightings, self.mean_px, self.rms_px, abs(self.z or 0.0)))
+
+    @property
     def cells(self) -> tuple[str, ...]:
         """The numbers as they are printed, after the star's own."""
         return count(self.sightings), fixed(self.mean_px, 3), fixed(self.rms_px, 3), fixed(self.z, 1)

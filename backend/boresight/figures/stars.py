@@ -53,6 +53,7 @@ def _points(one: Part, *, labelled: bool) -> go.Scatter:
         customdata=[[name, *values] for name, values in zip(ids, theme.short(residual).tolist(), strict=True)],
         marker={
             "color": style.colour,
+            "line": {"width": 1.2, "color": style.colour},
             "size": np.where(suspect, 10, 6).astype(np.int8),
             "symbol": ["diamond" if out else "circle-open" for out in suspect],
         },

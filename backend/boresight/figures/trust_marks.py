@@ -5,7 +5,6 @@ A part that could not be made is NO DATA with its reason, never a pass.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,15 +13,15 @@ from boresight.figures.evidence import LEVELS, Mark
 from boresight.figures.numbers import count, number, percent
 from boresight.figures.trust_parts import part_of, why_absent
 
-AT_THE_BOUND = (0.95, 1.15)  # claimed sigma over bound: below it is too good to be true, above it data are wasted
-CLEAR_SIGMA = 3.0
+AT_THE_BOUND = (0.97, 1.15)  # claimed sigma over bound: below it is too good to be true, above it data are wasted
+CAUSES = ("radius", "magnitude", "temperature", "time")
 
 
 def trust_marks(result: Result) -> list[Mark]:
     """Answer the questions of the examination; none where a result has no examination."""
     if not result.get("trust"):
         return []
-    return [question(result) for question in (_halves, _innovations, _whiteness, _efficiency, _needed, _stars)]
+    return [question(result) for question in (_halves, _innovations, _whiteness, _causes, _efficiency, _needed, _stars)]
 
 
 def trust_level(result: Result) -> str:
@@ -36,7 +35,7 @@ def trust_doubts(result: Result) -> list[str]:
 
 
 def prospects(result: Result) -> list[str]:
-    """Say what more data would buy, and whatever else speaks neither for nor against the result."""
+    """Say what more data would buy, which speaks neither for nor against the result."""
     sentence = (part_of(result, "more_data") or {}).get("sentence")
     return [str(sentence)] if sentence else []
 
@@ -58,21 +57,16 @@ def _halves(result: Result) -> Mark:
     if not part or chi2.get("consistent") is None:
         return _unknown(result, question, "two_halves")
     value = f"χ² {number(chi2.get('value'), 3)} for {count(chi2.get('dof'))}"
-    return _mark(question, ("agree", "differ"), chi2["consistent"], value, str(part.get("sentence") or ""))
+    sound = chi2["consistent"] or not chi2["value"] > chi2["upper"]  # halves more alike than expected are no doubt
+    return _mark(question, ("agree", "differ"), sound, value, str(part.get("sentence") or ""))
 
 
 def _innovations(result: Result) -> Mark:
-    """Hold the share of frames outside their bounds against what chance puts there, to three of its sigmas."""
     question, part = "Innovations over time", part_of(result, "nis_over_time")
-    share, expected = ((part or {}).get(key) for key in ("outside_share", "expected_share"))
-    if not part or share is None or not expected:
+    if not part or part.get("consistent") is None:
         return _unknown(result, question, "nis_over_time")
-    reach = CLEAR_SIGMA * math.sqrt(expected * (1 - expected) / max(len(part["frame"]), 1))
-    word = "too many outside" if share > expected else "too few outside"
-    value = f"{percent(share)} of {percent(expected)}"
-    return _mark(
-        question, ("as expected", word), abs(share - expected) <= reach, value, str(part.get("sentence") or "")
-    )
+    value = f"{percent(part.get('outside_share'))} outside, {percent(part.get('expected_share'), 0)} expected"
+    return _mark(question, ("as expected", "uneven"), part["consistent"], value, str(part.get("sentence") or ""))
 
 
 def _whiteness(result: Result) -> Mark:
@@ -85,14 +79,27 @@ def _whiteness(result: Result) -> Mark:
 
 def _efficiency(result: Result) -> Mark:
     question, part = "Efficiency", part_of(result, "efficiency")
-    ratios = [ratio for ratio in ((part or {}).get("ratio") or {}).values() if ratio is not None]
-    if not part or not ratios:
+    ratio = (part or {}).get("overall_ratio")
+    if not part or ratio is None:
         return _unknown(result, question, "efficiency")
-    low, high = min(ratios), max(ratios)
-    word = "too good to be true" if low < AT_THE_BOUND[0] else "wasteful"
-    value = f"{number(low, 3)} to {number(high, 3)}"
-    sound = low >= AT_THE_BOUND[0] and high <= AT_THE_BOUND[1]
-    return _mark(question, ("at the bound", word), sound, value, str(part.get("sentence") or ""))
+    low, high = AT_THE_BOUND
+    word = "too good to be true" if ratio < low else "wasteful"
+    value = f"{number(ratio, 3)} times the bound"
+    return _mark(question, ("at the bound", word), low <= ratio <= high, value, str(part.get("sentence") or ""))
+
+
+def _causes(result: Result) -> Mark:
+    """Hold the residual against its causes: the sentences of those that explain it."""
+    question, part = "Residual against causes", part_of(result, "residual_against")
+    judged = [(name, part[name]) for name in CAUSES if (part or {}).get(name) and part[name].get("even") is not None]
+    if not judged:
+        return _unknown(result, question, "residual_against")
+    uneven = [(name, bins) for name, bins in judged if not bins["even"]]
+    told = " ".join(str(bins.get("sentence") or "") for _, bins in uneven)
+    value = ", ".join(name for name, _ in uneven or judged)
+    return _mark(
+        question, ("even", "uneven"), not uneven, value, told or "The radial residual depends on none of them."
+    )
 
 
 def _needed(result: Result) -> Mark:
@@ -110,11 +117,6 @@ def _stars(result: Result) -> Mark:
         return _unknown(result, question, "stars")
     trust: Mapping[str, Any] = result["trust"]
     suspects: Sequence[Any] = trust.get("suspects") or ()
-    in_all = trust.get("stars_in_all") or len(part)
-    said = f"{count(len(suspects))} of {count(in_all)} stars"
-    stand = "stands" if len(suspects) == 1 else "stand"
-    sentence = f"{said} {stand} clear of their own noise: look at them before the next run."
-    words = ("none suspect", "suspects")
-    return _mark(
-        question, words, not suspects, said, sentence if suspects else "No star stands clear of its own noise."
-    )
+    value = f"{count(len(suspects))} of {count(trust.get('stars_in_all') or len(part))}"
+    sentence = str(trust.get("stars_sentence") or "Look at the suspects before the next run.")
+    return _mark(question, ("none suspect", "suspects"), not suspects, value, sentence)

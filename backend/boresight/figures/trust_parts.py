@@ -52,11 +52,3 @@ def absent(title: str, traces: Sequence[Trace], name: str) -> go.Figure:
 def column(values: Any) -> FloatArray:
     """Read a list of numbers, (n,) or (n, m), null as NaN."""
     return np.array(values if values is not None else [], dtype=np.float64)
-
-
-def whose(drawn: Sequence[Part]) -> str:
-    """Name the run that is drawn alone where several were asked for: ` (Run 1; of Run 2, Run 3 see their own pages)`."""
-    if len(drawn) == 1:
-        return ""
-    others = ", ".join(style.label for _, style, _ in drawn[1:])
-    return f" of {drawn[0][1].label}; not drawn: {others}"

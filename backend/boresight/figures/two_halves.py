@@ -60,6 +60,7 @@ def _bars(one: Part, *, labelled: bool) -> go.Bar:
         marker={"color": style.colour},
         text=[theme.signed(value, 2) if np.isfinite(value) else "" for value in values] if labelled else None,
         textposition="outside",
+        constraintext="none",
         cliponaxis=False,
         hovertemplate=f"%{{x}}: %{{y:+.2f}} σ<extra>{style.label}</extra>",
     )
@@ -86,7 +87,8 @@ def _headline(drawn: Sequence[Part]) -> str:
     chi2 = drawn[0][2].get("chi2") or {}
     if len(drawn) > 1 or chi2.get("value") is None:
         return f"Two halves of the data, {len(drawn)} runs" if len(drawn) > 1 else "Two halves of the data"
-    word = "agree" if chi2.get("consistent") else "differ by more than their noise"
+    differ = not chi2.get("consistent") and chi2["value"] > (chi2.get("upper") or 0.0)
+    word = "differ by more than their noise" if differ else "agree"
     return f"The halves {word}: χ² {chi2['value']:.3g} for {chi2.get('dof')} degrees of freedom"
 
 

@@ -1,7 +1,8 @@
 """Whether what is left over has a memory: the autocorrelation of the residuals over frames, with its bound.
 
-Residuals of a right model are white: correlations of different frames stay within 1.96 / sqrt(n) in nineteen lags of
-twenty. Ljung and Box add them up to one chi-square.
+Drawn is the score of the parameter that is least white: what each frame's residuals would change that parameter by. Under
+a right model scores of different frames are independent: correlations stay within 1.96 / sqrt(n) in nineteen lags of twenty.
+Ljung and Box add them up to one chi-square.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import plotly.graph_objects as go
 
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.quantities import quantity
 from boresight.figures.trust_parts import Part, absent, column, part_of, parts
 
 TITLE = "Whiteness of residuals"
@@ -51,7 +53,9 @@ def _headline(drawn: Sequence[Part]) -> str:
     if len(drawn) > 1 or p is None:
         return "Autocorrelation of the residuals"
     word = "white" if part.get("white") else "not white"
-    return f"The residuals are {word} (Ljung-Box p = {p:.2g})"
+    name = part.get("name")
+    by = f", seen by {quantity(name, drawn[0][0].result).markup}" if name else ""
+    return f"The residuals are {word}{by} (Ljung-Box p = {p:.2g})"
 
 
 def table(result: Result) -> Table:
@@ -70,7 +74,8 @@ WHITENESS = Figure(
     name="whiteness",
     title=TITLE,
     guide=(
-        "Each bar is how much the residuals of frames so many apart resemble each other; dotted are the bounds that "
+        "Each bar is how much the residuals of frames so many apart resemble each other, as the parameter sees them that "
+        "is worst off; dotted are the bounds that "
         "chance alone keeps in nineteen lags of twenty. Bars that stay inside are good; a slow decay is a drift that "
         "the constant parameters cannot follow, and makes every sigma too small."
     ),

@@ -16,7 +16,7 @@ from fastapi.responses import HTMLResponse
 from boresight.api.dependencies import Reading, current_actor
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
-from boresight.figures import FIGURES
+from boresight.figures import FIGURES, WIDE
 from boresight.figures.numbers import number, urad
 from boresight.figures.parameter_table import contrasts
 from boresight.pages.methods import title_of
@@ -29,7 +29,6 @@ from boresight.store.tables import Run
 
 MOST_RUNS = 20
 CROWDED_RUNS = 8
-WIDE_FIGURES = frozenset({"convergence", "observability"})
 
 router = APIRouter(dependencies=[Depends(current_actor)])
 
@@ -178,5 +177,5 @@ def compare_page(
         alike=sum(not row.differs for row in rows),
         parameters=[row for row in parameters if everything or row.differs],
         figures=list(FIGURES.values()),
-        wide=WIDE_FIGURES,
+        wide=WIDE,
     )

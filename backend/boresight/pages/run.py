@@ -1,4 +1,4 @@
-"""The run page, the review desk: verdict first, then parameters, the figures, the log, and where it all came from.
+"""The run page, the review desk: verdict first, then one of its parts: the estimate, its trust, its matching.
 
 While a run computes the page shows what there is so far, marked PARTIAL, and follows the event stream. It never shows a
 parameter without its sigma, and a result that is not to be trusted says so above everything else.
@@ -18,14 +18,15 @@ from fastapi.responses import HTMLResponse, Response
 from markupsafe import Markup
 
 from boresight.api.dependencies import Reading, Who, csrf
-from boresight.figures import FIGURES
-from boresight.figures.evidence import marks
+from boresight.errors import NotFoundError
+from boresight.figures import CHAPTERS, WIDE
 from boresight.figures.numbers import MISSING, count
 from boresight.figures.parameter_table import parameter_rows
 from boresight.pages.attempts import attempt
 from boresight.pages.formats import duration, short_hash, utc, words
 from boresight.pages.methods import title_of
 from boresight.pages.rendering import redirect, render
+from boresight.pages.run_parts import TITLES, marks_of, matching_of, tabs_of, trust_of
 from boresight.pages.runs import read_names, seconds_of
 from boresight.services import parameter_sets, runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
@@ -34,7 +35,6 @@ from boresight.store.tables import TERMINAL_RUN_STATES, ParameterSet, Run, Telem
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-WIDE_FIGURES = frozenset({"convergence", "observability"})
 LONGEST_QUEUE = 500
 WHAT_TO_TRY = (
     "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."
@@ -165,8 +165,10 @@ def command_of(run: Run, data: TelemetrySet, validation: TelemetrySet | None) ->
 
 
 @router.get("/runs/{run_id:int}", response_class=HTMLResponse)
-def run_page(request: Request, session: Reading, actor: Who, run_id: int) -> HTMLResponse:
-    """Show a run."""
+def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "estimate") -> HTMLResponse:
+    """Show a run: its head and verdict, and one of its parts."""
+    if part not in TITLES:
+        raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(TITLES)}.")
     run = runs.get_run(session, run_id)
     sensor = sensors.get_sensor(session, run.sensor_id)
     data = telemetry_sets.get_telemetry_set(session, run.telemetry_set_id)
@@ -191,12 +193,16 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int) -> HTM
         header=header_of(run, read_names(session).person(run.launched_by), data, validation or None),
         result=result,
         partial=run.result_sha256 is None,
-        marks=marks(result) if result and has_estimate else [],
+        marks=marks_of(result),
+        part=part,
+        tabs=tabs_of(run_id, part, result),
+        trust=trust_of(result, _why_nothing(run)) if part == "trust" else None,
+        matching=matching_of(result, _why_nothing(run)) if part == "matching" else None,
         advice=list((result or {}).get("advice") or ()),
         rows=parameter_rows(_with_truth(result, sensor.truth)) if result and has_estimate else [],
         no_result=_why_nothing(run),
-        figures=[] if is_void else list(FIGURES.values()),
-        wide=WIDE_FIGURES,
+        figures=[] if is_void else list(CHAPTERS["estimate"]),
+        wide=WIDE,
         log=runs.log_lines(session, run_id),
         provenance=provenance_of(run, result),
         validation=validation or None,
