@@ -32,11 +32,11 @@ from boresight.sky.earth import days_since_j2000, earth_state
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_J1991_25_DAYS = 2448349.0625 - 2451545.0
-_DAYS_PER_YEAR = 365.25
+J1991_25_DAYS = 2448349.0625 - 2451545.0
+DAYS_PER_YEAR = 365.25
 _ARCSEC_PER_RAD = 180.0 * 3600.0 / np.pi
-_C_AU_DAY = 173.1446326846693
-_C_M_S = 299792458.0
+C_AU_DAY = 173.1446326846693
+C_M_S = 299792458.0
 
 
 def apparent_directions(
@@ -77,7 +77,7 @@ def _seen(
     moments, moment_of_row = np.unique(time_utc.astype("datetime64[us]"), return_inverse=True)
     days = days_since_j2000(moments)
     position_au, velocity_au_day = earth_state(days)
-    years = (days - _J1991_25_DAYS) / _DAYS_PER_YEAR
+    years = (days - J1991_25_DAYS) / DAYS_PER_YEAR
     s = erfa.pmpx(
         catalogue.ra_rad[star],
         catalogue.dec_rad[star],
@@ -88,9 +88,9 @@ def _seen(
         years[moment_of_row],
         position_au[moment_of_row],
     )
-    v = velocity_au_day[moment_of_row] / _C_AU_DAY
+    v = velocity_au_day[moment_of_row] / C_AU_DAY
     if velocity_m_s is not None:
-        v = v + velocity_m_s / _C_M_S
+        v = v + velocity_m_s / C_M_S
     return aberrated(s, v)
 
 

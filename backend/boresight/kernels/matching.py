@@ -1,0 +1,854 @@
+"""Association of detections with catalogue stars as compiled loops; `sky.matching` derives the method and is the one caller.
+
+Everything is written in the right-handed triad of D (parity is the caller's). For a detection with measured direction s, tangent
+vectors e1, e2 (e1 x e2 = s) and a star seen at C c, the residual r = [e1 e2]^T (s - C c) obeys, to first order,
+
+    r = A y + noise,   y = (theta, w),   A = [ -e2^T, -e1^T G ; e1^T, -e2^T G ],   noise ~ sigma^2 I
+
+where theta turns C (C_true = (I - [theta]x) C) and w ~ N(0, I) are the parameters' errors in units of the square root of their
+covariance, G = ds/dx P^(1/2). A depends on the detection alone, so one factor of the information Lambda = sum A^T A / sigma^2 serves
+every candidate. `tests/sky/test_matching.py` holds the loops against plain NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+#: Why a detection has no match, in the order of `sky.matching.ROW_REASONS`.
+MATCHED, NO_STAR, AMBIGUOUS, TOO_WIDE, DISAGREES, NO_ATTITUDE, FEW_STARS = 0, 1, 2, 3, 4, 5, 6
+#: Where an attitude came from, in the order of `sky.matching.STARTS`.
+NO_START, GIVEN, OTHER_EXPOSURE = 0, 1, 2
+#: Information of a start attitude that only served to find the first stars, 1/rad^2.
+_DIFFUSE = 100.0
+#: Difference of two candidates' d^2 (twice the log of their likelihood ratio) below which they cannot be told apart.
+_TELL_APART = 9.0
+#: Expected number of chance stars inside a gate above which a star is not taken by it.
+_CHANCE = 0.03
+#: Arcs may differ by this much at most while a first set of stars is sought in a wide field, rad.
+_SEARCH_ARC = 3e-3
+_SEARCH_STARS = 4
+_SIBLING_STARS = 3
+_SEARCH_ASSOCIATIONS = 400
+_SIBLING_RADIUS = 0.03
+#: A first-order prediction errs by this share of the correction that it makes: 2 px where a ground calibration is 20 px off.
+_CURVATURE = 0.1
+
+_FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
+_jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+
+
+@_jit
+def _angle(ax, ay, az, bx, by, bz):
+    """Angle between unit vectors, exact at every separation."""
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), ax * bx + ay * by + az * bz)
+
+
+@_jit
+def _rows(s, G, A, T):
+    """Fill A (n, 2, 3 + p) and the tangent vectors T (n, 2, 3) of detections s (n, 3) with G (n, 3, p)."""
+    p = G.shape[2]
+    for i in range(s.shape[0]):
+        x, y, z = s[i, 0], s[i, 1], s[i, 2]
+        # e1 along rows, made orthogonal to s; stars lie near the z axis
+        norm = 1.0 / math.sqrt(x * x + z * z)
+        T[i, 0, 0], T[i, 0, 1], T[i, 0, 2] = z * norm, 0.0, -x * norm
+        T[i, 1, 0] = y * T[i, 0, 2]
+        T[i, 1, 1] = z * T[i, 0, 0] - x * T[i, 0, 2]
+        T[i, 1, 2] = -y * T[i, 0, 0]
+        for a in range(3):
+            A[i, 0, a] = -T[i, 1, a]
+            A[i, 1, a] = T[i, 0, a]
+        for q in range(p):
+            for row in range(2):
+                A[i, row, 3 + q] = -(T[i, row, 0] * G[i, 0, q] + T[i, row, 1] * G[i, 1, q] + T[i, row, 2] * G[i, 2, q])
+
+
+@_jit
+def _arcs_agree(s, G, sigma, i, j, c, k, q, gate, widest):
+    """Whether the arc of detections i, j is that of the stars c[k], c[q], inside gate sigma of its variance and `widest` rad.
+
+    The variance holds centroid noise and parameter uncertainty; where the noise alone covers the difference the rest is not worked out.
+    The difference is taken from the cosines: d phi = -d cos / sin to second order, corrected by the arc's own cosine.
+    """
+    cosine = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
+    star = c[k, 0] * c[q, 0] + c[k, 1] * c[q, 1] + c[k, 2] * c[q, 2]
+    sine2 = 1.0 - cosine * cosine
+    if sine2 < 1e-12:
+        return False
+    sine = math.sqrt(sine2)
+    excess = (star - cosine) / sine
+    excess *= 1.0 + 0.5 * excess * cosine / sine
+    if abs(excess) > widest:
+        return False
+    variance = sigma[i] * sigma[i] + sigma[j] * sigma[j]
+    if excess * excess <= gate * gate * variance:
+        return True
+    for w in range(G.shape[2]):
+        slope = 0.0
+        for a in range(3):
+            slope += (s[j, a] - cosine * s[i, a]) * G[i, a, w] + (s[i, a] - cosine * s[j, a]) * G[j, a, w]
+        variance += slope * slope / sine2
+    return excess * excess <= gate * gate * variance
+
+
+@_jit
+def _disagreements(s, G, sigma, c, use, gate, bad):
+    """Count in `bad` (n,) with how many of the used others each used star's arc disagrees; c (n, 3) are the stars' directions."""
+    n = s.shape[0]
+    bad[:n] = 0
+    for i in range(n):
+        if not use[i]:
+            continue
+        for j in range(i):
+            if use[j] and not _arcs_agree(s, G, sigma, i, j, c, i, j, gate, np.inf):
+                bad[i] += 1
+                bad[j] += 1
+
+
+@_jit
+def _verify(s, G, sigma, c, use, gate, bad):
+    """Drop stars whose arcs disagree with more than half of the others, the worst first; returns how many stay."""
+    n = s.shape[0]
+    count = 0
+    for i in range(n):
+        if use[i]:
+            count += 1
+    while count >= 2:
+        _disagreements(s, G, sigma, c, use, gate, bad)
+        worst = -1
+        for i in range(n):
+            if use[i] and 2 * bad[i] > count - 1 and (worst < 0 or bad[i] > bad[worst]):
+                worst = i
+        if worst < 0:
+            break
+        use[worst] = False
+        count -= 1
+    return count
+
+
+@_jit
+def _frame_of(ax, ay, az, bx, by, bz, F):
+    """Fill F (3, 3) with an orthonormal triad whose first row is a and whose third is along a x b."""
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    norm = 1.0 / math.sqrt(cx * cx + cy * cy + cz * cz)
+    F[0, 0], F[0, 1], F[0, 2] = ax, ay, az
+    F[2, 0], F[2, 1], F[2, 2] = cx * norm, cy * norm, cz * norm
+    F[1, 0] = F[2, 1] * az - F[2, 2] * ay
+    F[1, 1] = F[2, 2] * ax - F[2, 0] * az
+    F[1, 2] = F[2, 0] * ay - F[2, 1] * ax
+
+
+@_jit
+def _wahba(s, c, weight, use, C):
+    """Fill C (3, 3) with the rotation that best turns directions c into s; False when the used stars do not fix it.
+
+    From the triad of two far stars, Newton steps on Wahba's cost -sum w s.(C c): gradient sum w s_hat x s, Hessian
+    sum w ((s.s_hat) I - (s s_hat^T + s_hat s^T) / 2); three times cheaper than a singular value decomposition and the same answer.
+    """
+    n = s.shape[0]
+    i, j, least = -1, -1, 1.0 - 1e-7
+    for k in range(n):
+        if use[k]:
+            if i < 0:
+                i = k
+            else:
+                cosine = s[i, 0] * s[k, 0] + s[i, 1] * s[k, 1] + s[i, 2] * s[k, 2]
+                if cosine < least:
+                    j, least = k, cosine
+    if j < 0:
+        return False
+    F, E = np.empty((3, 3)), np.empty((3, 3))
+    _frame_of(s[i, 0], s[i, 1], s[i, 2], s[j, 0], s[j, 1], s[j, 2], F)
+    _frame_of(c[i, 0], c[i, 1], c[i, 2], c[j, 0], c[j, 1], c[j, 2], E)
+    for a in range(3):
+        for b in range(3):
+            C[a, b] = F[0, a] * E[0, b] + F[1, a] * E[1, b] + F[2, a] * E[2, b]
+    for _ in range(4):
+        gx, gy, gz, hxx, hxy, hxz, hyy, hyz, hzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(n):
+            if not use[k]:
+                continue
+            x = C[0, 0] * c[k, 0] + C[0, 1] * c[k, 1] + C[0, 2] * c[k, 2]
+            y = C[1, 0] * c[k, 0] + C[1, 1] * c[k, 1] + C[1, 2] * c[k, 2]
+            z = C[2, 0] * c[k, 0] + C[2, 1] * c[k, 1] + C[2, 2] * c[k, 2]
+            w, u, v, t = weight[k], s[k, 0], s[k, 1], s[k, 2]
+            gx += w * (y * t - z * v)
+            gy += w * (z * u - x * t)
+            gz += w * (x * v - y * u)
+            hxx += w * (y * v + z * t)
+            hyy += w * (x * u + z * t)
+            hzz += w * (x * u + y * v)
+            hxy -= 0.5 * w * (x * v + y * u)
+            hxz -= 0.5 * w * (x * t + z * u)
+            hyz -= 0.5 * w * (y * t + z * v)
+        kxx, kxy, kxz = hyy * hzz - hyz * hyz, hxz * hyz - hxy * hzz, hxy * hyz - hxz * hyy
+        determinant = hxx * kxx + hxy * kxy + hxz * kxz
+        if not determinant > 0.0:
+            return False
+        kyy, kyz, kzz = hxx * hzz - hxz * hxz, hxy * hxz - hxx * hyz, hxx * hyy - hxy * hxy
+        px = (kxx * gx + kxy * gy + kxz * gz) / determinant
+        py = (kxy * gx + kyy * gy + kyz * gz) / determinant
+        pz = (kxz * gx + kyz * gy + kzz * gz) / determinant
+        _turn(C, px, py, pz)
+        if px * px + py * py + pz * pz < 1e-26:
+            break
+    return True
+
+
+@_jit
+def _turn(C, px, py, pz):
+    """Turn C by the rotation vector p, by its quaternion (p / 2, 1) made unit: right to third order, and always a rotation."""
+    x, y, z = 0.5 * px, 0.5 * py, 0.5 * pz
+    norm = 1.0 / (1.0 + x * x + y * y + z * z)
+    for b in range(3):
+        u, v, w = C[0, b], C[1, b], C[2, b]
+        tx, ty, tz = y * w - z * v, z * u - x * w, x * v - y * u
+        C[0, b] = u + 2.0 * norm * (tx + y * tz - z * ty)
+        C[1, b] = v + 2.0 * norm * (ty + z * tx - x * tz)
+        C[2, b] = w + 2.0 * norm * (tz + x * ty - y * tx)
+
+
+@_jit
+def _factor(Lambda, L, d):
+    """Lower Cholesky factor of the leading (d, d) of Lambda, its diagonal kept inverted; False when not positive definite."""
+    for j in range(d):
+        for i in range(j, d):
+            value = Lambda[i, j]
+            for k in range(j):
+                value -= L[i, k] * L[j, k]
+            if i == j:
+                if not value > 0.0:
+                    return False
+                L[j, j] = 1.0 / math.sqrt(value)
+            else:
+                L[i, j] = value * L[j, j]
+    return True
+
+
+@_jit
+def _forward(L, b, d, x):
+    """Solve L x = b."""
+    for i in range(d):
+        value = b[i]
+        for k in range(i):
+            value -= L[i, k] * x[k]
+        x[i] = value * L[i, i]
+
+
+@_jit
+def _backward(L, b, d, x):
+    """Solve L^T x = b."""
+    for i in range(d - 1, -1, -1):
+        value = b[i]
+        for k in range(i + 1, d):
+            value -= L[k, i] * x[k]
+        x[i] = value * L[i, i]
+
+
+@_jit
+def _variance(sigma, r0, r1):
+    """Variance of one axis of a residual: centroid noise, and the curvature that a first-order correction of this size leaves out."""
+    return sigma * sigma + _CURVATURE * _CURVATURE * (r0 * r0 + r1 * r1)
+
+
+@_jit
+def _add(Lambda, eta, A, r0, r1, weight, d):
+    """Take a detection into the information; a negative weight takes it out."""
+    for i in range(d):
+        eta[i] += weight * (A[0, i] * r0 + A[1, i] * r1)
+        for j in range(i + 1):
+            Lambda[i, j] += weight * (A[0, i] * A[0, j] + A[1, i] * A[1, j])
+
+
+@_jit
+def _marginal(Lambda, eta, d, L, M, m):
+    """Information on w alone after the attitude is eliminated: M (p, p) and m (p,)."""
+    p = d - 3
+    _factor(Lambda, L, 3)
+    columns = np.empty((p + 1, 3))
+    for q in range(p):
+        _forward(L, Lambda[3 + q, :3], 3, columns[q])
+    _forward(L, eta[:3], 3, columns[p])
+    for q in range(p):
+        m[q] = eta[3 + q]
+        for a in range(3):
+            m[q] -= columns[q, a] * columns[p, a]
+        for k in range(q + 1):
+            value = Lambda[3 + q, 3 + k]
+            for a in range(3):
+                value -= columns[q, a] * columns[k, a]
+            M[q, k] = value
+            M[k, q] = value
+
+
+@_jit
+def _residual(s, T, C, c, r):
+    """Fill r (2,) with the residual of one detection against a star at ICRS direction c."""
+    x = s[0] - (C[0, 0] * c[0] + C[0, 1] * c[1] + C[0, 2] * c[2])
+    y = s[1] - (C[1, 0] * c[0] + C[1, 1] * c[1] + C[1, 2] * c[2])
+    z = s[2] - (C[2, 0] * c[0] + C[2, 1] * c[1] + C[2, 2] * c[2])
+    r[0] = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
+    r[1] = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
+
+
+@_jit
+def _apparent(place, motion, parallax, j, years, earth, beta, c):
+    """Apparent direction of guide star j: motion, parallax, aberration (`sky.apparent`)."""
+    norm = 0.0
+    for a in range(3):
+        c[a] = place[j, a] + years * motion[j, a] - parallax[j] * earth[a]
+        norm += c[a] * c[a]
+    norm = 1.0 / math.sqrt(norm)
+    along, speed2 = 0.0, 0.0
+    for a in range(3):
+        c[a] *= norm
+        along += c[a] * beta[a]
+        speed2 += beta[a] * beta[a]
+    slow = math.sqrt(1.0 - speed2)
+    push = 1.0 + along / (1.0 + slow)
+    norm = 0.0
+    for a in range(3):
+        c[a] = slow * c[a] + push * beta[a]
+        norm += c[a] * c[a]
+    norm = 1.0 / math.sqrt(norm)
+    for a in range(3):
+        c[a] *= norm
+
+
+@_jit
+def _candidates(axis, cone, place, motion, parallax, years, earth, beta, star, c):
+    """Fill star (m,) and c (m, 3) with the guide stars inside a cone; guide stars ascend in declination. Returns m."""
+    declination = math.asin(min(1.0, max(-1.0, axis[2])))
+    low, high = math.sin(max(-math.pi / 2, declination - cone)), math.sin(min(math.pi / 2, declination + cone))
+    if declination - cone <= -math.pi / 2:
+        low = -1.0
+    if declination + cone >= math.pi / 2:
+        high = 1.0
+    first = np.searchsorted(place[:, 2], low)
+    last = np.searchsorted(place[:, 2], high, side="right")
+    nearest = math.cos(cone)
+    m = 0
+    for j in range(first, last):
+        if place[j, 0] * axis[0] + place[j, 1] * axis[1] + place[j, 2] * axis[2] > nearest and m < star.shape[0]:
+            star[m] = j
+            _apparent(place, motion, parallax, j, years, earth, beta, c[m])
+            m += 1
+    return m
+
+
+@_jit
+def _onto_given(m, star, c, hip, given, given_s, own, sigma):
+    """Bring catalogue directions onto those the file gives: replace stars it names, move the others by the same affine map.
+
+    A file's own directions may hold what the catalogue's do not, such as refraction. The map is fitted in the tangent plane on the stars
+    that have both; where it does not fit within the noise, only stars that the file names stay. Returns the new m.
+    """
+    n = given.shape[0]
+    twin = np.full(m, -1, np.int64)
+    pairs, widest, typical = 0, 0.0, 0.0
+    for i in range(n):
+        if given[i] <= 0 or math.isnan(given_s[i, 0]):
+            continue
+        for k in range(m):
+            if hip[star[k]] == given[i]:
+                twin[k] = i
+                if own[i]:
+                    pairs += 1
+                    widest = max(widest, _angle(c[k, 0], c[k, 1], c[k, 2], given_s[i, 0], given_s[i, 1], given_s[i, 2]))
+                    typical += sigma[i]
+                break
+    if pairs > 0 and widest > 0.1 * typical / pairs:
+        fits = pairs >= 6 and _affine(m, c, given_s, twin, own, typical / pairs)
+        if not fits:
+            kept = 0
+            for k in range(m):
+                if twin[k] >= 0:
+                    star[kept], twin[kept] = star[k], twin[k]
+                    c[kept] = c[k]
+                    kept += 1
+            m = kept
+    for k in range(m):
+        if twin[k] >= 0:
+            c[k] = given_s[twin[k]]
+    return m
+
+
+@_jit
+def _affine(m, c, given_s, twin, own, sigma):
+    """Move all c by the affine map of the tangent plane that brings twins onto their given directions; False where it does not fit."""
+    axis = np.zeros(3)
+    for k in range(m):
+        if twin[k] >= 0 and own[twin[k]]:
+            axis += c[k]
+    axis /= math.sqrt(axis @ axis)
+    east = np.array([-axis[1], axis[0], 0.0])
+    if east @ east < 1e-12:
+        east = np.array([1.0, 0.0, 0.0])
+    east /= math.sqrt(east @ east)
+    north = np.array([
+        axis[1] * east[2] - axis[2] * east[1],
+        axis[2] * east[0] - axis[0] * east[2],
+        axis[0] * east[1] - axis[1] * east[0],
+    ])  # fmt: skip
+    N, B = np.zeros((3, 3)), np.zeros((3, 2))
+    row = np.empty(3)
+    for k in range(m):
+        if twin[k] >= 0 and own[twin[k]]:
+            shift = given_s[twin[k]] - c[k]
+            row[0], row[1], row[2] = 1.0, c[k] @ east, c[k] @ north
+            for a in range(3):
+                B[a, 0] += row[a] * (shift @ east)
+                B[a, 1] += row[a] * (shift @ north)
+                for b in range(3):
+                    N[a, b] += row[a] * row[b]
+    fit = np.linalg.solve(N + 1e-12 * np.eye(3), B)
+    total, pairs = 0.0, 0
+    for k in range(m):
+        row[0], row[1], row[2] = 1.0, c[k] @ east, c[k] @ north
+        dx, dy = 0.0, 0.0
+        for a in range(3):
+            dx += row[a] * fit[a, 0]
+            dy += row[a] * fit[a, 1]
+        if twin[k] >= 0 and own[twin[k]]:
+            shift = given_s[twin[k]] - c[k]
+            total += (shift @ east - dx) ** 2 + (shift @ north - dy) ** 2
+            pairs += 1
+        c[k] += dx * east + dy * north
+        c[k] /= math.sqrt(c[k] @ c[k])
+    return total / pairs < sigma * sigma
+
+
+@_jit
+def _search(s, G, sigma, C, radius, m, c, gate, use, chosen):
+    """Find a first set of stars near a start attitude: associations vote for one another by their arcs (geometric voting).
+
+    Fills use (n,) and chosen (n,) = candidate. Returns the size of the largest set in which all arcs agree.
+    """
+    n = s.shape[0]
+    detection, candidate = np.empty(_SEARCH_ASSOCIATIONS, np.int64), np.empty(_SEARCH_ASSOCIATIONS, np.int64)
+    total = 0
+    turned = np.empty((m, 3))
+    for k in range(m):
+        for a in range(3):
+            turned[k, a] = C[a, 0] * c[k, 0] + C[a, 1] * c[k, 1] + C[a, 2] * c[k, 2]
+    near = math.cos(radius)
+    for i in range(n):
+        for k in range(m):
+            if (
+                s[i, 0] * turned[k, 0] + s[i, 1] * turned[k, 1] + s[i, 2] * turned[k, 2] > near
+                and total < _SEARCH_ASSOCIATIONS
+            ):
+                detection[total], candidate[total] = i, k
+                total += 1
+    agree = np.zeros((total, total), np.bool_)
+    votes = np.zeros(total, np.int64)
+    for a in range(total):
+        for b in range(a):
+            i, j, k, q = detection[a], detection[b], candidate[a], candidate[b]
+            if i == j or k == q:
+                continue
+            if _arcs_agree(s, G, sigma, i, j, c, k, q, gate, _SEARCH_ARC):
+                agree[a, b] = True
+                agree[b, a] = True
+                votes[a] += 1
+                votes[b] += 1
+    order = np.argsort(-votes)
+    best = 0
+    members, held = np.empty(n, np.int64), np.zeros(n, np.bool_)
+    for seed in range(min(total, 12)):
+        size = 1
+        members[0] = order[seed]
+        held[:] = False
+        held[detection[order[seed]]] = True
+        for place in range(total):
+            a = order[place]
+            if held[detection[a]]:
+                continue
+            fits = True
+            for b in range(size):
+                if not agree[a, members[b]]:
+                    fits = False
+                    break
+            if fits:
+                members[size] = a
+                held[detection[a]] = True
+                size += 1
+        if size > best:
+            best = size
+            use[:n] = False
+            for b in range(size):
+                use[detection[members[b]]] = True
+                chosen[detection[members[b]]] = candidate[members[b]]
+    return best
+
+
+@_jit
+def _grow(s, T, A, sigma, C, m, c, turned, taken, density, gate, Lambda, eta, use, chosen, reason, L, y):
+    """Take in detection after detection, the best predicted first; returns False when the information is not positive definite."""
+    n, d = s.shape[0], A.shape[2]
+    f0, f1, r = np.empty(d), np.empty(d), np.empty(2)
+    best, rival, place = np.empty(n), np.empty(n), np.empty(n, np.int64)
+    area, spread = np.empty(n), np.empty(n)
+    for k in range(m):
+        for a in range(3):
+            turned[k, a] = C[a, 0] * c[k, 0] + C[a, 1] * c[k, 1] + C[a, 2] * c[k, 2]
+    while True:
+        if not _factor(Lambda, L, d):
+            return False
+        _forward(L, eta, d, f0)
+        _backward(L, f0, d, y)
+        narrowest = np.inf
+        for i in range(n):
+            if use[i]:
+                continue
+            _forward(L, A[i, 0], d, f0)
+            _forward(L, A[i, 1], d, f1)
+            p0, p1 = 0.0, 0.0
+            for q in range(d):
+                p0 += A[i, 0, q] * y[q]
+                p1 += A[i, 1, q] * y[q]
+            v00 = _variance(sigma[i], p0, p1)
+            v01, v11 = 0.0, v00
+            for q in range(d):
+                v00 += f0[q] * f0[q]
+                v01 += f0[q] * f1[q]
+                v11 += f1[q] * f1[q]
+            determinant = v00 * v11 - v01 * v01
+            area[i] = math.pi * gate * gate * math.sqrt(determinant)
+            spread[i] = v00 + v11
+            best[i], rival[i], place[i] = np.inf, np.inf, -1
+            reach2 = gate * gate * (v00 + v11)  # v00 + v11 is no less than the larger eigenvalue
+            px = s[i, 0] - p0 * T[i, 0, 0] - p1 * T[i, 1, 0]
+            py = s[i, 1] - p0 * T[i, 0, 1] - p1 * T[i, 1, 1]
+            pz = s[i, 2] - p0 * T[i, 0, 2] - p1 * T[i, 1, 2]
+            for k in range(m):
+                dx, dy, dz = px - turned[k, 0], py - turned[k, 1], pz - turned[k, 2]
+                if dx * dx + dy * dy + dz * dz > reach2 or taken[k]:
+                    continue
+                r0 = T[i, 0, 0] * dx + T[i, 0, 1] * dy + T[i, 0, 2] * dz
+                r1 = T[i, 1, 0] * dx + T[i, 1, 1] * dy + T[i, 1, 2] * dz
+                d2 = (v11 * r0 * r0 - 2.0 * v01 * r0 * r1 + v00 * r1 * r1) / determinant
+                if d2 < best[i]:
+                    rival[i], best[i], place[i] = best[i], d2, k
+                elif d2 < rival[i]:
+                    rival[i] = d2
+            if place[i] < 0 or best[i] > gate * gate:
+                reason[i] = NO_STAR
+                place[i] = -1
+            elif rival[i] < min(best[i] + _TELL_APART, gate * gate):
+                reason[i] = AMBIGUOUS
+                place[i] = -1
+            elif density * area[i] > _CHANCE:
+                reason[i] = TOO_WIDE
+                place[i] = -1
+            else:
+                narrowest = min(narrowest, spread[i])
+        added = False
+        for i in range(n):
+            if use[i] or place[i] < 0 or spread[i] > max(2.0 * narrowest, 8.0 * sigma[i] * sigma[i]):
+                continue
+            k = place[i]
+            contested = taken[k]
+            for j in range(n):
+                if j != i and not use[j] and place[j] == k and best[j] < best[i] + _TELL_APART:
+                    contested = True
+            if contested:
+                reason[i] = AMBIGUOUS
+                continue
+            _residual(s[i], T[i], C, c[k], r)
+            _add(Lambda, eta, A[i], r[0], r[1], 1.0 / _variance(sigma[i], r[0], r[1]), d)
+            use[i], chosen[i], reason[i] = True, k, MATCHED
+            taken[k] = True
+            added = True
+        if not added:
+            return True
+
+
+@_jit
+def _prune(s, T, A, sigma, C, c, gate, Lambda, eta, use, reason, tolerance, L, y):
+    """Drop stars that the joint fit of all the others rejects, the worst first; c (n, 3) are the stars' directions.
+
+    Fills `tolerance` (n,) with the gate about the place that the others predict for each star that stays, rad.
+    """
+    n, d = s.shape[0], A.shape[2]
+    f0, f1, r = np.empty(d), np.empty(d), np.empty(2)
+    while True:
+        if not _factor(Lambda, L, d):
+            return False
+        _forward(L, eta, d, f0)
+        _backward(L, f0, d, y)
+        worst, worst_d2 = -1, gate * gate
+        for i in range(n):
+            if not use[i]:
+                continue
+            _forward(L, A[i, 0], d, f0)
+            _forward(L, A[i, 1], d, f1)
+            _residual(s[i], T[i], C, c[i], r)
+            variance = _variance(sigma[i], r[0], r[1])
+            v00, v01, v11, r0, r1 = variance, 0.0, variance, r[0], r[1]
+            for q in range(d):
+                v00 -= f0[q] * f0[q]
+                v01 -= f0[q] * f1[q]
+                v11 -= f1[q] * f1[q]
+                r0 -= A[i, 0, q] * y[q]
+                r1 -= A[i, 1, q] * y[q]
+            determinant = v00 * v11 - v01 * v01
+            tolerance[i] = gate * variance * math.sqrt(2.0 / max(v00 + v11, 1e-6 * variance))
+            if determinant < 1e-6 * variance * variance or v00 <= 0.0:
+                continue
+            d2 = (v11 * r0 * r0 - 2.0 * v01 * r0 * r1 + v00 * r1 * r1) / determinant
+            if d2 > worst_d2:
+                worst, worst_d2 = i, d2
+        if worst < 0:
+            return True
+        _residual(s[worst], T[worst], C, c[worst], r)
+        _add(Lambda, eta, A[worst], r[0], r[1], -1.0 / _variance(sigma[worst], r[0], r[1]), d)
+        use[worst] = False
+        reason[worst] = DISAGREES
+
+
+@_jit
+def _attitude_covariance(A, sigma, use, covariance):
+    """Covariance of Wahba's attitude, (3, 3) rad^2 about the axes of D: centroid noise, and parameters through the attitude."""
+    p = A.shape[2] - 3
+    N, M, L, column = np.zeros((3, 3)), np.zeros((3, p + 3)), np.zeros((3, 3)), np.empty(3)
+    for i in range(A.shape[0]):
+        if use[i]:
+            weight = 1.0 / (sigma[i] * sigma[i])
+            for row in range(2):
+                for a in range(3):
+                    for b in range(a + 1):
+                        N[a, b] += weight * A[i, row, a] * A[i, row, b]
+                    for q in range(p):
+                        M[a, q] += weight * A[i, row, a] * A[i, row, 3 + q]
+    _factor(N, L, 3)
+    # [N^-1 M, L^-T]: its product with its transpose is N^-1 M M^T N^-1 + N^-1
+    for q in range(p):
+        _forward(L, M[:, q], 3, column)
+        _backward(L, column, 3, M[:, q])
+    for q in range(3):
+        column[:] = 0.0
+        column[q] = 1.0
+        _backward(L, column, 3, M[:, p + q])
+    for a in range(3):
+        for b in range(3):
+            value = 0.0
+            for q in range(p + 3):
+                value += M[a, q] * M[b, q]
+            covariance[a, b] = value
+
+
+@_jit
+def match_frames(
+    frame_start, row_start, s, G, sigma, given, given_s, own, any_own,
+    hint, hint_radius, hint_start, years, earth, beta, hip, place, motion, parallax, density, cone, gate, minimum_stars,
+    star_id, direction, reason, tolerance, start, valid, attitude, covariance,
+):  # fmt: skip
+    """Match the detections of every frame; see `sky.matching.match` for what goes in and comes out.
+
+    Frame k owns the exposures frame_start[k]:frame_start[k + 1], exposure e the rows row_start[e]:row_start[e + 1]. Each frame starts from
+    the same parameters and their covariance; what its stars say of the parameters' errors serves its own exposures only.
+    """
+    p = G.shape[2]
+    d = 3 + p
+    most = 0
+    for e in range(row_start.shape[0] - 1):
+        most = max(most, row_start[e + 1] - row_start[e])
+    widest = 0
+    for k in range(frame_start.shape[0] - 1):
+        widest = max(widest, frame_start[k + 1] - frame_start[k])
+    n_stars = hip.shape[0]
+    A, T = np.empty((widest, most, 2, d)), np.empty((widest, most, 2, 3))
+    use, bad, chosen = np.zeros((widest, most), np.bool_), np.empty(most, np.int64), np.empty(most, np.int64)
+    solved = np.zeros(widest, np.bool_)
+    Lambda, eta = np.zeros((widest, d, d)), np.zeros((widest, d))
+    shared, shared_eta = np.zeros((widest, p, p)), np.zeros((widest, p))
+    total, total_eta = np.empty((d, d)), np.empty(d)
+    L, y, r, axis = np.zeros((d, d)), np.empty(d), np.empty(2), np.empty(3)
+    star, taken = np.empty(n_stars, np.int64), np.empty(n_stars, np.bool_)
+    c, turned = np.empty((n_stars, 3)), np.empty((n_stars, 3))
+    weight = 1.0 / (sigma * sigma)
+    for k in range(frame_start.shape[0] - 1):
+        e0, e1 = frame_start[k], frame_start[k + 1]
+        # attitudes from the given matches
+        for e in range(e0, e1):
+            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
+            start[e] = NO_START
+            solved[q], valid[e] = False, False
+            n = i1 - i0
+            for i in range(n):
+                use[q, i] = given[i0 + i] > 0 and not math.isnan(given_s[i0 + i, 0])
+                direction[i0 + i] = given_s[i0 + i]
+                reason[i0 + i] = NO_ATTITUDE
+                star_id[i0 + i] = given[i0 + i] if use[q, i] else 0
+            _rows(s[i0:i1], G[i0:i1], A[q], T[q])
+            if _verify(s[i0:i1], G[i0:i1], sigma[i0:i1], direction[i0:i1], use[q], gate, bad) >= 2:
+                solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e])
+                if solved[q]:
+                    start[e] = GIVEN
+        # attitudes of the others: the frame's other exposure, else the hint; the first stars are found by voting
+        for e in range(e0, e1):
+            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
+            if solved[q] and _count(use[q], i1 - i0) >= min(3, minimum_stars):
+                continue
+            n = i1 - i0
+            for attempt in range(2):
+                radius = 0.0
+                kind = NO_START
+                wanted = _SEARCH_STARS
+                if attempt == 0:
+                    for other in range(e0, e1):
+                        if other != e and solved[other - e0] and start[other] != NO_START:
+                            attitude[e] = attitude[other]
+                            radius, kind, wanted = _SIBLING_RADIUS, OTHER_EXPOSURE, _SIBLING_STARS
+                elif hint_start[e] != NO_START:
+                    attitude[e] = hint[e]
+                    radius, kind = hint_radius[e], hint_start[e]
+                if kind == NO_START:
+                    continue
+                axis[:] = attitude[e, 2]
+                m = _candidates(axis, cone + radius, place, motion, parallax, years[e], earth[e], beta[e], star, c)
+                if any_own:
+                    m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1])
+                found = _search(s[i0:i1], G[i0:i1], sigma[i0:i1], attitude[e], radius, m, c, gate, use[q], chosen)
+                if found < wanted:
+                    use[q, :n] = False
+                    solved[q] = False
+                    start[e] = NO_START
+                    continue
+                for i in range(n):
+                    if use[q, i]:
+                        star_id[i0 + i] = hip[star[chosen[i]]]
+                        direction[i0 + i] = c[chosen[i]]
+                solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e])
+                if solved[q]:
+                    start[e] = kind
+                    break
+        # what the first stars of each exposure say of the parameters
+        for e in range(e0, e1):
+            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
+            Lambda[q] = 0.0
+            eta[q] = 0.0
+            shared[q] = 0.0
+            shared_eta[q] = 0.0
+            if not solved[q]:
+                continue
+            for a in range(3):
+                Lambda[q, a, a] = _DIFFUSE
+            for i in range(i1 - i0):
+                if use[q, i]:
+                    _residual(s[i0 + i], T[q, i], attitude[e], direction[i0 + i], r)
+                    _add(Lambda[q], eta[q], A[q, i], r[0], r[1], 1.0 / _variance(sigma[i0 + i], r[0], r[1]), d)
+            _marginal(Lambda[q], eta[q], d, L, shared[q], shared_eta[q])
+        # growth, exposure by exposure, each with what the others know
+        for e in range(e0, e1):
+            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
+            if not solved[q]:
+                for i in range(i0, i1):
+                    star_id[i] = 0
+                    direction[i] = np.nan
+                attitude[e] = np.nan
+                covariance[e] = np.nan
+                continue
+            n = i1 - i0
+            total[:] = Lambda[q]
+            total_eta[:] = eta[q]
+            for a in range(p):
+                total[3 + a, 3 + a] += 1.0
+                for other in range(e1 - e0):
+                    if other != q and solved[other]:
+                        total_eta[3 + a] += shared_eta[other, a]
+                        for b in range(a + 1):
+                            total[3 + a, 3 + b] += shared[other, a, b]
+            axis[:] = attitude[e, 2]
+            m = _candidates(axis, cone, place, motion, parallax, years[e], earth[e], beta[e], star, c)
+            if any_own:
+                m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1])
+            taken[:m] = False
+            for i in range(n):
+                reason[i0 + i] = MATCHED if use[q, i] else NO_STAR
+                if use[q, i]:
+                    for j in range(m):
+                        if hip[star[j]] == star_id[i0 + i]:
+                            taken[j] = True
+                    chosen[i] = -1
+            before = use[q].copy()
+            _prune(
+                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], gate,
+                total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y,
+            )  # fmt: skip
+            for i in range(n):
+                if before[i] and not use[q, i]:
+                    for j in range(m):
+                        if hip[star[j]] == star_id[i0 + i]:
+                            taken[j] = False
+            ok = _grow(
+                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], m, c, turned, taken, density, gate,
+                total, total_eta, use[q], chosen, reason[i0:i1], L, y,
+            )  # fmt: skip
+            for i in range(n):
+                if use[q, i] and not before[i]:
+                    star_id[i0 + i] = hip[star[chosen[i]]]
+                    direction[i0 + i] = c[chosen[i]]
+            ok = ok and _prune(
+                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], gate,
+                total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y,
+            )  # fmt: skip
+            _finish(
+                s[i0:i1], G[i0:i1], A[q], sigma[i0:i1], weight[i0:i1], gate, n + 1 if not ok else 2 if start[e] <= OTHER_EXPOSURE else minimum_stars,
+                use[q], star_id[i0:i1], direction[i0:i1], reason[i0:i1], attitude[e], covariance[e], bad,
+            )  # fmt: skip
+            valid[e] = _count(use[q], n) >= minimum_stars
+            # the other exposures learn from all stars of this one
+            Lambda[q] = 0.0
+            eta[q] = 0.0
+            for a in range(3):
+                Lambda[q, a, a] = _DIFFUSE
+            if math.isnan(attitude[e, 0, 0]):
+                solved[q] = False
+                continue
+            for i in range(n):
+                if use[q, i]:
+                    _residual(s[i0 + i], T[q, i], attitude[e], direction[i0 + i], r)
+                    _add(Lambda[q], eta[q], A[q, i], r[0], r[1], 1.0 / _variance(sigma[i0 + i], r[0], r[1]), d)
+            _marginal(Lambda[q], eta[q], d, L, shared[q], shared_eta[q])
+
+
+@_jit
+def _count(use, n):
+    """Number of used stars."""
+    count = 0
+    for i in range(n):
+        if use[i]:
+            count += 1
+    return count
+
+
+@_jit
+def _finish(
+    s, G, A, sigma, weight, gate, fewest, use, star_id, direction, reason, attitude, covariance, bad
+):  # fmt: skip
+    """Verify all arcs, solve the attitude with what is left, at least `fewest` stars, and blank what is not matched."""
+    n = s.shape[0]
+    held = use[:n].copy()
+    count = _verify(s, G, sigma, direction, use, gate, bad)
+    for i in range(n):
+        if held[i] and not use[i]:
+            reason[i] = DISAGREES
+    if count < fewest or not _wahba(s, direction, weight, use, attitude):
+        attitude[:] = np.nan
+        covariance[:] = np.nan
+        for i in range(n):
+            if use[i]:
+                reason[i] = FEW_STARS
+            use[i] = False
+    else:
+        _attitude_covariance(A[:n], sigma, use, covariance)
+    for i in range(n):
+        if not use[i]:
+            star_id[i] = 0
+            direction[i] = np.nan

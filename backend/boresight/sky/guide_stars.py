@@ -1,0 +1,118 @@
+"""The stars a tracker may match with, and where its observer is and how it moves: what the matching loops need of the sky.
+
+The loops take a star's apparent direction from its place, proper motion and parallax at the epoch by the same formula as `sky.apparent`,
+
+    s = unit(p + t m - w E),    then aberration by v,
+
+with p, m Cartesian and t in Julian years since J1991.25 (the light time, minutes, is left out: below 1e-9 rad a star).
+Of two stars that one image would swallow, closer than a few pixels, only the brighter can be matched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from boresight.sky.apparent import C_AU_DAY, C_M_S, DAYS_PER_YEAR, J1991_25_DAYS
+from boresight.sky.catalogue import Catalogue
+from boresight.sky.earth import days_since_j2000, earth_state
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class GuideStars:
+    """Stars ascending in declination; arrays (n_stars,) or (n_stars, 3).
+
+    Parameters
+    ----------
+    hip
+        Hipparcos numbers.
+    place
+        Unit vectors at J1991.25, ICRS.
+    motion
+        Proper motion, rad a Julian year.
+    parallax_rad
+        Annual parallax.
+    density
+        Stars a steradian, for the odds of a chance one.
+    """
+
+    hip: IntArray
+    place: FloatArray
+    motion: FloatArray
+    parallax_rad: FloatArray
+    density: float
+
+
+@dataclass(frozen=True)
+class ObserverMotion:
+    """Of each exposure: years since J1991.25 (n,), the Earth's place in au (n, 3) and the observer's velocity in c (n, 3)."""
+
+    years: FloatArray
+    earth_au: FloatArray
+    beta: FloatArray
+
+    def __getitem__(self, exposures: slice) -> ObserverMotion:
+        """Return the motion of consecutive exposures."""
+        return ObserverMotion(self.years[exposures], self.earth_au[exposures], self.beta[exposures])
+
+
+def guide_stars(catalogue: Catalogue, magnitude_limit: float, blend_rad: float) -> GuideStars:
+    """Choose the stars brighter than a limit that no brighter neighbour within `blend_rad` swallows."""
+    bright = np.flatnonzero(catalogue.magnitude <= magnitude_limit)
+    place, east, north = _triad(catalogue, bright)
+    magnitude = catalogue.magnitude[bright]
+    pairs = KDTree(place).query_pairs(blend_rad, output_type="ndarray") if len(bright) else np.empty((0, 2), int)
+    fainter = np.where(magnitude[pairs[:, 0]] > magnitude[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
+    alone = np.ones(len(bright), np.bool_)
+    alone[fainter] = False
+    chosen = np.flatnonzero(alone)[np.argsort(place[alone, 2], kind="stable")]
+    motion = (
+        catalogue.pm_ra_cosdec_rad_yr[bright, None] * east + catalogue.pm_dec_rad_yr[bright, None] * north
+    )
+    return GuideStars(
+        hip=catalogue.hip[bright[chosen]],
+        place=np.ascontiguousarray(place[chosen]),
+        motion=np.ascontiguousarray(motion[chosen]),
+        parallax_rad=catalogue.parallax_rad[bright[chosen]],
+        density=len(chosen) / (4 * np.pi),
+    )
+
+
+def _triad(catalogue: Catalogue, star: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Unit vectors to stars, and east and north of them, each (n, 3)."""
+    ra, dec = catalogue.ra_rad[star], catalogue.dec_rad[star]
+    zero = np.zeros_like(ra)
+    place = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
+    east = np.stack([-np.sin(ra), np.cos(ra), zero], axis=-1)
+    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
+    return place, east, north
+
+
+def observer_motion(
+    time_utc: NDArray[np.datetime64], velocity_m_s: FloatArray | None
+) -> ObserverMotion:
+    """Place and velocity of the observer at times (n,), datetime64[us]; at NaT the catalogue's stars are nowhere (NaN years).
+
+    Parameters
+    ----------
+    velocity_m_s
+        (n, 3) of the satellite, GCRS; None, or NaN, = that of the Earth's centre.
+    """
+    moments, place = np.unique(time_utc.astype("datetime64[us]"), return_inverse=True)
+    known = ~np.isnat(moments)
+    years, earth, beta = np.full(len(moments), np.nan), np.zeros((len(moments), 3)), np.zeros((len(moments), 3))
+    if known.any():
+        days = days_since_j2000(moments[known])
+        years[known] = (days - J1991_25_DAYS) / DAYS_PER_YEAR
+        earth[known], velocity_au_day = earth_state(days)
+        beta[known] = velocity_au_day / C_AU_DAY
+    beta = beta[place]
+    if velocity_m_s is not None:
+        beta = beta + np.nan_to_num(velocity_m_s) / C_M_S
+    return ObserverMotion(years[place], np.ascontiguousarray(earth[place]), np.ascontiguousarray(beta))
