@@ -6,6 +6,8 @@ import re
 
 import pytest
 
+from boresight.calibration.settings import CHOICES, CalibrationSettings
+from boresight.pages.methods import METHODS, WORDS
 from boresight.services import runs
 from boresight.store.sessions import reading, utc_now, writing
 from boresight.store.tables import Blob, TelemetrySet
@@ -135,6 +137,103 @@ def test_one_linearisation_is_marked_over_confident(house, read):
     warning = page[page.index("<div data-overconfident") :].split(">")[0]
     assert "hidden" not in warning
     assert "over-confident" in read(page)
+
+
+BATCH_FORM = {
+    **{name: value for name, value in FORM.items() if name not in {"method", "variant"}},
+    "method": "batch",
+    "robust": "huber",
+    "huber_threshold": "2,5",
+    "minimum_stars": "6",
+    "match_rule": "flight",
+    "flight_tolerance_urad": "85",
+    "leave_out_doubles": "on",
+}
+
+
+def test_every_choice_of_the_settings_has_words_on_the_page(house):
+    page = house.visitor("ada").get("/runs/new")
+    for name, words in CHOICES.items():
+        for word in words:
+            assert re.search(rf'(name="{name}" value="{word}")|(<option value="{word}"[ >])', page), (name, word)
+    for name in set(CalibrationSettings().document()) - {"free"}:
+        assert f'name="{name}"' in page, name
+
+
+def test_words_are_told_for_the_choices_there_are_and_no_others():
+    assert {name: tuple(told) for name, told in WORDS.items()} == {
+        name: words for name, words in CHOICES.items() if name != "method"
+    }
+    assert tuple(method.name for method in METHODS) == CHOICES["method"]
+
+
+def test_more_options_are_closed_until_one_differs_from_the_usual(house):
+    ada = house.visitor("ada")
+    assert '<details class="panel-details">' in ada.get("/runs/new")
+    assert '<details class="panel-details">' in ada.post("/runs/new", **FORM, intent="check").text
+    assert '<details class="panel-details" open>' in ada.post("/runs/new", **BATCH_FORM, intent="check").text
+
+
+def test_more_options_reach_the_run_and_its_clone(house):
+    ada = house.visitor("ada")
+    location = ada.post("/runs/new", **BATCH_FORM, intent="queue").headers["location"]
+    with reading(house.engine) as session:
+        settings = runs.get_run(session, int(location.removeprefix("/runs/"))).settings
+    chosen = {
+        "method": "batch",
+        "robust": "huber",
+        "huber_threshold": 2.5,
+        "minimum_stars": 6,
+        "match_rule": "flight",
+        "flight_tolerance_urad": 85.0,
+        "leave_out_doubles": True,
+    }
+    assert {name: settings[name] for name in chosen} == chosen
+    page = ada.get(f"/runs/new?clone={location.removeprefix('/runs/')}")
+    for place in (
+        'value="huber" selected',
+        'value="2.5"',
+        'value="flight" selected',
+        'value="85"',
+        'value="on" checked',
+    ):
+        assert place in page
+    assert '<details class="panel-details" open>' in page
+
+
+def test_choices_of_a_filter_reach_the_run_and_those_of_the_batch_do_not(house):
+    form = {**FORM, "method": "ukf", "variant": "no-refit", "forgetting_factor": "0.99", "robust": "huber"}
+    location = house.visitor("ada").post("/runs/new", **form, intent="queue").headers["location"]
+    with reading(house.engine) as session:
+        settings = runs.get_run(session, int(location.removeprefix("/runs/"))).settings
+    assert (settings["method"], settings["variant"], settings["forgetting_factor"]) == ("ukf", "no-refit", 0.99)
+    assert settings["process_noise_sigma"] == 0.03
+    assert settings["robust"] == "none"
+
+
+def test_a_check_names_the_choices_that_differ_from_the_usual(house, read):
+    text = read(house.visitor("ada").post("/runs/new", **BATCH_FORM, intent="check").text)
+    assert "minimum_stars 6" in text
+    assert "robust huber" in text
+    assert "forgetting_factor" not in text[text.index("Other choices") :]
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ({"huber_threshold": "wide"}, "The Huber threshold 'wide' is not a number"),
+        ({"minimum_stars": "3"}, "give a whole number from 4"),
+        ({"flight_tolerance_urad": "0"}, "give a number from 0.1"),
+        ({"error": "cosine"}, "has no weights to be robust by"),
+    ],
+)
+def test_a_refusal_of_more_options_keeps_them_open_as_typed(house, read, typed, said):
+    answer = house.visitor("ada").post("/runs/new", **{**BATCH_FORM, **typed}, intent="queue")
+    assert answer.status_code == 422
+    assert said in read(answer.text)
+    assert '<details class="panel-details" open>' in answer.text
+    for value in typed.values():
+        assert f'value="{value}"' in answer.text
 
 
 def _count(house):

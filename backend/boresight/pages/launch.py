@@ -7,22 +7,22 @@ form comes back with everything that was typed. `?clone=ID` starts from a run's 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
-from starlette.datastructures import FormData
 
 from boresight.api.dependencies import Reading, Who, csrf
-from boresight.errors import RefusedInputError
+from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures.numbers import count
 from boresight.pages.attempts import Outcome, Refusal, attempt
 from boresight.pages.formats import duration
-from boresight.pages.methods import METHODS, is_sequential, title_of
+from boresight.pages.launch_form import Typed, typed_form, typed_settings, whole
+from boresight.pages.methods import METHODS, WORDS, title_of
 from boresight.pages.rendering import redirect, render
 from boresight.services import runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
@@ -30,71 +30,6 @@ from boresight.store.sessions import Session
 from boresight.store.tables import Sensor
 
 router = APIRouter(dependencies=[Depends(csrf)])
-
-DEFAULTS = {"method": "batch", "variant": "no-q", "linearisations": "6", "process_noise_sigma": "0.02"}
-
-
-@dataclass(frozen=True)
-class Typed:
-    """The form as it was typed: text, so that a refused form comes back as it was."""
-
-    sensor_id: str = ""
-    telemetry_set_id: str = ""
-    validation_set_id: str = ""
-    method: str = DEFAULTS["method"]
-    variant: str = DEFAULTS["variant"]
-    linearisations: str = DEFAULTS["linearisations"]
-    process_noise_sigma: str = DEFAULTS["process_noise_sigma"]
-    replay_frames_per_s: str = "0"
-    label: str = ""
-    free: Mapping[int, Sequence[str]] = field(default_factory=dict)
-
-    def settings(self) -> dict[str, Any]:
-        """Return the settings document of the calibration.
-
-        Raises
-        ------
-        RefusedInputError
-            When a number cannot be read; says which.
-        """
-        document: dict[str, Any] = {
-            "method": self.method,
-            "free": list(self.free.get(_whole(self.sensor_id, "sensor"), ())),
-        }
-        if not document["free"]:
-            raise RefusedInputError("No parameter is free: tick at least one to estimate.")
-        if is_sequential(self.method):
-            document |= {
-                "variant": self.variant,
-                "linearisations": _whole(self.linearisations, "number of linearisations"),
-                "replay_frames_per_s": _decimal(self.replay_frames_per_s, "replay pace"),
-            }
-            if self.variant == "q":
-                document["process_noise_sigma"] = _decimal(self.process_noise_sigma, "drift a frame")
-        return document
-
-
-def _whole(text: str, name: str) -> int:
-    """Read a whole number."""
-    if not text.strip().isdecimal():
-        raise RefusedInputError(f"The {name} {text.strip()!r} is not a whole number; type one, such as 6.")
-    return int(text)
-
-
-def _decimal(text: str, name: str) -> float:
-    """Read a number; a comma stands for a point, as many keyboards have it."""
-    try:
-        return float(text.strip().replace(",", ".") or "0")
-    except ValueError as error:
-        raise RefusedInputError(f"The {name} {text.strip()!r} is not a number; type one, such as 0.02.") from error
-
-
-def typed_form(form: FormData, fleet: Sequence[Sensor]) -> Typed:
-    """Read the form as typed."""
-    text = {key: value for key, value in form.items() if isinstance(value, str)}
-    named = {name: text.get(name, "") for name in Typed.__dataclass_fields__ if name != "free"}
-    free = {sensor.id: [str(name) for name in form.getlist(f"free-{sensor.id}")] for sensor in fleet}
-    return Typed(**{**DEFAULTS, **{name: value for name, value in named.items() if value}}, free=free)
 
 
 def first_choice(
@@ -107,11 +42,7 @@ def first_choice(
     if clone is None:
         return Typed(**_newest_sets(session, fleet[0].id if sensor_id is None and fleet else sensor_id), free=free)
     run = runs.get_run(session, clone)
-    known = {
-        name: str(value)
-        for name, value in run.settings.items()
-        if name in Typed.__dataclass_fields__ and name != "free"
-    }
+    known = typed_settings(run.settings)
     free[run.sensor_id] = list(run.settings.get("free") or free.get(run.sensor_id) or [])
     return Typed(
         **{
@@ -171,6 +102,8 @@ def dry_run_of(summary: Mapping[str, Any]) -> DryRun:
         ("Calibration set", summary["telemetry_set"]),
         ("Validation set", summary["validation_set"] or "none"),
         ("Method", title_of(summary["settings"]["method"])),
+        ("Matches", WORDS["match"][summary["settings"]["match"]]),
+        ("Other choices", _other_choices(summary["settings"]) or "as usual"),
         ("Frames", count(summary["frames"])),
         ("Stars", count(summary["stars"])),
         ("Star pairs", f"about {count(summary['pairs'])}"),
@@ -180,15 +113,24 @@ def dry_run_of(summary: Mapping[str, Any]) -> DryRun:
     return DryRun(facts, summary["warnings"])
 
 
+def _other_choices(settings: Mapping[str, Any]) -> str:
+    """List the settings that differ from the usual, apart from those with a line of their own."""
+    usual = CalibrationSettings().document()
+    named = {"method", "match", "free"}
+    return ", ".join(
+        f"{name} {settings[name]}" for name in usual if name not in named and settings[name] != usual[name]
+    )
+
+
 def _launch(session: Session, actor: Actor, typed: Typed, *, validate_only: bool) -> Any:
     """Hand the typed form to the service."""
     return runs.launch(
         session,
         actor,
-        _whole(typed.sensor_id, "sensor"),
-        _whole(typed.telemetry_set_id, "calibration set"),
+        whole(typed.sensor_id, "sensor"),
+        whole(typed.telemetry_set_id, "calibration set"),
         typed.settings(),
-        validation_set_id=_whole(typed.validation_set_id, "validation set") if typed.validation_set_id else None,
+        validation_set_id=whole(typed.validation_set_id, "validation set") if typed.validation_set_id else None,
         label=typed.label.strip(),
         validate_only=validate_only,
     )
@@ -245,6 +187,7 @@ def _page(
         parameter_names={sensor.id: _names_of(sensor) for sensor in fleet},
         sets=telemetry_sets.list_telemetry_sets(session),
         methods=METHODS,
+        words=WORDS,
         typed=typed,
         clone=clone,
         refusal=refusal,

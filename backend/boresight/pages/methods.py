@@ -1,7 +1,8 @@
-"""The calibration methods as a person chooses among them: a title, and when to use it."""
+"""The choices of a calibration as a person makes them: methods with a title and when to use them, and what the other words mean."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 
@@ -43,6 +44,26 @@ METHODS = (
         sequential=True,
     ),
 )
+
+#: What the words of the other choices mean, by setting and word.
+WORDS: Mapping[str, Mapping[str, str]] = {
+    "variant": {
+        "no-q": "No-Q: parameters are constant",
+        "q": "Q: parameters may drift",
+        "no-refit": "No-Refit: Q, with the matches of the baseline only",
+    },
+    "match": {"given": "As given in the file", "rematch": "Made again as parameters improve"},
+    "match_parameters": {"latest": "The latest, frame by frame", "baseline": "The baseline it started from"},
+    "match_rule": {
+        "statistical": "Statistical: from centroid noise and parameter uncertainty",
+        "flight": "Flight: the fixed tolerance of the flight code",
+    },
+    "error": {
+        "arclength": "Arclength, with its full covariance",
+        "cosine": "Cosine of the arc, unweighted: worse, for comparison",
+    },
+    "robust": {"none": "Least squares", "huber": "Huber: bounds what a false star may say"},
+}
 
 _BY_NAME = {method.name: method for method in METHODS}
 

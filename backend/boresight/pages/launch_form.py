@@ -1,0 +1,145 @@
+"""The launch form as text: what was typed, what is usual, and the settings document that both make.
+
+Only the choices that the method has go into the document, so that a form without scripts, which sends them all, is read alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from starlette.datastructures import FormData
+
+from boresight.calibration.settings import CalibrationSettings
+from boresight.errors import RefusedInputError
+from boresight.pages.methods import is_sequential
+from boresight.store.tables import Sensor
+
+
+def _text(value: Any) -> str:
+    """Write a setting as its field shows it."""
+    if isinstance(value, bool):
+        return "on" if value else ""
+    return f"{value:.15g}" if isinstance(value, int | float) else str(value or "")
+
+
+def typed_settings(document: Mapping[str, Any]) -> dict[str, str]:
+    """Write the settings of a run as the form's fields show them."""
+    return {name: _text(value) for name, value in document.items() if name in _SETTINGS}
+
+
+_SETTINGS = frozenset(CalibrationSettings().document()) - {"free"}
+DEFAULTS = typed_settings(CalibrationSettings().document())
+#: Fields behind "More options"; one that differs from the usual opens them.
+ADVANCED = (
+    "match_parameters", "match_rule", "flight_tolerance_urad", "leave_out_doubles", "minimum_stars", "max_iterations", "error",
+    "robust", "huber_threshold", "forgetting_factor", "initial_sigma_scale",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Typed:
+    """The form as it was typed: text, so that a refused form comes back as it was."""
+
+    sensor_id: str = ""
+    telemetry_set_id: str = ""
+    validation_set_id: str = ""
+    method: str = DEFAULTS["method"]
+    variant: str = DEFAULTS["variant"]
+    match: str = DEFAULTS["match"]
+    match_parameters: str = DEFAULTS["match_parameters"]
+    match_rule: str = DEFAULTS["match_rule"]
+    flight_tolerance_urad: str = DEFAULTS["flight_tolerance_urad"]
+    leave_out_doubles: str = DEFAULTS["leave_out_doubles"]
+    minimum_stars: str = DEFAULTS["minimum_stars"]
+    max_iterations: str = DEFAULTS["max_iterations"]
+    error: str = DEFAULTS["error"]
+    robust: str = DEFAULTS["robust"]
+    huber_threshold: str = DEFAULTS["huber_threshold"]
+    linearisations: str = DEFAULTS["linearisations"]
+    process_noise_sigma: str = DEFAULTS["process_noise_sigma"]
+    forgetting_factor: str = DEFAULTS["forgetting_factor"]
+    initial_sigma_scale: str = DEFAULTS["initial_sigma_scale"]
+    replay_frames_per_s: str = DEFAULTS["replay_frames_per_s"]
+    label: str = ""
+    free: Mapping[int, Sequence[str]] = field(default_factory=dict)
+
+    @property
+    def advanced(self) -> bool:
+        """Whether a choice behind "More options" differs from the usual."""
+        return any(getattr(self, name) != DEFAULTS[name] for name in ADVANCED)
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings document of the calibration.
+
+        Raises
+        ------
+        RefusedInputError
+            When a number cannot be read; says which.
+        """
+        document: dict[str, Any] = {
+            "method": self.method,
+            "free": list(self.free.get(whole(self.sensor_id, "sensor"), ())),
+            "minimum_stars": whole(self.minimum_stars, "smallest number of stars"),
+            **self._matching(),
+        }
+        if not document["free"]:
+            raise RefusedInputError("No parameter is free: tick at least one to estimate.")
+        return document | (self._of_filter() if is_sequential(self.method) else self._of_batch())
+
+    def _matching(self) -> dict[str, Any]:
+        """Return how stars are identified and judged."""
+        tolerance = self.flight_tolerance_urad.strip()
+        return {
+            "match": self.match,
+            "match_rule": self.match_rule,
+            "leave_out_doubles": bool(self.leave_out_doubles),
+            "flight_tolerance_urad": decimal(tolerance, "flight tolerance") if tolerance else None,
+        }
+
+    def _of_batch(self) -> dict[str, Any]:
+        """Return the choices that only the batch has."""
+        return {
+            "max_iterations": whole(self.max_iterations, "number of iterations"),
+            "error": self.error,
+            "robust": self.robust,
+            "huber_threshold": decimal(self.huber_threshold, "Huber threshold"),
+        }
+
+    def _of_filter(self) -> dict[str, Any]:
+        """Return the choices that only a filter has."""
+        document = {
+            "variant": self.variant,
+            "match_parameters": self.match_parameters,
+            "linearisations": whole(self.linearisations, "number of linearisations"),
+            "forgetting_factor": decimal(self.forgetting_factor, "forgetting factor"),
+            "initial_sigma_scale": decimal(self.initial_sigma_scale, "sigma of the start"),
+            "replay_frames_per_s": decimal(self.replay_frames_per_s, "replay pace"),
+        }
+        if self.variant != "no-q":
+            document["process_noise_sigma"] = decimal(self.process_noise_sigma, "drift a frame")
+        return document
+
+
+def whole(text: str, name: str) -> int:
+    """Read a whole number."""
+    if not text.strip().isdecimal():
+        raise RefusedInputError(f"The {name} {text.strip()!r} is not a whole number; type one, such as 6.")
+    return int(text)
+
+
+def decimal(text: str, name: str) -> float:
+    """Read a number; a comma stands for a point, as many keyboards have it."""
+    try:
+        return float(text.strip().replace(",", ".") or "0")
+    except ValueError as error:
+        raise RefusedInputError(f"The {name} {text.strip()!r} is not a number; type one, such as 0.02.") from error
+
+
+def typed_form(form: FormData, fleet: Sequence[Sensor]) -> Typed:
+    """Read the form as typed."""
+    text = {key: value for key, value in form.items() if isinstance(value, str)}
+    named = {name: text.get(name, "") for name in Typed.__dataclass_fields__ if name != "free"}
+    free = {sensor.id: [str(name) for name in form.getlist(f"free-{sensor.id}")] for sensor in fleet}
+    return Typed(**{**DEFAULTS, **{name: value for name, value in named.items() if value}}, free=free)
