@@ -39,8 +39,8 @@ METHODS = (
     Method(
         "ukf",
         "Unscented filter",
-        "Slopes from points spread as wide as the parameters are uncertain: use it where the start is far off and the"
-        " extended filters claim too much. It takes about five times as long as the square-root filter.",
+        "Slopes from points spread as wide as the parameters are uncertain, not from derivatives: use it as an independent"
+        " check of the square-root filter; it takes longer and is not more accurate.",
         sequential=True,
     ),
 )
