@@ -29,6 +29,8 @@ correlation  blocks              single frames
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
@@ -114,5 +116,5 @@ def share_interval(share: float, shares: FloatArray, n_blocks: float) -> list[fl
     if low is None or high is None:
         return [None, None]
     centre = (share + Z**2 / (2 * n_blocks)) / (1 + Z**2 / n_blocks)
-    half = Z / (1 + Z**2 / n_blocks) * np.sqrt(share * (1 - share) / n_blocks + (Z / (2 * n_blocks)) ** 2)
+    half = Z / (1 + Z**2 / n_blocks) * math.sqrt(share * (1 - share) / n_blocks + (Z / (2 * n_blocks)) ** 2)
     return [max(0.0, min(low, centre - half)), min(1.0, max(high, centre + half))]

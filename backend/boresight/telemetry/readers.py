@@ -20,7 +20,7 @@ from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import COLUMN_GROUPS, OPTIONAL_COLUMNS, REQUIRED_COLUMNS, UNMATCHED, Telemetry
 from boresight.telemetry.writers import write_csv, write_parquet
 
-__all__ = ["read_telemetry", "write_csv", "write_parquet"]
+__all__ = ["read_table", "read_telemetry", "write_csv", "write_parquet"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -43,15 +43,20 @@ def read_telemetry(path: Path, name: str | None = None) -> Telemetry:
         When the file cannot be used; the first twenty faults name row and column.
     """
     name = name or path.name
+    table, first_row = read_table(path, name)
+    return telemetry_of(table, Faults(name, first_row))
+
+
+def read_table(path: Path, name: str) -> tuple[pa.Table, int]:
+    """Return the columns of a telemetry file as they stand in it, and the number of its first row; refuses as `read_telemetry`."""
     data = read_bytes(path, name)
     match format_of(name, data):
         case "Parquet":
-            table, first_row = parquet.read_parquet(name, data), parquet.FIRST_ROW
+            return parquet.read_parquet(name, data), parquet.FIRST_ROW
         case "JSON Lines":
-            table, first_row = json_lines.read_json_lines(name, text_of(name, data)), json_lines.FIRST_ROW
+            return json_lines.read_json_lines(name, text_of(name, data)), json_lines.FIRST_ROW
         case _:
-            table, first_row = comma_separated.read_csv(name, text_of(name, data)), comma_separated.FIRST_ROW
-    return telemetry_of(table, Faults(name, first_row))
+            return comma_separated.read_csv(name, text_of(name, data)), comma_separated.FIRST_ROW
 
 
 def telemetry_of(table: pa.Table, faults: Faults) -> Telemetry:

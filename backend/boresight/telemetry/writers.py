@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from boresight.telemetry.schema import UNMATCHED, Telemetry
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 def write_parquet(telemetry: Telemetry, path: Path) -> None:
@@ -23,12 +25,51 @@ def write_parquet(telemetry: Telemetry, path: Path) -> None:
 
 def write_csv(telemetry: Telemetry, path: Path) -> None:
     """Write telemetry as CSV with every digit; absent values are empty cells, times end in Z."""
-    table = contract_table(telemetry)
-    if "time_utc" in table.column_names:
-        place = table.column_names.index("time_utc")
-        stamps = pc.strftime(table["time_utc"], format="%Y-%m-%dT%H:%M:%SZ")
-        table = table.set_column(place, "time_utc", stamps)
-    arrow_csv.write_csv(table, path)
+    arrow_csv.write_csv(_with_time_texts(contract_table(telemetry)), path)
+
+
+def write_with_stars(table: pa.Table, star_id: IntArray, path: Path) -> None:
+    """Write a telemetry file's columns again with other stars, everything else as it stands.
+
+    Parameters
+    ----------
+    table
+        Columns as read, `readers.read_table`.
+    star_id
+        (n_rows,) Hipparcos numbers, 0 = unmatched, which is written as an absent cell.
+    path
+        The suffix says CSV, JSON Lines or Parquet; anything else is CSV.
+    """
+    cells = pa.array(star_id, mask=star_id == UNMATCHED)
+    if "star_id" in table.column_names:
+        table = table.set_column(table.column_names.index("star_id"), "star_id", cells)
+    else:
+        table = table.append_column("star_id", cells)
+    match path.suffix.lower():
+        case ".parquet":
+            arrow_parquet.write_table(table, path, compression="zstd")
+        case ".jsonl" | ".ndjson":
+            _write_json_lines(_with_time_texts(table), path)
+        case _:
+            arrow_csv.write_csv(_with_time_texts(table), path)
+
+
+def _write_json_lines(table: pa.Table, path: Path) -> None:
+    """Write one object a row; absent cells are null."""
+    with path.open("wb") as file:
+        for batch in table.to_batches():
+            file.writelines(
+                orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE, default=str) for row in batch.to_pylist()
+            )
+
+
+def _with_time_texts(table: pa.Table) -> pa.Table:
+    """Return a table whose times are ISO 8601 text that ends in Z."""
+    for place, field in enumerate(table.schema):
+        if pa.types.is_timestamp(field.type):
+            stamps = pc.strftime(table[field.name], format="%Y-%m-%dT%H:%M:%SZ")
+            table = table.set_column(place, field.name, stamps)
+    return table
 
 
 def contract_table(telemetry: Telemetry) -> pa.Table:

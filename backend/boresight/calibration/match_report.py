@@ -1,0 +1,114 @@
+"""What matching a telemetry set again changed: given stars kept, changed, added, removed, and why; exposures valid or not, and why.
+
+Of the rows that the file names a star for, a match is *kept* when the number is the same, *changed* when it is another, *removed*
+when there is none any more; of the others it is *added* when there is one now.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration.rematch import Matches
+from boresight.calibration.sighting import Sighting
+from boresight.sky.matching import EXPOSURE_REASONS, ROW_REASONS, STARTS
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+SCHEMA = "boresight.matching/1"
+#: Reason of a row that matching found a star for and the flight code would not accept.
+NOT_ACCEPTED = "not accepted by the flight code"
+
+
+def matched_stars(matches: Matches, seen: Sighting | None) -> tuple[IntArray, list[str]]:
+    """Star number of every row, 0 = unmatched, and why it has none, (n_rows,) each; `seen` to keep what the flight code accepts."""
+    reasons = [ROW_REASONS[place] for place in matches.row_reason]
+    if seen is None:
+        return matches.star_id, reasons
+    taken = seen.taken()
+    rejected = (matches.star_id > 0) & ~taken
+    return np.where(taken, matches.star_id, 0), [
+        NOT_ACCEPTED if no else reason for no, reason in zip(rejected, reasons, strict=True)
+    ]
+
+
+def match_report(
+    telemetry: Telemetry, sensor: Sensor, matches: Matches, seen: Sighting | None = None
+) -> dict[str, Any]:
+    """Count what changed, and list every exposure with its attitude.
+
+    Parameters
+    ----------
+    telemetry, sensor
+        The set as given, and whose it is.
+    matches
+        The set as matched again.
+    seen
+        The same under the flight code's check, to count only what it accepts; None counts all.
+    """
+    star_id, why = matched_stars(matches, seen)
+    given = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else telemetry.star_id
+    removed = (given > 0) & (star_id == 0)
+    valid = matches.valid if seen is None else seen.view.valid
+    counts = np.add.reduceat(star_id > 0, matches.exposure_start[:-1], dtype=np.int64)
+    exposures = [_exposure(matches, seen, counts, k) for k in range(len(matches.frame))]
+    frames, first = np.unique(matches.frame, return_index=True)
+    available = np.logical_or.reduceat(valid, first)
+    return {
+        "schema": SCHEMA,
+        "sensor": sensor.name,
+        "rows": len(telemetry),
+        "given": int(np.sum(given > 0)),
+        "kept": int(np.sum((given > 0) & (star_id == given))),
+        "changed": int(np.sum((given > 0) & (star_id > 0) & (star_id != given))),
+        "added": int(np.sum((given == 0) & (star_id > 0))),
+        "removed": int(removed.sum()),
+        "matched": int(np.sum(star_id > 0)),
+        "removed_reasons": _counted(why, removed),
+        "unmatched_reasons": _counted(why, star_id == 0),
+        "frames": len(frames),
+        "valid_frames": int(available.sum()),
+        "frame_reasons": dict(Counter(_frame_reason(exposures, first, k) for k in np.flatnonzero(~available).tolist())),
+        "starts": dict(Counter(exposure["start"] for exposure in exposures)),
+        "flight_tolerance_rad": None if seen is None else seen.tolerance_rad,
+        "exposures": exposures,
+    }
+
+
+def _counted(why: list[str], rows: BoolArray) -> dict[str, int]:
+    """How many of some rows have each reason, most first."""
+    return dict(Counter(why[row] for row in np.flatnonzero(rows)).most_common())
+
+
+def _exposure(matches: Matches, seen: Sighting | None, counts: IntArray, k: int) -> dict[str, Any]:
+    """What matching says of exposure k: valid or not with the reason, stars, and the attitude with its covariance."""
+    valid = bool(matches.valid[k] if seen is None else seen.view.valid[k])
+    known = bool(np.isfinite(matches.quaternion[k]).all())
+    return {
+        "frame": int(matches.frame[k]),
+        "exposure": int(matches.exposure[k]),
+        "valid": valid,
+        "reason": None if valid else _reason(matches, seen, k),
+        "matched": int(counts[k]),
+        "start": STARTS[matches.start[k]],
+        "quaternion": matches.quaternion[k].tolist() if known else None,
+        "attitude_covariance_rad2": matches.attitude_covariance[k].tolist() if known else None,
+    }
+
+
+def _reason(matches: Matches, seen: Sighting | None, k: int) -> str:
+    """Why an exposure is not valid."""
+    return EXPOSURE_REASONS[matches.reason[k]] if seen is None else seen.exposure_reason(k)
+
+
+def _frame_reason(exposures: list[dict[str, Any]], first: IntArray, k: int) -> str:
+    """Why a frame is not valid: the reason of its exposure with the most stars."""
+    last = first[k + 1] if k + 1 < len(first) else len(exposures)
+    reason: str = max(exposures[first[k] : last], key=lambda exposure: exposure["matched"])["reason"]
+    return reason

@@ -1,0 +1,121 @@
+"""Parameters from a file: a calibration JSON, or an object of names and values such as a simulation's truth.
+
+==============================================  =============================================
+document                                        covariance
+==============================================  =============================================
+calibration JSON, `boresight.calibration/1`     its own; 0 for parameters it held fixed
+`{"parameters": {"f_m": 0.016, ...}}`           none, unless it has `covariance` as above
+`{"f_m": 0.016, ...}`                           none
+==============================================  =============================================
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.errors import RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.telemetry.formats import read_bytes, text_of
+from boresight.telemetry.sensors import Sensor
+
+FloatArray = NDArray[np.float64]
+
+#: Statuses under which a calibration's numbers are no calibration.
+FAILED = ("diverged", "too_few_stars", "running")
+
+
+def read_parameters(path: Path, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
+    """Read a sensor's parameters from a file.
+
+    Returns
+    -------
+    x
+        (n_parameters,) in the camera model's order, SI.
+    P
+        (n_parameters, n_parameters) covariance, SI; None where the file gives none.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file cannot be read, is of another camera model, failed, or its parameters are not all given and plausible.
+    """
+    try:
+        document = json.loads(text_of(path.name, read_bytes(path, path.name)))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise RefusedInputError(
+            f"{path.name} is not JSON: give a calibration JSON or an object of parameters."
+        ) from error
+    if not isinstance(document, dict):
+        raise RefusedInputError(
+            f"{path.name} is not a JSON object: give a calibration JSON or an object of parameters."
+        )
+    return parse_parameters(document, sensor, path.name)
+
+
+def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> tuple[FloatArray, FloatArray | None]:
+    """Read a sensor's parameters from a document; `name` is what refusals call it. As `read_parameters`."""
+    model = document.get("camera_model", sensor.camera_model)
+    if model != sensor.camera_model:
+        raise RefusedInputError(
+            f"{name} is of the camera model {model}, the sensor of {sensor.camera_model}: choose parameters of this sensor."
+        )
+    if document.get("status") in FAILED:
+        raise RefusedInputError(
+            f"{name} is a calibration that {_ended(document['status'])}: choose one that converged."
+        )
+    values = document.get("parameters", document)
+    if not isinstance(values, Mapping):
+        raise RefusedInputError(f"{name} has `parameters` that are no object: write names and numbers.")
+    _check_names(values, sensor, name)
+    x = np.array([values[parameter] for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names], np.float64)
+    return x, _covariance(document.get("covariance"), sensor, name)
+
+
+def _ended(status: str) -> str:
+    """How a failed calibration ended, in words."""
+    return {"diverged": "diverged", "too_few_stars": "had too few stars", "running": "is still running"}[status]
+
+
+def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
+    """Refuse parameters that are missing, unknown, or no plausible number."""
+    camera = CAMERA_MODELS[sensor.camera_model]
+    missing = [parameter for parameter in camera.parameter_names if parameter not in values]
+    if missing:
+        raise RefusedInputError(f"{name} gives no {', '.join(missing)}: give every parameter of {camera.name}.")
+    unknown = [parameter for parameter in values if parameter not in camera.parameter_names]
+    if unknown:
+        raise RefusedInputError(f"{name} gives {unknown[0]!r}, which is no parameter of {camera.name}: leave it out.")
+    for parameter, (low, high) in zip(camera.parameter_names, camera.plausible, strict=True):
+        value = values[parameter]
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not number or not low <= value <= high:
+            raise RefusedInputError(
+                f"{name} gives {parameter} as {value!r}, expected a number from {low:g} to {high:g}: check its unit."
+            )
+
+
+def _covariance(covariance: Any, sensor: Sensor, name: str) -> FloatArray | None:
+    """Spread a document's covariance over all parameters; those not named in it were held fixed."""
+    if covariance is None:
+        return None
+    parameters = CAMERA_MODELS[sensor.camera_model].parameter_names
+    refusal = RefusedInputError(f"{name} has a covariance that is not names and a square matrix: write the file again.")
+    try:
+        names, matrix = list(covariance["names"]), np.array(covariance["matrix"], np.float64)
+        places = [parameters.index(parameter) for parameter in names]
+    except (TypeError, KeyError, ValueError) as error:
+        raise refusal from error
+    if not names:
+        return None
+    if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
+        raise refusal
+    P = np.zeros((len(parameters), len(parameters)))
+    P[np.ix_(places, places)] = matrix
+    return P

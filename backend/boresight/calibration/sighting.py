@@ -1,0 +1,135 @@
+"""A telemetry set seen under one state: which stars are found, and what the flight code would accept of them.
+
+With `match` "rematch" the stars are found anew, as E section II-B does with "a ground-based implementation of the sensor flight
+software"; with "given" they are those the file names, and the flight code's check alone tells the states apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration.flight import FLIGHT_REASONS, FlightView, flight_tolerance, flight_view
+from boresight.calibration.rematch import Matches, Rematcher, ground_covariance
+from boresight.calibration.settings import CalibrationSettings
+from boresight.sky.catalogue import Catalogue
+from boresight.sky.directions import star_directions
+from boresight.sky.matching import EXPOSURE_REASONS
+from boresight.telemetry.exposures import exposures_of
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class GivenMatches:
+    """The matches that a file gives; arrays as in `rematch.Matches`."""
+
+    star_id: IntArray
+    s_i: FloatArray
+    exposure_start: IntArray
+    frame: IntArray
+    reason: NDArray[np.int8]
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A set under one state.
+
+    Parameters
+    ----------
+    x
+        (n_parameters,) the state, SI.
+    matches
+        Which star each detection is.
+    view
+        What the flight code accepts of them.
+    tolerance_rad
+        With which tolerance of an arc.
+    """
+
+    x: FloatArray
+    matches: Matches | GivenMatches
+    view: FlightView
+    tolerance_rad: float
+
+    def taken(self) -> NDArray[np.bool_]:
+        """(n_rows,) accepted matches of valid exposures: what N(x) counts."""
+        return self.view.accepted & np.repeat(self.view.valid, np.diff(self.matches.exposure_start))
+
+    def exposure_reason(self, k: int) -> str:
+        """Why exposure k is not valid, a phrase: of matching where it found too few stars, else of the flight code's check."""
+        flight, found = int(self.view.reason[k]), int(self.matches.reason[k])
+        return EXPOSURE_REASONS[found] if flight == 1 and found > 0 else FLIGHT_REASONS[flight]
+
+    def frame_reasons(self) -> list[str]:
+        """Why each frame is not available, (n_frames,) phrases, `valid` where it is: of the exposure that came farthest."""
+        _, first = np.unique(self.matches.frame, return_index=True)
+        last = np.append(first[1:], len(self.matches.frame))
+        farthest = [a + int(np.argmax(self.view.reason[a:b])) for a, b in zip(first, last, strict=True)]
+        available = self.view.valid_frames
+        return [FLIGHT_REASONS[0] if ok else self.exposure_reason(k) for ok, k in zip(available, farthest, strict=True)]
+
+
+def sightings(
+    telemetry: Telemetry,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    states: Sequence[tuple[FloatArray, FloatArray | None]],
+    settings: CalibrationSettings,
+    cache_folder: Path | None = None,
+) -> list[Sighting]:
+    """See a set under each of some states.
+
+    Parameters
+    ----------
+    states
+        (n_parameters,) x and (n_parameters, n_parameters) P each, SI: a state and what is known of its error; with P None as
+        little as of a ground calibration.
+    settings
+        `match`, `minimum_stars`, `flight_tolerance_urad`, and what matching looks at.
+    cache_folder
+        Where lost-in-space identification keeps its tables.
+
+    Raises
+    ------
+    RefusedInputError
+        When rows that name stars can be given no direction at all, see `sky.directions`.
+    """
+    if settings.match == "given":
+        given = given_matches(telemetry, catalogue)
+        return [sighting_of(telemetry, sensor, given, x, settings) for x, _ in states]
+    matcher = Rematcher(telemetry, sensor, catalogue, settings, cache_folder)
+    ground = ground_covariance(sensor, settings.initial_sigma_scale)
+    return [sighting_of(telemetry, sensor, matcher(x, ground if P is None else P), x, settings) for x, P in states]
+
+
+def sighting_of(
+    telemetry: Telemetry, sensor: Sensor, matches: Matches | GivenMatches, x: FloatArray, settings: CalibrationSettings
+) -> Sighting:
+    """Apply the flight code's check to matches that are there already, under state x (n_parameters,)."""
+    tolerance = flight_tolerance(sensor, settings)
+    view = flight_view(telemetry, sensor, matches, x, tolerance, settings.minimum_stars)
+    return Sighting(x, matches, view, tolerance)
+
+
+def given_matches(telemetry: Telemetry, catalogue: Catalogue) -> GivenMatches:
+    """Take the matches of a file as they are; a row with a direction but no star number counts as matched, with number 0."""
+    exposures = exposures_of(telemetry)
+    s_i = star_directions(
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
+    )
+    named = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else telemetry.star_id
+    return GivenMatches(
+        star_id=np.where(np.isfinite(s_i[:, 0]), named, 0),
+        s_i=s_i,
+        exposure_start=np.append(exposures.start, len(telemetry)).astype(np.int64),
+        frame=exposures.frame,
+        reason=np.zeros(len(exposures), np.int8),
+    )

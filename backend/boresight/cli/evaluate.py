@@ -1,0 +1,159 @@
+"""`boresight evaluate`: how two parameter sets do on a telemetry set, before anything is uplinked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from boresight.cli.output import aligned, check_writable, json_option, write_json
+from boresight.cli.progress import progress
+from boresight.errors import RefusedInputError
+from boresight.settings import read_settings, use_kernel_folder
+
+FRAMES_SHOWN = 40
+#: The resampling of the intervals is the same each time, so that one set gives one answer.
+SEED = 0
+
+
+@click.command()
+@click.argument("telemetry", type=click.Path(path_type=Path))
+@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.option(
+    "--parameters", type=click.Path(path_type=Path), required=True, help="Calibration JSON, or names and values."
+)
+@click.option(
+    "--against", type=click.Path(path_type=Path), help="Parameters to compare with; the sensor file's if left out."
+)
+@click.option(
+    "--match", default="rematch", show_default=True, help="Stars: rematch finds them anew, given takes the file's."
+)
+@click.option(
+    "--flight-tolerance-urad", type=float, help="Largest disagreement of an arc; 5 sigmas of an arc if left out."
+)
+@click.option("--shadow", is_flag=True, help="List the frames that one of the two parameter sets would lose.")
+@json_option
+def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shadow: bool, **choices: Any) -> None:
+    """Compare two parameter sets on TELEMETRY: availability, matched stars, RMS on common pairs.
+
+    The check of the flight code is simulated: an exposure is valid when at least four matches, and more than two thirds of
+    its matches, agree with the catalogue in all their arcs.
+    """
+    check_writable(json_file)
+    use_kernel_folder(read_settings())
+    with progress("reading the telemetry") as report:
+        document = _evaluate(telemetry, sensor_file, choices, shadow, report)
+    write_json(document, json_file)
+    if json_file != "-":
+        click.echo("\n".join(_lines(document)))
+
+
+def _settings(choices: dict[str, Any]) -> Any:
+    """Read the choices; one that does not exist is wrong usage."""
+    from boresight.calibration.settings import CalibrationSettings
+
+    try:
+        return CalibrationSettings.parse({key: choices[key] for key in ("match", "flight_tolerance_urad")})
+    except RefusedInputError as error:
+        raise click.UsageError(str(error)) from error
+
+
+def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shadow: bool, report: Any) -> dict[str, Any]:
+    """Read the files and compare."""
+    import numpy as np
+
+    from boresight.calibration.evaluate import evaluate_sightings
+    from boresight.calibration.parameter_file import read_parameters
+    from boresight.calibration.shadow import shadow_view
+    from boresight.calibration.sighting import sightings
+    from boresight.sky.catalogue import load_catalogue
+    from boresight.telemetry.detector import check_against_sensor
+    from boresight.telemetry.readers import read_telemetry
+    from boresight.telemetry.sensors import read_sensor
+
+    settings, folder = _settings(choices), read_settings().catalogue_folder
+    sensor, against = read_sensor(sensor_file), choices["against"]
+    states = [
+        (sensor.initial, None) if against is None else read_parameters(against, sensor),
+        read_parameters(choices["parameters"], sensor),
+    ]
+    stars = read_telemetry(telemetry)
+    check_against_sensor(stars, sensor)
+    report("loading the star catalogue")
+    catalogue = load_catalogue(folder)
+    report("matching the stars under both parameter sets")
+    initial, final = sightings(stars, sensor, catalogue, states, settings, folder)
+    rng = np.random.default_rng(SEED)
+    document = evaluate_sightings(stars, sensor, catalogue, initial, final, settings, rng)
+    return {**document, "sensor": sensor.name} | ({"shadow": shadow_view(stars, initial, final)} if shadow else {})
+
+
+def _lines(document: dict[str, Any]) -> Iterator[str]:
+    """Lay an evaluation out for a terminal."""
+    tolerance = document["flight_tolerance_rad"] * 1e6
+    yield f"{document['sensor']}: {document['frames']:,} frames, {document['common_pairs']:,} common pairs"
+    yield f"accepted: arcs that agree within {tolerance:.0f} µrad (simulated flight tolerance)"
+    yield ""
+    yield aligned([("", "initial", "95 %", "final", "95 %"), *_scores(document)])
+    if phrases := list(dict.fromkeys([*document["reasons"]["initial"], *document["reasons"]["final"]])):
+        counts = [
+            [str(document["reasons"][side].get(phrase, 0)) for side in ("initial", "final")] for phrase in phrases
+        ]
+        yield ""
+        yield aligned(
+            [("frames not available", "initial", "final"), *((p, *c) for p, c in zip(phrases, counts, strict=True))]
+        )
+    if "shadow" in document:
+        yield from _shadow_lines(document["shadow"])
+
+
+def _scores(document: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    """The table: a score a row, with its interval beside it."""
+    intervals, stars = document["intervals"], document["matched_stars"]
+    for name, key, scale, digits in (
+        ("availability", "availability", 1, 3),
+        ("RMS arc error, µrad", "rms_arc_rad", 1e6, 2),
+    ):
+        sides = [
+            (_number(document[key][side], scale, digits), _interval(intervals[key][side], scale, digits))
+            for side in ("initial", "final")
+        ]
+        yield (name, *sides[0], *sides[1])
+    yield "matched stars", f"{stars['initial']:,}", "", f"{stars['final']:,}", ""
+    ratio = document["matched_star_ratio"]
+    yield "matched star ratio", "", "", _number(ratio, 1, 3), _interval(intervals["matched_star_ratio"], 1, 3)
+    yield "RMS ratio", "", "", _number(document["rms_ratio"], 1, 3), _interval(intervals["rms_ratio"], 1, 3)
+
+
+def _number(value: float | None, scale: float, digits: int) -> str:
+    return "-" if value is None else f"{value * scale:.{digits}f}"
+
+
+def _interval(ends: list[float | None], scale: float, digits: int) -> str:
+    return " to ".join(_number(end, scale, digits) for end in ends)
+
+
+def _shadow_lines(shadow: dict[str, Any]) -> Iterator[str]:
+    """The frames that one of the two would lose, and the summary."""
+    differing = [frame for frame in shadow["frames"] if frame["baseline"]["valid"] != frame["candidate"]["valid"]]
+    if differing:
+        yield ""
+        rows = [
+            (
+                str(frame["frame"]),
+                (frame["time_utc"] or "")[:19],
+                loser,
+                str(frame[winner]["matched"]),
+                frame[loser]["reason"],
+            )
+            for frame in differing[:FRAMES_SHOWN]
+            for loser, winner in (
+                ("candidate", "baseline") if frame["baseline"]["valid"] else ("baseline", "candidate"),
+            )
+        ]
+        yield aligned([("frame", "time", "lost by", "stars", "reason"), *rows], left=(1, 2, 4))
+    if len(differing) > FRAMES_SHOWN:
+        yield f"and {len(differing) - FRAMES_SHOWN:,} more; --json has them."
+    yield f"\n{shadow['summary']['sentence']}"

@@ -1,0 +1,156 @@
+"""`boresight evaluate`: what it prints, writes and refuses."""
+
+import json
+
+import pytest
+
+
+@pytest.fixture
+def evaluate(boresight, simulated):
+    """Run the command on the simulated validation set."""
+    words = ("evaluate", simulated / "validation.csv", "--sensor", simulated / "sensor.json")
+    return lambda *more: boresight(*words, *more)
+
+
+@pytest.fixture
+def written(evaluate, tmp_path):
+    """Write a parameter file and evaluate it."""
+
+    def run(document, *more):
+        path = tmp_path / "parameters.json"
+        path.write_text(document if isinstance(document, str) else json.dumps(document))
+        return evaluate("--parameters", path, *more)
+
+    return run
+
+
+def test_the_calibration_makes_sensor_four_available_and_the_tolerance_is_said(evaluate, calibration):
+    done = evaluate("--parameters", calibration)
+
+    assert done.exit_code == 0
+    assert "422 µrad (simulated flight tolerance)" in done.stdout
+    for word in ("availability", "matched star ratio", "RMS arc error", "95 %", "frames not available"):
+        assert word in done.stdout
+
+
+def test_the_json_is_the_contracts(evaluate, calibration):
+    found = json.loads(evaluate("--parameters", calibration, "--json", "-").stdout)
+
+    assert found["schema"] == "boresight.evaluation/1"
+    assert found["availability"]["initial"] < 0.6
+    assert found["availability"]["final"] > 0.95
+    assert found["matched_star_ratio"] > 1
+    assert found["rms_arc_rad"]["final"] < found["rms_arc_rad"]["initial"] / 3
+    assert found["common_pairs"] > 0
+    assert found["match"] == "rematch"
+    low, high = found["intervals"]["rms_arc_rad"]["final"]
+    assert low < found["rms_arc_rad"]["final"] < high
+
+
+def test_the_same_question_gets_the_same_answer(evaluate, calibration):
+    first, second = (evaluate("--parameters", calibration, "--json", "-").stdout for _ in range(2))
+    assert first == second
+
+
+def test_parameters_may_be_a_calibration_a_plain_object_or_one_inside(
+    written, evaluate, calibration_result, calibration, simulated
+):
+    values = calibration_result["parameters"]
+    answers = [
+        json.loads(run.stdout)["rms_arc_rad"]["final"]
+        for run in (
+            evaluate("--parameters", calibration, "--match", "given", "--json", "-"),
+            written(values, "--match", "given", "--json", "-"),
+            written({"parameters": values}, "--match", "given", "--json", "-"),
+        )
+    ]
+    assert answers[0] == answers[1] == answers[2]
+    assert evaluate("--parameters", simulated / "truth.json", "--match", "given").exit_code == 0
+
+
+def test_against_replaces_the_sensor_files_parameters(evaluate, calibration, simulated):
+    found = json.loads(
+        evaluate("--parameters", calibration, "--against", simulated / "truth.json", "--json", "-").stdout
+    )
+    assert found["rms_ratio"] == pytest.approx(1, abs=0.05)
+    assert found["availability"]["initial"] == found["availability"]["final"]
+
+
+def test_a_wider_tolerance_accepts_more(evaluate, simulated):
+    words = ("--parameters", simulated / "truth.json", "--match", "given", "--json", "-")
+    counts = [
+        json.loads(evaluate(*words, "--flight-tolerance-urad", tolerance).stdout)["matched_stars"]["initial"]
+        for tolerance in (100, 422, 5000)
+    ]
+    assert counts[0] < counts[1] < counts[2]
+
+
+def test_shadow_lists_the_frames_that_one_would_lose(evaluate, calibration):
+    done = evaluate("--parameters", calibration, "--shadow")
+    assert "lost by" in done.stdout
+    assert "frames that the baseline loses and loses no frame that the baseline solves" in done.stdout
+
+    found = json.loads(evaluate("--parameters", calibration, "--shadow", "--json", "-").stdout)["shadow"]
+    assert len(found["frames"]) == found["frames_in_set"]
+
+
+@pytest.mark.parametrize("words", [("--match", "guess"), ("--flight-tolerance-urad", "-5"), ("--wrong",)])
+def test_a_choice_that_does_not_exist_is_wrong_usage(evaluate, calibration, words):
+    done = evaluate("--parameters", calibration, *words)
+    assert done.exit_code == 2
+    assert done.stdout == ""
+
+
+def test_parameters_must_be_named(evaluate):
+    assert evaluate().exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda values: values.pop("b4_per_m4"), "gives no b4_per_m4: give every parameter of inverted_wang"),
+        (lambda values: values.update(k1=1.0), "gives 'k1', which is no parameter"),
+        (lambda values: values.update(f_m=16.0), "gives f_m as 16.0, expected a number"),
+        (lambda values: values.update(g_y=None), "gives g_y as None, expected a number"),
+        (lambda values: values.update(g_y=True), "gives g_y as True, expected a number"),
+    ],
+)
+def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, calibration_result, change, sentence):
+    values = dict(calibration_result["parameters"])
+    change(values)
+
+    done = written(values)
+
+    assert done.exit_code == 1
+    assert sentence in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("document", "sentence"),
+    [
+        ("{", "is not JSON"),
+        ("[1]", "is not a JSON object"),
+        ({"camera_model": "pinhole_radial", "parameters": {}}, "is of the camera model pinhole_radial"),
+        ({"status": "diverged", "parameters": {}}, "is a calibration that diverged"),
+        ({"parameters": 3}, "has `parameters` that are no object"),
+    ],
+)
+def test_a_file_that_holds_no_parameters_is_refused_in_one_line(written, document, sentence):
+    done = written(document)
+    assert done.exit_code == 1
+    assert sentence in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("covariance", [{"names": ["f_m"], "matrix": [[-1.0]]}, {"names": ["f_m"], "matrix": 3}, 7])
+def test_a_covariance_that_is_none_is_refused(written, calibration_result, covariance):
+    done = written({"parameters": calibration_result["parameters"], "covariance": covariance})
+    assert done.exit_code == 1
+    assert "covariance that is not names and a square matrix" in done.stderr
+
+
+def test_a_missing_file_is_refused_in_one_line(evaluate, tmp_path):
+    done = evaluate("--parameters", tmp_path / "absent.json")
+    assert done.exit_code == 1
+    assert "absent.json does not exist" in done.stderr
