@@ -13,6 +13,8 @@ from boresight.cli.audit import audit
 from boresight.cli.bench import bench
 from boresight.cli.calibrate import calibrate
 from boresight.cli.check import check
+from boresight.cli.evaluate import evaluate
+from boresight.cli.match import match
 from boresight.cli.migrate import migrate
 from boresight.cli.refusals import RefusingGroup
 from boresight.cli.report import report
@@ -32,5 +34,5 @@ def main(*, debug: bool) -> None:
     """
 
 
-for command in (calibrate, check, simulate, report, bench, serve, demo, warm, migrate, user, audit):
+for command in (calibrate, match, evaluate, check, simulate, report, bench, serve, demo, warm, migrate, user, audit):
     main.add_command(command)
