@@ -2,7 +2,8 @@
 
 Between frames the parameters may have moved. Process noise says by how much, P <- P + Q. A forgetting factor lambda says how fast
 the past loses weight, P <- P / lambda: a frame m frames old counts lambda^m, so that the information of a constant parameter
-comes to rest at that of 1 / (1 - lambda) frames, whatever the parameter. Both may act, the forgetting first.
+comes to rest at that of 1 / (1 - lambda) frames, whatever the parameter. That is a cautious claim: where nothing moved, errors have
+1 / (1 + lambda) of the claimed variance. Both may act, the forgetting first.
 """
 
 from __future__ import annotations
