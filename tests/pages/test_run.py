@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.figures import FIGURES
+from boresight.figures import CHAPTERS
 from boresight.figures.evidence import marks
 from boresight.figures.parameter_table import parameter_rows
 from boresight.store.sessions import utc_now, writing
 from boresight.store.tables import RunEvent
 
 
-def test_the_review_page_shows_verdict_parameters_and_every_figure_with_its_guide(house, read, results):
+def test_the_review_page_shows_verdict_parameters_and_every_figure_of_the_estimate_with_its_guide(house, read, results):
     page = house.visitor("victor").get("/runs/2")
     text = read(page)
     assert "consistent" in text
     assert results["sqrf"]["observability"]["weakest"]["sentence"] in text
-    for name, figure in FIGURES.items():
-        assert f'src="/api/v1/runs/2/figures/{name}"' in page
-        assert f'href="/api/v1/runs/2/figures/{name}/data"' in page
+    for figure in CHAPTERS["estimate"]:
+        assert f'src="/api/v1/runs/2/figures/{figure.name}"' in page
+        assert f'href="/api/v1/runs/2/figures/{figure.name}/data"' in page
         assert figure.guide.split(".")[0][:40] in text
     assert "boresight calibrate" in text
     assert "--method sqrf" in text

@@ -24,10 +24,10 @@ __all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Result", "Table", "Trace", 
 CHAPTERS: dict[str, tuple[Figure, ...]] = {
     "estimate": (CONVERGENCE, RMS, RADIAL, OBSERVABILITY, COVERAGE, PARAMETERS),
     "trust": (
-        TWO_HALVES, ARC_UNCERTAINTY, MORE_DATA, EFFICIENCY, DROP_ONE, INNOVATIONS, WHITENESS, RESIDUAL_MAP,
-        RESIDUAL_AGAINST, STARS,
+        TWO_HALVES, ARC_UNCERTAINTY, EFFICIENCY, MORE_DATA, DROP_ONE, INNOVATIONS, WHITENESS, RESIDUAL_AGAINST,
+        RESIDUAL_MAP, STARS,
     ),
     "matching": (MATCHING,),
 }  # fmt: skip
 FIGURES: dict[str, Figure] = {figure.name: figure for chapter in CHAPTERS.values() for figure in chapter}
-WIDE = frozenset({"convergence", "observability", "two-halves", "more-data", "residual-map", "matching"})
+WIDE = frozenset({"convergence", "observability", "two-halves", "more-data", "residual-map", "stars", "matching"})

@@ -26,7 +26,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         return absent(TITLE, traces, PART)
     figure = go.Figure([_bars(one, labelled=len(drawn) == 1) for one in drawn])
     many = len(drawn) > 1
-    theme.dress(figure, title=_headline(drawn), height_px=380, legend=many, hovermode="closest", barmode="group")
+    theme.dress(figure, title=_headline(drawn), height_px=460, legend=many, hovermode="closest", barmode="group")
     figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4})
     figure.update_yaxes(title_text="claimed σ / bound", rangemode="tozero")
     figure.update_xaxes(showgrid=False)

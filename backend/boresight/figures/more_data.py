@@ -22,6 +22,8 @@ TITLE = "What more data would buy"
 PART = "more_data"
 COLUMNS = 4
 PANEL_HEIGHT_PX = 170
+STEPS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0))
+FEWEST_TICKS = 2
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
@@ -53,7 +55,7 @@ def _panel(figure: go.Figure, drawn: Sequence[Part], name: str, where: dict[str,
         figure.add_trace(curve, **where)
         seen.append([frames, sigma * item.change_factor])
     for update, values in zip((figure.update_xaxes, figure.update_yaxes), np.concatenate(seen, axis=1), strict=True):
-        ticks = round_decades(values)
+        ticks = round_ticks(values)
         update(tickvals=ticks, ticktext=[_tick(tick) for tick in ticks], **where)
     unit = f" ({item.change_unit})" if item.change_unit else ""
     figure.update_yaxes(title={"text": f"σ of {item.markup}{unit}", "standoff": 4}, **where)
@@ -70,15 +72,19 @@ def _curve(result: Result, part: Result, name: str) -> tuple[FloatArray, FloatAr
     return frames[shown], sigma[shown]
 
 
-def round_decades(values: FloatArray) -> list[float]:
-    """Return the powers of ten, their doubles and quintuples within the values; the doubles go where they would crowd."""
+def round_ticks(values: FloatArray) -> list[float]:
+    """Return round numbers within the values, for a log axis: as few to the decade as give two."""
     known = values[np.isfinite(values) & (values > 0)]
     low, high = float(np.min(known, initial=np.inf)), float(np.max(known, initial=0.0))
     if not low <= high:
         return []
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    steps = (1.0,) if high > 1e3 * low else (1.0, 2.0, 5.0)
-    return [step * 10.0**power for power in powers for step in steps if 0.8 * low <= step * 10.0**power <= 1.25 * high]
+    found: list[float] = []
+    for steps in STEPS:
+        found = [step * 10.0**power for power in powers for step in steps if low <= step * 10.0**power <= high]
+        if len(found) >= FEWEST_TICKS:
+            break
+    return found
 
 
 def _tick(value: float) -> str:

@@ -30,7 +30,7 @@ from boresight.figures.trust_parts import why_absent
 from boresight.resources import folder
 
 SCHEMA = "boresight.calibration/1"
-MOST_STARS = 50  # in print; the run's CSV has more
+MOST_STARS = 25  # in print; the run's CSV has more
 
 
 def write_report(result: Result, path: Path) -> None:

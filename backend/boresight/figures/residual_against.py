@@ -67,8 +67,9 @@ def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
     )  # makes the axes stand
     place = f"{number if number > 1 else ''} domain"
     figure.add_annotation(text=words, x=0.5, y=0.5, xref=f"x{place}", yref=f"y{place}")
-    figure.update_xaxes(showticklabels=False, showgrid=False, zeroline=False, range=[0, 1], **where)
-    figure.update_yaxes(showticklabels=False, showgrid=False, zeroline=False, range=[0, 1], title_text=None, **where)
+    bare = {"showticklabels": False, "ticks": "", "showgrid": False, "zeroline": False, "range": [0, 1]}
+    figure.update_xaxes(**bare, **where)
+    figure.update_yaxes(title_text=None, **bare, **where)
 
 
 def _folded(sentence: str) -> list[str]:

@@ -1,7 +1,7 @@
 """Every star by itself: how far its mean residual is from zero in its own sigmas, over how often it was seen.
 
 A wrong identity, an unresolved double or a bad catalogue position moves one star in every frame by the same amount: its
-mean residual leaves zero while its neighbours' stay. z is that mean over its sigma.
+mean residual leaves zero while its neighbours' stay. z is that mean over its sigma, both directions together.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from boresight.figures.trust_parts import Part, absent, column, part_of, parts
 
 TITLE = "Star by star"
 PART = "stars"
-LIMIT_SIGMA = 3.0
 LONGEST = 200
 
 
@@ -29,9 +28,8 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         return absent(TITLE, traces, PART)
     figure = go.Figure([_points(one, labelled=len(drawn) == 1) for one in drawn])
     theme.dress(figure, title=_headline(drawn), height_px=400, legend=len(drawn) > 1, hovermode="closest")
-    figure.add_hline(y=LIMIT_SIGMA, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2})
     figure.update_xaxes(title_text="sightings", type="log", dtick="D2", tickformat="~s")
-    figure.update_yaxes(title_text="|mean residual| (σ of the mean)", rangemode="tozero")
+    figure.update_yaxes(title_text="mean residual (σ of the mean)", rangemode="tozero")
     return figure
 
 

@@ -65,7 +65,7 @@ def _innovations(result: Result) -> Mark:
     question, part = "Innovations over time", part_of(result, "nis_over_time")
     if not part or part.get("consistent") is None:
         return _unknown(result, question, "nis_over_time")
-    value = f"{percent(part.get('outside_share'))} outside, {percent(part.get('expected_share'), 0)} expected"
+    value = f"{percent(part.get('outside_share'))} outside"
     return _mark(question, ("as expected", "uneven"), part["consistent"], value, str(part.get("sentence") or ""))
 
 

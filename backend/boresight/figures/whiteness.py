@@ -27,7 +27,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         return absent(TITLE, traces, PART)
     figure = go.Figure([_bars(one) for one in drawn])
     many = len(drawn) > 1
-    theme.dress(figure, title=_headline(drawn), height_px=360, legend=many, hovermode="closest", barmode="group")
+    theme.dress(figure, title=_headline(drawn), height_px=520, legend=many, hovermode="closest", barmode="group")
     bound = drawn[0][2].get("bound")
     for level in (-bound, bound) if bound is not None else ():
         figure.add_hline(y=level, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2})

@@ -1,0 +1,103 @@
+"""The parts of the run page: trust and matching, each in every state."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from boresight.figures import CHAPTERS
+from boresight.store.sessions import utc_now
+from tests.figures.examined import matching, trust
+
+
+@pytest.fixture
+def examined(house, results):
+    """Store a run whose result has an examination and matching; return its result's parts and its number."""
+    made = examined_result(results["batch"])
+    return made, house.add_run("batch", state="SUCCEEDED", result=made)
+
+
+def examined_result(result, **changes):
+    sigma = {name: value or 1.0 for name, value in result["sigma"].items()}
+    return {**result, "trust": {**trust(sigma), **changes}, "matching": matching()}
+
+
+def figures_of(page):
+    return set(re.findall(r'<plot-figure src="/api/v1/runs/\d+/figures/([\w-]+)"', page))
+
+
+@pytest.mark.parametrize("part", ["estimate", "trust", "matching"])
+def test_a_part_draws_its_own_figures_and_no_others(house, examined, part):
+    page = house.visitor("victor").get(f"/runs/{examined[1]}?part={part}")
+    assert figures_of(page) == {figure.name for figure in CHAPTERS[part]}
+    assert len(re.findall('aria-current="page"', page[page.index('class="tabs"') :])) == 1
+
+
+def test_the_tabs_say_how_trust_and_matching_stand(house, read, examined):
+    text = read(house.visitor("victor").get(f"/runs/{examined[1]}"))
+    assert "Trust 2 doubts" in text
+    assert "Matching rested" in text
+
+
+def test_every_sentence_of_the_examination_is_on_the_page(house, read, examined):
+    result, run_id = examined
+    text = read(house.visitor("victor").get(f"/runs/{run_id}?part=trust"))
+    for name in ("two_halves", "efficiency", "more_data", "nis_over_time", "whiteness"):
+        assert result["trust"][name]["sentence"] in text
+    assert result["trust"]["drop_one_sentence"] in text
+    assert result["trust"]["stars_sentence"] in text
+
+
+def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(house, examined):
+    page = house.visitor("victor").get(f"/runs/{examined[1]}?part=trust")
+    assert 'data-copy="1000, 1017"' in page
+    rows = {row.split("</th>")[0].rpartition(">")[2]: row for row in page.split("<tr>") if "data-value" in row}
+    assert all("status-caution" in rows[star] and "suspect" in rows[star] for star in ("1000", "1017"))
+    assert "suspect" not in rows["1034"]
+
+
+def test_a_part_that_could_not_be_made_is_no_data_with_its_reason(house, read, results):
+    why = {"two_halves": "Two halves of 3 frames are too few: use 20.", "stars": "No star has a number."}
+    result = examined_result(results["batch"], two_halves=None, stars=None, suspects=[], unavailable=why)
+    text = read(house.visitor("victor").get(f"/runs/{house.add_run(state='SUCCEEDED', result=result)}?part=trust"))
+    assert re.search(f"Two halves NO DATA – {why['two_halves']}", text)
+    assert text.count(why["stars"]) == 2
+    assert "Copy the stars to flag" not in text
+
+
+def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(house, read, examined):
+    text = read(house.visitor("victor").get(f"/runs/{examined[1]}?part=matching"))
+    for words in ("Kept 2\u202f201", "Removed 32", "Added 2\u202f265", "3: the matches rested", "41 doubles"):
+        assert words in text
+    for phrase in ("neighbouring frame 5", "no catalogue star is near 61", "fewer than three stars matched 2"):
+        assert phrase in text
+    assert "Calibration frames available 46.0\u202f% 100.0\u202f%" in text
+    assert "420\u202fµrad" in text
+
+
+def test_a_result_from_before_the_examination_says_how_to_have_one(house, read, results):
+    old = {**results["batch"], "trust": None, "matching": None}
+    run_id = house.add_run("batch", state="SUCCEEDED", result=old)
+    victor = house.visitor("victor")
+    assert "clone its run and start it again" in read(victor.get(f"/runs/{run_id}?part=trust"))
+    assert "used the matches it was given" in read(victor.get(f"/runs/{run_id}?part=matching"))
+
+
+def test_a_running_run_says_that_trust_comes_at_its_end_and_draws_nothing(house, read, results):
+    progress = {"fraction": 0.4, "partial": {**results["sqrf-partial"], "trust": None, "matching": None}}
+    run_id = house.add_run("sqrf", state="RUNNING", progress=progress, started_utc=utc_now(), attempt=1)
+    page = house.visitor("victor").get(f"/runs/{run_id}?part=trust")
+    assert "Trust is examined when the run ends" in read(page)
+    assert not figures_of(page)
+
+
+@pytest.mark.parametrize(("part", "said"), [("trust", "No examination: the run"), ("matching", "No matching: the run")])
+def test_a_failed_run_has_neither(house, read, part, said):
+    page = house.visitor("victor").get(f"/runs/{house.add_run(state='FAILED', reason='No stars.')}?part={part}")
+    assert f"{said} ended as FAILED" in read(page)
+    assert not figures_of(page)
+
+
+def test_a_part_that_does_not_exist_is_not_found(house):
+    assert "choose from" in house.visitor("victor").get("/runs/1?part=nonsense", status=404)
