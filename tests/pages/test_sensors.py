@@ -130,3 +130,79 @@ def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(house):
     assert "&#34;centroid_sigma_px&#34;: 0.35" in answer.text
     with reading(house.engine) as session:
         assert sensors.get_sensor(session, 1).document["centroid_sigma_px"] == 0.25
+
+
+def evaluation(**changes):
+    """What a run found on its validation set."""
+    return {
+        "availability": {"initial": 0.4375, "final": 1.0},
+        "matched_star_ratio": 5.656,
+        "rms_arc_rad": {"initial": 632.5e-6, "final": 83.81e-6},
+        "flight_tolerance_rad": 422e-6,
+        "intervals": {
+            "availability": {"initial": [0.323, 0.552], "final": [0.954, 1.0]},
+            "matched_star_ratio": [4.209, None],
+            "rms_arc_rad": {"initial": [582.2e-6, 682.1e-6], "final": [81.2e-6, 86.5e-6]},
+        },
+    } | changes
+
+
+def panel_of(page, read):
+    """The words of the panel that compares before and after."""
+    return read(page).split("Before and after")[1].split("Parameter sets and baselines")[0]
+
+
+def test_a_sensor_shows_what_its_newest_validated_run_would_change_with_intervals(house, read, results):
+    validated = house.add_run("batch", state="SUCCEEDED", result=results["batch"] | {"validation": evaluation()})
+    house.add_run("batch", state="SUCCEEDED", result=results["batch"], validation_set_id=None)
+
+    panel = panel_of(house.visitor("victor").get("/sensors/1"), read)
+
+    assert f"#{validated}" in panel
+    assert "on its validation set" in panel
+    for words in (
+        "43.8",
+        "32.3 to 55.2",
+        "100.0",
+        "95.4 to 100.0",
+        "5.66",
+        "4.21 to –",
+        "632.5",
+        "83.8",
+        "81.2 to 86.5",
+        "422 µrad",
+    ):
+        assert words in panel.replace("\u202f", " ")
+
+
+def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_the_fitted_one(house, read, results):
+    result = results["batch"] | {
+        "validation": None,
+        "matching": {
+            "flight": {
+                "tolerance_rad": 422e-6,
+                "availability": {"initial": 0.2, "final": 0.98},
+                "matched_stars": {"initial": 300, "final": 4200},
+            }
+        },
+    }
+    visitor = house.visitor("ada")
+    visitor.post("/sensors", document=EXAMPLE)
+    house.add_run("batch", state="SUCCEEDED", result=result, validation_set_id=None, sensor_id=2)
+
+    panel = panel_of(visitor.get("/sensors/2"), read)
+
+    assert "on its calibration set" in panel
+    assert "these are the frames it was fitted to" in panel
+    for words in ("20.0", "98.0", "14.00"):
+        assert words in panel
+
+
+def test_a_sensor_without_a_finished_run_says_what_to_do(house, read):
+    visitor = house.visitor("ada")
+    visitor.post("/sensors", document=EXAMPLE)
+
+    panel = panel_of(visitor.get("/sensors/2"), read)
+
+    assert "No finished run says yet" in panel
+    assert "Launch a run with a validation set" in panel

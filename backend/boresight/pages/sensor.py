@@ -21,6 +21,7 @@ from boresight.api.dependencies import Who, csrf
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.before_after import before_after
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import line_of, read_names
 from boresight.pages.sensors import read_document
@@ -160,6 +161,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
             promotions=uplinks.promotions_of(session, sensor_id),
             telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id),
             runs=[line_of(run, names) for run in newest],
+            change=before_after(session, request.app.state.blobs, sensor_id),
             as_of=_as_of(session, sensor_id, at),
             now=utc_now()[:19] + "Z",
             file_text=shown.text or json.dumps(sensor.document, indent=2),
