@@ -20,9 +20,10 @@ NOISE_PX = 0.437
 
 
 def rotation(rng):
-    """A random rotation matrix."""
+    """A random rotation matrix: proper, for arcs cannot tell a mirror image but attitudes can."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
-    return q * np.sign(np.diag(r))
+    q = q * np.sign(np.diag(r))
+    return q * np.linalg.det(q)
 
 
 def star_field(rng, frames=200, mean_stars=10.7, noise_px=NOISE_PX, truth=TRUTH):
