@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from boresight.calibration.estimate import START_ARCS_PER_PARAMETER, pool_start
+from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import batch
 from boresight.estimation.consistency import nees
 from boresight.estimation.filters import FILTERS, Tuning

@@ -14,7 +14,7 @@ from boresight.errors import CancelledError, RefusedInputError
 MARKS = "BORESIGHT_TEST_MARKS"
 
 
-def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report=None, cancelled=None):
+def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report=None, cancelled=None, cache_folder=None):
     """Do what the sensor's name says."""
     assert len(telemetry) > 0
     assert len(catalogue.hip) > 0

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from boresight.calibration import result
-from boresight.calibration.estimate import Estimate, Parameters, run_batch, run_sequential
-from boresight.calibration.evaluate import evaluate
-from boresight.calibration.problem import Problem, build_problem
+from boresight.calibration.cycles import filter_set, fit_in_cycles
+from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.judgement import judge, validate
+from boresight.calibration.matched import MatchedSet
+from boresight.calibration.problem import Problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
@@ -48,7 +51,7 @@ class Progress:
     partial: dict[str, Any] | None
 
 
-def calibrate(
+def calibrate(  # noqa: PLR0913 - what is calibrated, and five choices of the caller by name
     telemetry: Telemetry,
     sensor: Sensor,
     catalogue: Catalogue,
@@ -58,6 +61,7 @@ def calibrate(
     sha256s: Mapping[str, str] | None = None,
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
+    cache_folder: Path | None = None,
 ) -> dict[str, Any]:
     """Estimate a sensor's parameters from a telemetry set.
 
@@ -75,6 +79,8 @@ def calibrate(
         Told of progress, about four times a second.
     cancelled
         Asked often; True stops.
+    cache_folder
+        Where lost-in-space identification keeps its tables; None makes them anew when they are needed.
 
     Returns
     -------
@@ -90,21 +96,33 @@ def calibrate(
     clock = _Stopwatch()
     parameters = _parameters(sensor, settings)
     check_against_sensor(telemetry, sensor)
-    problem = build_problem(telemetry, sensor, catalogue, settings.minimum_stars)
+    settings = _matchable(telemetry, settings)
+    sets = MatchedSet(telemetry, sensor, catalogue, parameters, settings, cache_folder)
+    first = sets.at_start()
     clock.lap("arcs")
-    if problem.arcs.n_exposures == 0:
-        return result.nothing_estimated(problem, parameters, settings, sha256s or {})
-    listener = _Listener(problem, parameters, settings, sha256s or {}, report)
-    run = run_sequential if settings.sequential else run_batch
-    estimate = _checked(problem, run(problem, parameters, settings, listener, cancelled or _never))
+    if first.problem.arcs.n_exposures == 0:
+        return result.nothing_estimated(first.problem, parameters, settings, sha256s or {})
+    listener = _Listener(first.problem, parameters, settings, sha256s or {}, report)
+    run = filter_set if settings.sequential else fit_in_cycles
+    ended = run(sets, first, parameters, settings, listener, cancelled or _never)
+    ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
     clock.lap("fit")
-    document = result.document(problem, parameters, settings, estimate, sha256s or {})
+    document = result.document(ended.matched.problem, parameters, settings, ended.estimate, sha256s or {})
+    judge(document, sets, first, ended, parameters, settings)
     clock.lap("judge")
-    if validation is not None:
-        document["validation"] = _validate(validation, problem, estimate, catalogue, settings, document)
+    if validation is not None and ended.estimate.status != "diverged":
+        held_out = _matchable(validation, settings)
+        validate(document, validation, sensor, catalogue, ended.estimate, parameters, held_out, cache_folder)
         clock.lap("validate")
     document["timing_s"] = clock.laps
     return document
+
+
+def _matchable(telemetry: Telemetry, settings: CalibrationSettings) -> CalibrationSettings:
+    """Let the matches of a file stand that gives directions but names no stars: there is nothing to match them with."""
+    if telemetry.star_id is None and telemetry.ra_rad is not None:
+        return replace(settings, match="given")
+    return settings
 
 
 def _never() -> bool:
@@ -131,35 +149,7 @@ def _checked(problem: Problem, estimate: Estimate) -> Estimate:
     inside = np.isfinite(estimate.x).all() and bool(np.all((low <= estimate.x) & (estimate.x <= high)))
     if inside:
         return estimate
-    return Estimate(**{**vars(estimate), "status": "diverged"})
-
-
-def _validate(
-    telemetry: Telemetry,
-    problem: Problem,
-    estimate: Estimate,
-    catalogue: Catalogue,
-    settings: CalibrationSettings,
-    document: dict[str, Any],
-) -> dict[str, Any] | None:
-    """Judge the estimate on a set that took no part; adds its sentence to the advice."""
-    check_against_sensor(telemetry, problem.sensor)
-    held_out = build_problem(telemetry, problem.sensor, catalogue, settings.minimum_stars)
-    if held_out.arcs.n_exposures == 0:
-        document["advice"].append(
-            f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it."
-        )
-        return None
-    verdict = evaluate(held_out, problem.sensor.initial, estimate.x)
-    rms = verdict["rms_arc_rad"]
-    if not np.isfinite(rms["final"]):
-        rms["final"] = None
-    elif rms["final"] >= rms["initial"]:
-        document["advice"].append(
-            f"On the validation set the new parameters are no better than the old ({rms['final'] * 1e6:.1f} against "
-            f"{rms['initial'] * 1e6:.1f} urad): do not promote them without knowing why."
-        )
-    return verdict
+    return replace(estimate, status="diverged")
 
 
 class _Stopwatch:

@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.comparison import compared
-from boresight.calibration.problem import Problem, weighed
+from boresight.calibration.problem import Problem
 from boresight.calibration.robust import Robustness
 from boresight.calibration.settings import CalibrationSettings
-from boresight.errors import CancelledError
 from boresight.estimation import batch, cosine
-from boresight.estimation.arcs import ArcSet
-from boresight.estimation.filters import FILTERS, FilterHistory, Tuning
-from boresight.estimation.filters.history import FilterState, start
+from boresight.estimation.filters import FilterHistory
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-#: A filter's first update pools frames until it holds this many arcs a free parameter: from one thin frame ten sigmas off, the
-#: posterior has other minima (3 of 60 simulated sets fell into one at a single frame, none of 240 at 12 or more arcs).
-START_ARCS_PER_PARAMETER = 20
 #: Weights are taken anew at the solution so often; the second time changes sigmas by the square of the first change.
 WEIGHINGS = 2
-#: A filter reports, and takes its weights anew, at least so often over a set.
-CHUNKS = 40
 
 
 @dataclass(frozen=True)
@@ -153,99 +144,6 @@ def _listen_batch(steps: tuple[batch.Step, ...], listen: Listener) -> None:
     unknown = np.full((len(step.sigma), len(step.sigma)), np.nan)
     estimate = Estimate(step.x, unknown, np.diag(step.sigma**2), step.chi2, "running", iteration, steps)
     listen(estimate, 1 - 0.7**iteration, f"iteration {iteration}: chi-square {step.chi2:.6g}")
-
-
-def run_sequential(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, listen: Listener, cancelled: Asked
-) -> Estimate:
-    """Run a filter over the set, a chunk of frames at a time; each chunk's weights are taken at the state before it."""
-    run_filter = FILTERS[settings.method]
-    tuning = Tuning(settings.linearisations, settings.process_noise, settings.forgetting_factor)
-    state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
-    # the filter as printed takes one frame at a time from the first
-    pooled = (
-        pool_start(problem.arcs, START_ARCS_PER_PARAMETER * len(parameters.free))
-        if tuning.linearisations > 1
-        else problem.arcs
-    )
-    parts: list[FilterHistory] = []
-    began = time.perf_counter()
-    for first, last in _chunks(pooled.n_frames, settings.replay_frames_per_s > 0):
-        if cancelled():
-            raise CancelledError(f"Stopped as asked after {first} of {pooled.n_frames} updates")
-        chunk = weighed(pooled.frames(first, last), problem.camera, state.x)
-        parts.append(run_filter(chunk, state, parameters.free, parameters.scale, tuning))
-        state = parts[-1].last
-        history = _joined(parts, state)
-        estimate = _sequential_estimate(history, pooled.frame, "running")
-        listen(estimate, last / pooled.n_frames, f"frame {pooled.frame[last - 1]}: {last} of {pooled.n_frames} updates")
-        if not parts[-1].finite:
-            break
-        _keep_pace(began, last, settings.replay_frames_per_s, cancelled)
-    return _finished(problem, parameters, _joined(parts, state), pooled.frame)
-
-
-def _finished(problem: Problem, parameters: Parameters, history: FilterHistory, frame: IntArray) -> Estimate:
-    """Judge a filter's end by the whole set: its information, its chi-square and whether it improved on the start."""
-    x = history.last.x
-    ended = batch.normal_equations(problem.weighed(x), x, parameters.free, parameters.scale)
-    x_0 = problem.sensor.initial
-    began = batch.normal_equations(problem.weighed(x_0), x_0, parameters.free, parameters.scale)
-    if not (history.finite and ended.finite()) or ended.chi2 > 2 * began.chi2:
-        status = "diverged"
-    elif not batch.determined(ended.A)[2].all():
-        status = "rank_deficient"
-    else:
-        status = "converged"
-    return Estimate(
-        x, ended.A, history.last.P, ended.chi2, status, int(history.linearisations.sum()),
-        history=history, updated=frame[: len(history.nis)],
-    )  # fmt: skip
-
-
-def _sequential_estimate(history: FilterHistory, frame: IntArray, status: str) -> Estimate:
-    """Make an estimate of a filter on its way; the set's information and chi-square are not known yet."""
-    unknown = np.full_like(history.last.P, np.nan)
-    return Estimate(
-        history.last.x, unknown, history.last.P, float("nan"), status, int(history.linearisations.sum()),
-        history=history, updated=frame[: len(history.nis)],
-    )  # fmt: skip
-
-
-def pool_start(arcs: ArcSet, n_arcs: int) -> ArcSet:
-    """Merge the first frames until they hold `n_arcs` arcs; the merged frame bears the number of its last."""
-    ends = 2 * arcs.star_start[arcs.frame_start[1:]] - 3 * arcs.frame_start[1:]
-    k = min(int(np.searchsorted(ends, n_arcs)), arcs.n_frames - 1)
-    starts = np.concatenate([[0], arcs.frame_start[k + 1 :]])
-    return replace(arcs, frame=arcs.frame[k:], frame_start=starts)
-
-
-def _chunks(n_frames: int, one_by_one: bool) -> Iterator[tuple[int, int]]:
-    """Cut frames into chunks: one, then doubling up to a fortieth of the set; or one frame each for a replay."""
-    first, size = 0, 1
-    most = 1 if one_by_one else max(1, n_frames // CHUNKS)
-    while first < n_frames:
-        last = min(first + size, n_frames)
-        yield first, last
-        first, size = last, min(2 * size, most)
-
-
-def _joined(parts: list[FilterHistory], state: FilterState) -> FilterHistory:
-    """Join the histories of consecutive chunks."""
-    names = ("states", "sigmas", "nis", "dof", "sum_of_squares", "linearisations")
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return FilterHistory(**arrays, last=state, finite=parts[-1].finite)
-
-
-def _keep_pace(began: float, frames_done: int, frames_per_s: float, cancelled: Asked) -> None:
-    """Wait until a replay may take the next frame, looking for a cancel meanwhile."""
-    if frames_per_s <= 0:
-        return
-    due = began + frames_done / frames_per_s
-    while (wait := due - time.perf_counter()) > 0:
-        if cancelled():
-            raise CancelledError(f"Stopped as asked after {frames_done} updates")
-        time.sleep(min(wait, 0.2))
 
 
 def covariance(A: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from boresight import __version__
 from boresight.calibration.advice import advice, too_few
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.problem import Problem
+from boresight.calibration.robust import robust_view
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.views import coverage_view, history_view, radial_view, trace_view
 from boresight.estimation.arcs import ArcSet
@@ -86,12 +87,27 @@ def document(
         **_estimated(problem, parameters, estimate, sigma),
         **_judged(problem, parameters, settings, estimate, arcs),
         "rms_arc_rad": {"initial": rms(arcs, problem.sensor.initial), "final": _finite(rms(arcs, estimate.x))},
+        "robust": None
+        if estimate.robust is None
+        else robust_view(estimate.robust, problem.camera.parameter_names, sigma),
         "validation": None,
+        **_not_yet(),
         "history": history_view(problem, parameters, estimate, arcs),
         "trace": trace_view(parameters, estimate, arcs.n_arcs, problem),
         "radial": radial_view(problem, parameters, estimate, sigma),
         "coverage": coverage_view(problem),
         "timing_s": {},
+    }
+
+
+def _not_yet() -> dict[str, Any]:
+    """What `judgement` fills in when the estimate has ended."""
+    return {
+        "evaluation": None,
+        "matching": None,
+        "alignment": None,
+        "trust": None,
+        "shadow": {"calibration": None, "validation": None},
     }
 
 
@@ -204,6 +220,8 @@ def nothing_estimated(
         "iterations": 0,
         "rms_arc_rad": {"initial": None, "final": None},
         **dict.fromkeys(absent),
+        **_not_yet(),
+        "robust": None,
         "advice": too_few(problem, settings.minimum_stars),
         "timing_s": {},
     }

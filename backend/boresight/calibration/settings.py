@@ -76,7 +76,7 @@ class CalibrationSettings:
     method: str = "batch"
     variant: str = "no-q"
     free: tuple[str, ...] | None = None
-    match: str = "given"
+    match: str = "rematch"
     match_parameters: str = "latest"
     match_rule: str = "statistical"
     flight_tolerance_urad: float | None = None

@@ -77,6 +77,7 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
         validation=held_out,
         sha256s={role: hashlib.sha256(path.read_bytes()).hexdigest() for role, path in files.items()},
         report=lambda step: report(step.message, step.fraction),
+        cache_folder=read_settings().catalogue_folder,
     )
 
 

@@ -5,9 +5,9 @@ vectors e1, e2 (e1 x e2 = s) and a star seen at C c, the residual r = [e1 e2]^T 
 
     r = A y + noise,   y = (theta, w),   A = [ -e2^T, -e1^T G ; e1^T, -e2^T G ],   noise ~ sigma^2 I
 
-where theta turns C (C_true = (I - [theta]x) C) and w ~ N(0, I) are the parameters' errors in units of the square root of their
-covariance, G = ds/dx P^(1/2). A depends on the detection alone, so one factor of the information Lambda = sum A^T A / sigma^2 serves
-every candidate. `tests/sky/test_matching.py` holds the loops against plain NumPy.
+where theta turns C (C_true = (I - [theta]x) C) and w ~ N(0, I) are the parameters' errors in units of the square root
+of their covariance, G = ds/dx P^(1/2). A depends on the detection alone, so one factor of the information Lambda = sum
+A^T A / sigma^2 serves every candidate. `tests/sky/test_matching.py` holds the loops against plain NumPy.
 """
 
 from __future__ import annotations
@@ -71,8 +71,9 @@ def _rows(s, G, A, T):
 def _arcs_agree(s, G, sigma, i, j, c, k, q, gate, widest):
     """Whether the arc of detections i, j is that of the stars c[k], c[q], inside gate sigma of its variance and `widest` rad.
 
-    The variance holds centroid noise and parameter uncertainty; where the noise alone covers the difference the rest is not worked out.
-    The difference is taken from the cosines: d phi = -d cos / sin to second order, corrected by the arc's own cosine.
+    The variance holds centroid noise and parameter uncertainty; where the noise alone covers the difference the rest is
+    not worked out. The difference is taken from the cosines: d phi = -d cos / sin to second order, corrected by the
+    arc's own cosine.
     """
     cosine = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
     star = c[k, 0] * c[q, 0] + c[k, 1] * c[q, 1] + c[k, 2] * c[q, 2]
@@ -251,7 +252,7 @@ def _backward(L, b, d, x):
 
 @_jit
 def _variance(sigma, r0, r1):
-    """Variance of one axis of a residual: centroid noise, and the curvature that a first-order correction of this size leaves out."""
+    """Variance of one axis of a residual: centroid noise, and the curvature that a correction of this size leaves out."""
     return sigma * sigma + _CURVATURE * _CURVATURE * (r0 * r0 + r1 * r1)
 
 
@@ -344,8 +345,9 @@ def _candidates(axis, cone, place, motion, parallax, years, earth, beta, star, c
 def _onto_given(m, star, c, hip, given, given_s, own, sigma):
     """Bring catalogue directions onto those the file gives: replace stars it names, move the others by the same affine map.
 
-    A file's own directions may hold what the catalogue's do not, such as refraction. The map is fitted in the tangent plane on the stars
-    that have both; where it does not fit within the noise, only stars that the file names stay. Returns the new m.
+    A file's own directions may hold what the catalogue's do not, such as refraction. The map is fitted in the tangent
+    plane on the stars that have both; where it does not fit within the noise, only stars that the file names stay.
+    Returns the new m.
     """
     n = given.shape[0]
     twin = np.full(m, -1, np.int64)
@@ -379,7 +381,7 @@ def _onto_given(m, star, c, hip, given, given_s, own, sigma):
 
 @_jit
 def _affine(m, c, given_s, twin, own, sigma):
-    """Move all c by the affine map of the tangent plane that brings twins onto their given directions; False where it does not fit."""
+    """Move all c by the affine map of the tangent plane that brings twins onto given directions; False where it does not fit."""
     axis = np.zeros(3)
     for k in range(m):
         if twin[k] >= 0 and own[twin[k]]:
@@ -650,8 +652,9 @@ def match_frames(
 ):  # fmt: skip
     """Match the detections of every frame; see `sky.matching.match` for what goes in and comes out.
 
-    Frame k owns the exposures frame_start[k]:frame_start[k + 1], exposure e the rows row_start[e]:row_start[e + 1]. Each frame starts from
-    the same parameters and their covariance; what its stars say of the parameters' errors serves its own exposures only.
+    Frame k owns the exposures frame_start[k]:frame_start[k + 1], exposure e the rows row_start[e]:row_start[e + 1].
+    Each frame starts from the same parameters and their covariance; what its stars say of the parameters' errors serves
+    its own exposures only.
     """
     p = G.shape[2]
     d = 3 + p
@@ -799,8 +802,9 @@ def match_frames(
                 total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y,
             )  # fmt: skip
             _finish(
-                s[i0:i1], G[i0:i1], A[q], sigma[i0:i1], weight[i0:i1], gate, n + 1 if not ok else 2 if start[e] <= OTHER_EXPOSURE else minimum_stars,
-                use[q], star_id[i0:i1], direction[i0:i1], reason[i0:i1], attitude[e], covariance[e], bad,
+                s[i0:i1], G[i0:i1], A[q], sigma[i0:i1], weight[i0:i1], gate, n + 1 if not ok else 2 if start[e] <=
+                OTHER_EXPOSURE else minimum_stars, use[q], star_id[i0:i1], direction[i0:i1], reason[i0:i1], attitude[e],
+                covariance[e], bad,
             )  # fmt: skip
             valid[e] = _count(use[q], n) >= minimum_stars
             # the other exposures learn from all stars of this one

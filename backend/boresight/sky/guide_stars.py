@@ -1,6 +1,7 @@
 """The stars a tracker may match with, and where its observer is and how it moves: what the matching loops need of the sky.
 
-The loops take a star's apparent direction from its place, proper motion and parallax at the epoch by the same formula as `sky.apparent`,
+The loops take a star's apparent direction from its place, proper motion and parallax at the epoch by the same formula
+as `sky.apparent`,
 
     s = unit(p + t m - w E),    then aberration by v,
 
@@ -72,9 +73,7 @@ def guide_stars(catalogue: Catalogue, magnitude_limit: float, blend_rad: float) 
     alone = np.ones(len(bright), np.bool_)
     alone[fainter] = False
     chosen = np.flatnonzero(alone)[np.argsort(place[alone, 2], kind="stable")]
-    motion = (
-        catalogue.pm_ra_cosdec_rad_yr[bright, None] * east + catalogue.pm_dec_rad_yr[bright, None] * north
-    )
+    motion = catalogue.pm_ra_cosdec_rad_yr[bright, None] * east + catalogue.pm_dec_rad_yr[bright, None] * north
     return GuideStars(
         hip=catalogue.hip[bright[chosen]],
         place=np.ascontiguousarray(place[chosen]),
@@ -94,9 +93,7 @@ def _triad(catalogue: Catalogue, star: IntArray) -> tuple[FloatArray, FloatArray
     return place, east, north
 
 
-def observer_motion(
-    time_utc: NDArray[np.datetime64], velocity_m_s: FloatArray | None
-) -> ObserverMotion:
+def observer_motion(time_utc: NDArray[np.datetime64], velocity_m_s: FloatArray | None) -> ObserverMotion:
     """Place and velocity of the observer at times (n,), datetime64[us]; at NaT the catalogue's stars are nowhere (NaN years).
 
     Parameters

@@ -6,25 +6,26 @@ From where the attitude comes, in this order:
 2. the frame's other exposure; the quaternion in the file; the attitude of the neighbouring frames, carried on at constant rate;
 3. lost-in-space identification, which gives an attitude and nothing else.
 
-2 and 3 only say where to look: a first set of stars is found by geometric voting. Every pair (detection, star) near enough to the start
-votes for every other pair whose arc agrees, and the largest set in which all agree is kept.
+2 and 3 only say where to look: a first set of stars is found by geometric voting. Every pair (detection, star) near
+enough to the start votes for every other pair whose arc agrees, and the largest set in which all agree is kept.
 
-Growth. The tolerance follows from the centroid noise and the present uncertainty of the parameters. Let theta be the attitude's error
-and x = x_0 + P^(1/2) w the true parameters, w ~ N(0, I). To first order a detection's residual is linear in (theta, w)
-(`kernels.matching`), so the stars already matched, in both exposures, condition a Gaussian, and every other star of the frame has
-a predicted place with a covariance V of its own: wide in an unvisited corner under a ground calibration, the bare centroid noise under a
-good one. A detection takes the star inside its gate, nu^T V^-1 nu < GATE^2, when
+Growth. The tolerance follows from the centroid noise and the present uncertainty of the parameters. Let theta be the
+attitude's error and x = x_0 + P^(1/2) w the true parameters, w ~ N(0, I). To first order a detection's residual is
+linear in (theta, w) (`kernels.matching`), so the stars already matched, in both exposures, condition a Gaussian, and
+every other star of the frame has a predicted place with a covariance V of its own: wide in an unvisited corner under a
+ground calibration, the bare centroid noise under a good one. A detection takes the star inside its gate, nu^T V^-1 nu <
+GATE^2, when
 
 - no other star, and no other detection, is nearly as likely (a likelihood ratio of e^4.5 or more must stand between them),
 - the gate is small enough that it would hold less than 0.03 chance stars;
 
-the best predicted first, and then all are predicted again. What a frame's stars say of the parameters serves that frame alone, so the
-answer depends on x_0 and P, not on the order of the frames.
+the best predicted first, and then all are predicted again. What a frame's stars say of the parameters serves that frame
+alone, so the answer depends on x_0 and P, not on the order of the frames.
 
-Verification. A star that the joint fit of all the others rejects is dropped; then all arcs are compared pair by pair with the
-catalogue's, inside GATE sigma of their own variance, and stars that disagree with most others are dropped: the check that flight code
-does. An exposure with N_min = 4 stars left is valid. Its attitude is Wahba's, with the covariance of centroid noise and of the
-parameters through it.
+Verification. A star that the joint fit of all the others rejects is dropped; then all arcs are compared pair by pair
+with the catalogue's, inside GATE sigma of their own variance, and stars that disagree with most others are dropped: the
+check that flight code does. An exposure with N_min = 4 stars left is valid. Its attitude is Wahba's, with the
+covariance of centroid noise and of the parameters through it.
 
 References
 ----------
@@ -319,7 +320,7 @@ def _carried_on(run: _Matcher, lost: IntArray, hint: FloatArray) -> IntArray:
     first_valid = np.zeros(len(frame_start) - 1, np.int64)
     first_valid[solved] = np.flatnonzero(valid)[place_of]
     solved = solved[np.isfinite(time_s[solved])]
-    if len(solved) < 2:  # noqa: PLR2004 - a rate needs two frames
+    if len(solved) < 2:
         return np.empty(0, np.int64)
     period = np.nanmedian(np.diff(time_s)) if len(time_s) > 1 else np.nan
     hinted = []

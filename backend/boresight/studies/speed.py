@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.estimate import START_ARCS_PER_PARAMETER, pool_start
 from boresight.calibration.problem import weighed
+from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet

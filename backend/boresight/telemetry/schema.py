@@ -16,7 +16,7 @@ Absent columns are None; an absent cell in a present float column is NaN, in `st
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,3 +99,13 @@ class Telemetry:
     def __len__(self) -> int:
         """Count the rows."""
         return len(self.frame)
+
+
+def rows_of(telemetry: Telemetry, rows: slice) -> Telemetry:
+    """Return consecutive rows of a set as a set of their own."""
+    if rows == slice(0, len(telemetry)):
+        return telemetry
+    arrays = {item.name: getattr(telemetry, item.name) for item in fields(telemetry)}
+    parts = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    unknown = {name: values[rows] for name, values in telemetry.unknown.items()}
+    return replace(telemetry, **parts, unknown=unknown, first_row=telemetry.first_row + rows.start)

@@ -111,6 +111,7 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
         validation=None if validation is None else read_telemetry(blobs.path(validation)),
         report=link.report,
         cancelled=link.cancelled,
+        cache_folder=Path(inputs["catalogue_folder"]),
     )
 
 

@@ -1,0 +1,116 @@
+"""Fit, match again, fit: until the matches rest, or three times (E section II-B), and what was matched on the way.
+
+Better parameters find more stars, and more stars better parameters. A cycle is one fit; after it the set is matched
+with the result, and when no star changes, the matches rest. A filter that matches with its latest state does the same
+frame by frame, and is judged by the set as its end state matches it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, run_batch
+from boresight.calibration.matched import Matched, MatchedSet, RematchedFrames
+from boresight.calibration.sequence import Frames, ProblemFrames, finished, run_sequential
+from boresight.calibration.settings import CalibrationSettings
+from boresight.estimation.metrics import rms
+
+MOST_CYCLES = 3
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One fit or one filter run.
+
+    Parameters
+    ----------
+    cycle
+        Its number, from 1.
+    matched
+        Stars in the arcs it was made from.
+    rematched
+        Stars that its result matches afterwards.
+    changed
+        Detections whose star is another, or gone, or new, afterwards.
+    rms_arc_rad
+        Unweighted RMS of the arcs at its result.
+    """
+
+    cycle: int
+    matched: int
+    rematched: int
+    changed: int
+    rms_arc_rad: float | None
+
+
+@dataclass(frozen=True)
+class Ended:
+    """Where the cycles ended: the set and estimate that belong together, every cycle, and whether the matches rest."""
+
+    matched: Matched
+    estimate: Estimate
+    cycles: tuple[Cycle, ...] = ()
+    rested: bool = True
+
+
+def fit_in_cycles(
+    sets: MatchedSet,
+    first: Matched,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    listen: Listener,
+    cancelled: Asked,
+) -> Ended:
+    """Run the batch estimator until its matches rest."""
+    matched, cycles = first, list[Cycle]()
+    while True:
+        estimate = run_batch(matched.problem, parameters, settings, listen, cancelled)
+        if sets.matcher is None or estimate.status == "diverged":
+            return Ended(matched, estimate, tuple(cycles), rested=sets.matcher is None)
+        again = sets.at(estimate, matched.problem)
+        cycles.append(_cycle(len(cycles) + 1, matched, again, estimate))
+        rested = cycles[-1].changed == 0
+        if rested or len(cycles) == MOST_CYCLES or again.problem.arcs.n_exposures == 0:
+            return Ended(matched, estimate, tuple(cycles), rested)
+        matched = again
+
+
+def filter_set(
+    sets: MatchedSet,
+    first: Matched,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    listen: Listener,
+    cancelled: Asked,
+) -> Ended:
+    """Run a filter, on the baseline's matches or on those of its latest state."""
+    follows = sets.matcher is not None and settings.matched_with == "latest"
+    frames: Frames = RematchedFrames(sets) if follows else ProblemFrames(first.problem)
+    history, updated = run_sequential(frames, first.problem, parameters, settings, listen, cancelled)
+    if not follows or not history.finite:
+        return Ended(first, finished(first.problem, parameters, history, updated))
+    last = sets.at_covariance(history.last.x, history.last.P)
+    if last.problem.arcs.n_exposures == 0:
+        return Ended(first, finished(first.problem, parameters, history, updated), rested=False)
+    estimate = finished(last.problem, parameters, history, updated)
+    return Ended(last, estimate, (_cycle(1, first, last, estimate),))
+
+
+def _cycle(number: int, before: Matched, after: Matched, estimate: Estimate) -> Cycle:
+    """Count what a result changed in its matches."""
+    value = rms(before.problem.weighed(estimate.x), estimate.x)
+    return Cycle(
+        cycle=number,
+        matched=before.problem.arcs.n_stars,
+        rematched=after.problem.arcs.n_stars,
+        changed=int(np.sum(before.telemetry.star_id != after.telemetry.star_id)),
+        rms_arc_rad=value if np.isfinite(value) else None,
+    )
+
+
+def cycles_view(ended: Ended) -> list[dict[str, Any]]:
+    """Every cycle as JSON."""
+    return [vars(cycle) for cycle in ended.cycles]

@@ -1,0 +1,115 @@
+"""What a finished calibration is worth beyond its own sums: matching, flight scores, shadow, alignment, trust, validation.
+
+Each is one object of the calibration JSON. Flight scores are kept under `evaluation` for the calibration set and under
+`validation` for the set that took no part; `shadow` holds both sets side by side, frame by frame.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration.alignment import alignment_view
+from boresight.calibration.cycles import Ended
+from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.evaluate import evaluate_sightings
+from boresight.calibration.matched import Matched, MatchedSet
+from boresight.calibration.matching_view import matching_view
+from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.shadow import shadow_view
+from boresight.calibration.sighting import Sighting, sighting_of
+from boresight.calibration.trust import trust_advice, trust_view
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.detector import check_against_sensor
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+FloatArray = NDArray[np.float64]
+
+#: Of the resampling behind the intervals: the same data give the same intervals.
+SEED = 2018
+
+
+def judge(
+    document: dict[str, Any],
+    sets: MatchedSet,
+    first: Matched,
+    ended: Ended,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+) -> None:
+    """Add everything that the calibration set says of its own result to the document."""
+    telemetry, sensor, estimate = sets.telemetry, sets.sensor, ended.estimate
+    if estimate.status == "diverged":
+        return
+    seen = [
+        sighting_of(telemetry, sensor, matched.matches, x, settings)
+        for matched, x in ((first, sensor.initial), (ended.matched, estimate.x))
+    ]
+    evaluation = _scores(telemetry, sensor, sets.catalogue, seen, settings)
+    document["evaluation"] = evaluation
+    document["shadow"]["calibration"] = shadow_view(telemetry, seen[0], seen[1])
+    document["matching"] = matching_view(telemetry, sensor, ended, evaluation)
+    P = np.zeros((len(estimate.x), len(estimate.x)))
+    P[np.ix_(parameters.free, parameters.free)] = estimate.P * np.outer(parameters.scale, parameters.scale)
+    document["alignment"] = alignment_view(ended.matched.problem, sensor.initial, estimate.x, P)
+    problem, matched = ended.matched.problem, ended.matched.telemetry
+    document["trust"] = trust_view(problem, parameters, settings, estimate, matched, sets.catalogue)
+    document["advice"] += trust_advice(document["trust"])
+
+
+def validate(
+    document: dict[str, Any],
+    telemetry: Telemetry,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    estimate: Estimate,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    cache_folder: Path | None,
+) -> None:
+    """Judge an estimate on a set that took no part; adds its sentence to the advice."""
+    check_against_sensor(telemetry, sensor)
+    held_out = MatchedSet(telemetry, sensor, catalogue, parameters, settings, cache_folder)
+    first, last = held_out.at_start(), held_out.at_covariance(estimate.x, estimate.P)
+    if last.problem.arcs.n_exposures == 0:
+        document["advice"].append(
+            f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it."
+        )
+        return
+    seen = [
+        sighting_of(telemetry, sensor, matched.matches, x, settings)
+        for matched, x in ((first, sensor.initial), (last, estimate.x))
+    ]
+    verdict = _scores(telemetry, sensor, catalogue, seen, settings)
+    document["validation"] = verdict
+    document["shadow"]["validation"] = shadow_view(telemetry, seen[0], seen[1])
+    document["advice"] += _of_validation(verdict)
+
+
+def _scores(
+    telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, seen: list[Sighting], settings: CalibrationSettings
+) -> dict[str, Any]:
+    """Flight scores of two sightings, with intervals."""
+    rng = np.random.default_rng(SEED)
+    return evaluate_sightings(telemetry, sensor, catalogue, seen[0], seen[1], settings, rng)
+
+
+def _of_validation(verdict: dict[str, Any]) -> list[str]:
+    """Sentences on what the held-out set says."""
+    rms, availability = verdict["rms_arc_rad"], verdict["availability"]
+    sentences = []
+    if rms["final"] is not None and rms["initial"] is not None and rms["final"] >= rms["initial"]:
+        sentences.append(
+            f"On the validation set the new parameters are no better than the old ({rms['final'] * 1e6:.1f} against "
+            f"{rms['initial'] * 1e6:.1f} urad): do not promote them without knowing why."
+        )
+    if availability["final"] < availability["initial"]:
+        sentences.append(
+            f"On the validation set fewer frames would give an attitude than before ({availability['final']:.1%} against "
+            f"{availability['initial']:.1%}): look at the frames that would be lost."
+        )
+    return sentences

@@ -1,0 +1,153 @@
+"""A telemetry set under given or renewed matches: the problem it makes at any state, and what was matched on the way.
+
+Matched again, the set is T(x) of E section II-B: what "a ground-based implementation of the sensor flight software"
+makes of it under x. With `match_rule` "flight" it is what the flight code itself would keep: arcs that disagree with
+the catalogue by more than one fixed tolerance cost their star, and an exposure without enough of them is lost
+(`calibration.flight`).
+
+What is known of x for the tolerance: at the start the ground calibration's sigmas; at an estimate whose data hold the
+information A (in typical sigmas) its own covariance beside the start's, (A + I / initial_sigma_scale^2)^-1, widened by
+chi-square where the residuals say that it claims too much; parameters held fixed keep the ground's sigmas at all times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.flight import flight_tolerance, flight_view
+from boresight.calibration.problem import Problem, build_problem
+from boresight.calibration.rematch import Matches, Rematcher, ground_covariance, matched_telemetry
+from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.sighting import GivenMatches, given_matches
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.filters.history import FilterState
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.schema import Telemetry, rows_of
+from boresight.telemetry.sensors import Sensor
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Matched:
+    """A set under one state.
+
+    Parameters
+    ----------
+    problem
+        Its arcs.
+    telemetry
+        The set with the stars it was matched with.
+    matches
+        Which star is which; before the flight code's check where `match_rule` asks for it.
+    """
+
+    problem: Problem
+    telemetry: Telemetry
+    matches: Matches | GivenMatches
+
+
+class MatchedSet:
+    """A set that can be matched under any state, or whose given matches stand.
+
+    Parameters
+    ----------
+    telemetry, sensor, catalogue
+        The set, whose it is, and the stars there are.
+    parameters, settings
+        Which parameters are free, and how to match.
+    cache_folder
+        Where lost-in-space identification keeps its tables.
+    """
+
+    def __init__(
+        self,
+        telemetry: Telemetry,
+        sensor: Sensor,
+        catalogue: Catalogue,
+        parameters: Parameters,
+        settings: CalibrationSettings,
+        cache_folder: Path | None,
+    ) -> None:
+        self.telemetry, self.sensor, self.catalogue = telemetry, sensor, catalogue
+        self._parameters, self._settings = parameters, settings
+        self._ground = ground_covariance(sensor, settings.initial_sigma_scale)
+        self._tolerance = flight_tolerance(sensor, settings)
+        self.matcher: Rematcher | None = None
+        if settings.match == "rematch":
+            self.matcher = Rematcher(telemetry, sensor, catalogue, settings, cache_folder)
+        else:
+            problem = build_problem(telemetry, sensor, catalogue, settings.minimum_stars)
+            self._standing = Matched(problem, telemetry, given_matches(telemetry, catalogue))
+
+    def at_start(self) -> Matched:
+        """Match with the sensor's own parameters."""
+        return self._at(self.sensor.initial, self._ground)
+
+    def at(self, estimate: Estimate, problem: Problem) -> Matched:
+        """Match with an estimate made from a problem."""
+        n = len(self._parameters.free)
+        held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self._settings.initial_sigma_scale**2), np.float64)
+        dof = 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures - n
+        return self._at(estimate.x, self._covariance(held * max(1.0, estimate.chi2 / max(dof, 1))))
+
+    def at_covariance(self, x: FloatArray, P: FloatArray) -> Matched:
+        """Match with state x, SI, whose free parameters have the covariance P (n_free, n_free) in typical sigmas."""
+        return self._at(x, self._covariance(P))
+
+    def arcs(self, frames: slice, state: FilterState) -> ArcSet:
+        """Arcs of consecutive frames of the set, matched with the state of a filter."""
+        return self._at(state.x, self._covariance(state.P), frames).problem.arcs
+
+    def _covariance(self, P: FloatArray) -> FloatArray:
+        """Covariance of all parameters, SI, from that of the free ones (n_free, n_free) in typical sigmas."""
+        free, scale = self._parameters.free, self._parameters.scale
+        whole = self._ground.copy()
+        whole[np.ix_(free, free)] = P * np.outer(scale, scale)
+        return whole
+
+    def _at(self, x: FloatArray, P: FloatArray, frames: slice = slice(None)) -> Matched:
+        """Match frames of the set under x with covariance P, SI."""
+        if self.matcher is None:
+            return self._standing
+        matches = self.matcher(x, P, frames)
+        part = rows_of(self.telemetry, self.matcher.rows(frames))
+        kept = matches
+        if self._settings.match_rule == "flight":
+            kept = self._flown(part, matches, x)
+        telemetry = matched_telemetry(part, kept)
+        problem = build_problem(telemetry, self.sensor, self.catalogue, self._settings.minimum_stars)
+        return Matched(problem, telemetry, matches)
+
+    def _flown(self, telemetry: Telemetry, matches: Matches, x: FloatArray) -> Matches:
+        """Keep what the flight code would accept at x."""
+        view = flight_view(telemetry, self.sensor, matches, x, self._tolerance, self._settings.minimum_stars)
+        taken = view.accepted & np.repeat(view.valid, np.diff(matches.exposure_start))
+        return replace(
+            matches,
+            star_id=np.where(taken, matches.star_id, 0),
+            s_i=np.where(taken[:, None], matches.s_i, np.nan),
+        )
+
+
+class RematchedFrames:
+    """The frames of a set, matched again with the state of the filter that takes them."""
+
+    def __init__(self, matched_set: MatchedSet) -> None:
+        self._set = matched_set
+        self._frame = np.unique(matched_set.telemetry.frame)
+
+    @property
+    def frame(self) -> IntArray:
+        """(n_frames,) frame numbers."""
+        return self._frame
+
+    def arcs(self, first: int, last: int, state: FilterState) -> ArcSet:
+        """Match the frames first <= k < last at this state."""
+        return self._set.arcs(slice(first, last), state)

@@ -1,0 +1,223 @@
+"""Matching a telemetry set again under any parameters: the ground's re-run of the flight software's matching.
+
+`sky.matching` does the work and derives it; here a telemetry set is made ready once and then matched as often as its
+parameters change. The tolerance comes from P, the covariance of the parameters matched with: that of a ground
+calibration is `ground_covariance`, (initial_sigma_scale typical sigmas)^2, that of a result its own, with the ground's
+for what it held fixed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration import detections as prepared
+from boresight.calibration.settings import CalibrationSettings
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.estimation.rotations import quaternion_of
+from boresight.sky import identification, matching
+from boresight.sky.catalogue import Catalogue
+from boresight.sky.doubles import star_flags
+from boresight.sky.guide_stars import guide_stars, observer_motion
+from boresight.telemetry.exposures import exposures_of
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Of two stars closer than this on the detector, one image shows the brighter.
+BLEND_PX = 5.0
+
+
+@dataclass(frozen=True)
+class Matches:
+    """A set as matched under some parameters; rows and exposures in file order.
+
+    Parameters
+    ----------
+    star_id
+        (n_rows,) Hipparcos number, 0 = unmatched.
+    s_i
+        (n_rows, 3) apparent direction of the matched star, ICRS; NaN where unmatched.
+    row_reason
+        (n_rows,) place in `sky.matching.ROW_REASONS`.
+    tolerance_rad
+        (n_rows,) radius of the gate each match had to fall in; NaN where unmatched.
+    exposure_start
+        (n_exposures + 1,) first row of each exposure.
+    frame, exposure
+        (n_exposures,) their numbers.
+    start
+        (n_exposures,) place in `sky.matching.STARTS`: where the attitude came from.
+    reason
+        (n_exposures,) place in `sky.matching.EXPOSURE_REASONS`.
+    quaternion
+        (n_exposures, 4) attitude under the parameters matched with, x y z w, ICRS to the right-handed triad of D; NaN where none.
+    attitude_covariance
+        (n_exposures, 3, 3) about the axes of that triad, rad^2: centroid noise and parameters.
+    flags
+        (n_rows,) of the matched star, see `sky.doubles`.
+    """
+
+    star_id: IntArray
+    s_i: FloatArray
+    row_reason: NDArray[np.int8]
+    tolerance_rad: FloatArray
+    exposure_start: IntArray
+    frame: IntArray
+    exposure: IntArray
+    start: NDArray[np.int8]
+    reason: NDArray[np.int8]
+    quaternion: FloatArray
+    attitude_covariance: FloatArray
+    flags: NDArray[np.int8]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(n_exposures,) whether enough stars were matched."""
+        return np.asarray(self.reason == 0)
+
+    @property
+    def matched(self) -> IntArray:
+        """(n_exposures,) matched stars."""
+        return np.asarray(np.add.reduceat(self.star_id > 0, self.exposure_start[:-1], dtype=np.int64))
+
+
+def ground_covariance(sensor: Sensor, initial_sigma_scale: float) -> FloatArray:
+    """Covariance of a sensor's ground calibration, (n_parameters, n_parameters) SI: so many typical sigmas each."""
+    return np.asarray(np.diag((initial_sigma_scale * sensor.typical_sigma) ** 2))
+
+
+class Rematcher:
+    """A telemetry set ready to be matched under any parameters.
+
+    Parameters
+    ----------
+    telemetry, sensor, catalogue
+        The set, whose it is, and the stars there are.
+    settings
+        `minimum_stars` and `leave_out_doubles` count here.
+    cache_folder
+        Where lost-in-space identification keeps its tables; None makes them anew in every process.
+    """
+
+    def __init__(
+        self,
+        telemetry: Telemetry,
+        sensor: Sensor,
+        catalogue: Catalogue,
+        settings: CalibrationSettings,
+        cache_folder: Path | None = None,
+    ) -> None:
+        self._telemetry, self._sensor, self._settings = telemetry, sensor, settings
+        self._cache_folder = cache_folder
+        self._catalogue = catalogue
+        self._exposures = exposures_of(telemetry)
+        frame_first = np.unique(self._exposures.frame, return_index=True)[1]
+        self._frame_start = np.append(frame_first, len(self._exposures)).astype(np.int64)
+        self._row_start = np.append(self._exposures.start, len(telemetry)).astype(np.int64)
+        self._given, self._given_s, self._own = prepared.given_stars(telemetry, catalogue)
+        first = self._exposures.start
+        unknown = np.full(len(first), np.datetime64("NaT", "us"))
+        times = unknown if telemetry.time_utc is None else telemetry.time_utc[first]
+        self._time_s = prepared.seconds(times[frame_first])
+        nowhere = np.full((len(first), 4), np.nan)
+        self._quaternion = nowhere if telemetry.quaternion is None else telemetry.quaternion[first]
+        velocity = None if telemetry.velocity_m_s is None else telemetry.velocity_m_s[first]
+        self._motion = observer_motion(times, velocity)
+        blend_rad = BLEND_PX * prepared.pixel_rad(sensor, sensor.initial)
+        limit = prepared.magnitude_limit(telemetry, sensor, catalogue, self._given)
+        self._stars = guide_stars(catalogue, limit, blend_rad)
+        self._flags = star_flags(catalogue, blend_rad)
+
+    @property
+    def n_frames(self) -> int:
+        """Frames of the set."""
+        return len(self._frame_start) - 1
+
+    def rows(self, frames: slice) -> slice:
+        """Rows of consecutive frames."""
+        k0, k1, _ = frames.indices(self.n_frames)
+        ends = self._row_start[self._frame_start[[k0, k1]]]
+        return slice(int(ends[0]), int(ends[1]))
+
+    def __call__(self, x: FloatArray, P: FloatArray, frames: slice = slice(None)) -> Matches:
+        """Match the set, or consecutive frames of it, under parameters x with covariance P, SI."""
+        k0, k1, _ = frames.indices(self.n_frames)
+        e0, e1 = int(self._frame_start[k0]), int(self._frame_start[k1])
+        rows, exposures = self.rows(frames), slice(e0, e1)
+        s, G, sigma = prepared.measured_directions(self._telemetry, rows, self._sensor, x, P)
+        detections = matching.Detections(
+            frame_start=self._frame_start[k0 : k1 + 1] - e0,
+            row_start=self._row_start[e0 : e1 + 1] - rows.start,
+            s=s,
+            G=G,
+            sigma_rad=sigma,
+            star_id=self._given[rows],
+            given_s=self._given_s[rows],
+            own=self._own[rows],
+            quaternion=self._quaternion[exposures],
+            time_s=self._time_s[k0:k1],
+        )
+        identify = self._identifier(detections, x, rows) if identification.available() else None
+        answer = matching.match(
+            detections, self._stars, self._motion[exposures], prepared.cone_rad(self._sensor, x),
+            self._settings.minimum_stars, identify,
+        )  # fmt: skip
+        return self._matches(answer, detections, exposures)
+
+    def _identifier(self, detections: matching.Detections, x: FloatArray, rows: slice) -> matching.Identify:
+        """Lost-in-space identification of one exposure of these detections, which are in the triad already."""
+        magnitude = None if self._telemetry.magnitude is None else self._telemetry.magnitude[rows]
+        sensor, camera = self._sensor, CAMERA_MODELS[self._sensor.camera_model]
+        field_deg = identification.field_of_view_deg(camera, x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+
+        def identify(exposure: int) -> FloatArray | None:
+            of = slice(*detections.row_start[exposure : exposure + 2])
+            bright = None if magnitude is None else magnitude[of]
+            return identification.identify(detections.s[of], bright, 1, field_deg, self._cache_folder)
+
+        return identify
+
+    def _matches(self, answer: matching.Association, detections: matching.Detections, exposures: slice) -> Matches:
+        """Flag the matched stars, leave out the flagged ones where asked, and name exposures and frames."""
+        index = self._catalogue.index_of(answer.star_id)
+        flags = np.where((answer.star_id > 0) & (index >= 0), self._flags[index], 0).astype(np.int8)
+        left_out = (flags > 0) & self._settings.leave_out_doubles
+        return Matches(
+            star_id=np.where(left_out, 0, answer.star_id),
+            s_i=np.where(left_out[:, None], np.nan, answer.s_i),
+            row_reason=np.where(left_out, matching.LEFT_OUT, answer.row_reason).astype(np.int8),
+            tolerance_rad=answer.tolerance_rad,
+            exposure_start=detections.row_start,
+            frame=self._exposures.frame[exposures],
+            exposure=self._exposures.exposure[exposures],
+            start=answer.start,
+            reason=answer.reason,
+            quaternion=quaternion_of(answer.C),
+            attitude_covariance=answer.covariance,
+            flags=flags,
+        )
+
+
+def rematch(
+    telemetry: Telemetry,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    x: FloatArray,
+    P: FloatArray,
+    settings: CalibrationSettings,
+    cache_folder: Path | None = None,
+) -> Matches:
+    """Match a set once under parameters x (n_parameters,) with covariance P, SI; see `Rematcher`."""
+    return Rematcher(telemetry, sensor, catalogue, settings, cache_folder)(x, P)
+
+
+def matched_telemetry(telemetry: Telemetry, matches: Matches) -> Telemetry:
+    """Return the set with the stars and apparent directions it was matched with."""
+    x, y, z = matches.s_i.T
+    return replace(telemetry, star_id=matches.star_id, ra_rad=np.arctan2(y, x) % (2 * np.pi), dec_rad=np.arcsin(z))
