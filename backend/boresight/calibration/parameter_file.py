@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,8 @@ from numpy.typing import NDArray
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.formats import read_bytes, text_of
-from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.refusals import Faults
+from boresight.telemetry.sensors import Sensor, check_geometry
 
 FloatArray = NDArray[np.float64]
 
@@ -75,6 +77,9 @@ def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> 
         raise RefusedInputError(f"{name} has `parameters` that are no object: write names and numbers.")
     _check_names(values, sensor, name)
     x = np.array([values[parameter] for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names], np.float64)
+    faults = Faults(name)
+    check_geometry(replace(sensor, initial=x), CAMERA_MODELS[sensor.camera_model], faults)
+    faults.refuse()
     return x, _covariance(document.get("covariance"), sensor, name)
 
 

@@ -152,7 +152,7 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
         magnitude_limit=_magnitude_limit(document.get("magnitude_limit"), faults),
     )
     faults.refuse()
-    _check_geometry(sensor, model, faults)
+    check_geometry(sensor, model, faults)
     faults.refuse()
     return sensor
 
@@ -262,8 +262,8 @@ def _magnitude_limit(value: Any, faults: Faults) -> float | None:
     return None if value is None else _number(value, "magnitude_limit", _MAGNITUDE, faults)
 
 
-def _check_geometry(sensor: Sensor, model: CameraModel, faults: Faults) -> None:
-    """Find a camera that no star tracker is: principal point far off the detector, or an absurd field of view."""
+def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults) -> None:
+    """Note in `faults` a camera that no star tracker is: principal point far off the detector, or an absurd field of view."""
     row, col = model.principal_point(sensor.initial)
     if not (-sensor.rows < row < 2 * sensor.rows and -sensor.columns < col < 2 * sensor.columns):
         faults.add(f"initial puts the principal point at row {row:g}, column {col:g}, far off the detector: correct it")
