@@ -18,6 +18,7 @@ from boresight.cli.match import match
 from boresight.cli.migrate import migrate
 from boresight.cli.refusals import RefusingGroup
 from boresight.cli.report import report
+from boresight.cli.reproduce import reproduce
 from boresight.cli.serve import demo, serve
 from boresight.cli.simulate import simulate
 from boresight.cli.users import user
@@ -34,5 +35,20 @@ def main(*, debug: bool) -> None:
     """
 
 
-for command in (calibrate, match, evaluate, check, simulate, report, bench, serve, demo, warm, migrate, user, audit):
+for command in (
+    calibrate,
+    match,
+    evaluate,
+    check,
+    simulate,
+    report,
+    reproduce,
+    bench,
+    serve,
+    demo,
+    warm,
+    migrate,
+    user,
+    audit,
+):
     main.add_command(command)

@@ -1,0 +1,11 @@
+"""Enright, Jovanovic and Vaz 2018 made again: every table and figure of section III beside its printed numbers.
+
+`printed` holds the paper's numbers, `estimators` what is run, `trials` runs it on one simulated set, `study` runs all of
+them on both cores, `pooled` puts the sets together, `tables`, `charts`, `findings` and `questions` say what came out,
+`verdicts` holds the rule that judges a row, and `report` writes it down.
+"""
+
+from boresight.studies.enright.report import write
+from boresight.studies.enright.study import Plan, run
+
+__all__ = ["Plan", "run", "write"]

@@ -1,0 +1,250 @@
+"""Where the paper's text and its numbers, or its numbers and ours, do not say the same: each with the figures.
+
+Every finding is an object: `title`, what the `text` says, and the `sentences` that hold the numbers against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from boresight.simulation.sensors import ST16_PIXEL_PITCH_M, TYPICAL_SIGMA
+from boresight.studies.enright import printed
+from boresight.studies.enright.estimators import ESTIMATORS, SPARSE_EVERY
+from boresight.studies.enright.pooled import Pooled, Record, mean
+from boresight.studies.enright.tables import NAMES, URAD_PER_RAD, reduced_excess
+
+Finding = dict[str, Any]
+
+
+def findings(pooled: Pooled) -> list[Finding]:
+    """Return every finding; none needs a particular sensor."""
+    return [
+        make(pooled)
+        for make in (
+            _reduced_model, _no_refit, _as_printed, _weak_direction, _unscented, _cosine, _condition, _initial_error, _tolerance,
+        )
+    ]  # fmt: skip
+
+
+def _finding(title: str, text: str, sentences: Sequence[str]) -> Finding:
+    return {"title": title, "text": text, "sentences": list(sentences)}
+
+
+def statistics(pooled: Pooled, key: str) -> Record:
+    """Return the pooled statistics of one estimator."""
+    return next(found for found in pooled.statistics() if found["estimator"] == key)
+
+
+def described(pooled: Pooled, key: str) -> str:
+    """Write NEES and ratio to the bound of an estimator, with their intervals."""
+    found = statistics(pooled, key)
+    nees, ratio = found["nees"], found["ratio_to_bound"]
+    words = [ESTIMATORS[key].label]
+    if nees is not None:
+        words.append(
+            f"NEES {nees['mean']:.4g} (median {nees['median']:.4g}; {nees['lower']:.1f} to {nees['upper']:.1f} expected)"
+        )
+    if ratio is not None:
+        words.append(
+            f"error {ratio['value']:.2f} times the Cramér-Rao bound ({ratio['lower']:.2f} to {ratio['upper']:.2f})"
+        )
+    return ", ".join(words)
+
+
+def validation_urad(record: Record) -> float:
+    """RMS arc error on the validation set, µrad."""
+    return float(record["validation"]["rms_arc_rad"]["final"]) * URAD_PER_RAD
+
+
+def _percent(shares: dict[str, float]) -> str:
+    return ", ".join(f"{name} {100 * share:+.0f} %" for name, share in shares.items())
+
+
+def _reduced_model(pooled: Pooled) -> Finding:
+    ours = [reduced_excess(pooled, sensor) for sensor in pooled.sensors]
+    batch = [excess["batch"] for excess in ours if "batch" in excess]
+    theirs = f"Table V itself, row 1R against row 1: {_percent(printed.reduced_excess())}."
+    here = f"Here, sensor {pooled.sensors[0]}: {_percent(ours[0])}"
+    spread = f"by the batch over {len(batch)} sensors {100 * min(batch):+.0f} to {100 * max(batch):+.0f} %."
+    nees = statistics(pooled, "reduced-batch")["nees"]
+    claims = (
+        f" The reduced batch claims a covariance whose NEES is {nees['mean']:.3g} where 3 is expected." if nees else ""
+    )
+    return _finding(
+        "The reduced model (f, m₀, n₀) is far worse than the text says",
+        "III-B: “RMS errors from the reduced order models are between 5% and 13% higher”.",
+        (theirs, f"{here}; {spread}{claims}"),
+    )
+
+
+def _no_refit(pooled: Pooled) -> Finding:
+    rank, (worst, best) = printed.no_refit_rank(), _ranked(pooled)
+    stars = {key: mean(pooled.firsts(key), lambda record: record["stars"]) for key in ("no-q", "no-refit")}
+    theirs = f"Table V itself: worst of the three for {_listed(rank['worst'])}, best for {_listed(rank['best'])}."
+    here = f"Here: worst for {_listed(worst)}, best for {_listed(best)}, out of {_listed(pooled.sensors)}"
+    used = f"it used {stars['no-refit']:.0f} stars a set on average, No-Q {stars['no-q']:.0f}."
+    return _finding(
+        "No-Refit: the text and its own table disagree",
+        "III-B: “The No-Refit errors are higher than the other filter variants for most sensors”.",
+        (theirs, f"{here}; {used}", f"{described(pooled, 'no-refit')}. {described(pooled, 'q')}."),
+    )
+
+
+def _ranked(pooled: Pooled) -> tuple[list[int], list[int]]:
+    """Sensors for which our No-Refit is the worst, and the best, of the three sequential variants."""
+    worst, best = [], []
+    for sensor in pooled.sensors:
+        errors = [validation_urad(pooled.shown(sensor, key)) for key in ("no-refit", "q", "no-q")]
+        worst += [sensor] if errors[0] == max(errors) else []
+        best += [sensor] if errors[0] == min(errors) else []
+    return worst, best
+
+
+def _listed(sensors: Sequence[int]) -> str:
+    return "sensor " + ", ".join(map(str, sensors)) if sensors else "no sensor"
+
+
+def _as_printed(pooled: Pooled) -> Finding:
+    errors = {key: mean(pooled.firsts(key), validation_urad) for key in ("no-q", "printed")}
+    rms = f"Mean validation RMS: {errors['printed']:.1f} µrad with one linearisation, {errors['no-q']:.1f} µrad with more."
+    corrected = (
+        "Equations 25, 26, 83, 84, 87 and 88 are corrected in both: as printed, their signs and shapes make no filter."
+    )
+    return _finding(
+        "A filter with one linearisation a frame claims too much, and RMS does not show it",
+        "III-B: the SQRF No-Q filters “come very close to that of the batch estimator”; excess error is laid to slow convergence.",
+        (f"{described(pooled, 'printed')}. {described(pooled, 'no-q')}.", rms, corrected),
+    )
+
+
+def _weak_direction(pooled: Pooled) -> Finding:
+    n0, a1 = NAMES.index("n0_px"), NAMES.index("a1_rad")
+    slope = ST16_PIXEL_PITCH_M / 16e-3 * TYPICAL_SIGMA[n0] / TYPICAL_SIGMA[a1]
+    found = [_correlation(record, "n0_px", "a1_rad") for record in pooled.firsts("batch")]
+    theirs = f"Table III has the same sign for both in {len(printed.same_sign('n0_px', 'a1_rad'))} of 6 sensors."
+    weak = f"Arcs see least the direction a₁ = (pixel / f) δn₀, {slope:+.2f} typical sigmas of a₁ for one of n₀"
+    return _finding(
+        "n₀ and a₁ move in the same direction, not in opposite ones",
+        "III-A: “In Sensor-2 and Sensor-4 we see opposite motions in n₀ and a₁”.",
+        (theirs, f"{weak}; the correlation of their errors here is {min(found):+.3f} to {max(found):+.3f}."),
+    )
+
+
+def _correlation(record: Record, first: str, second: str) -> float:
+    names, P = record["covariance"]["names"], np.array(record["covariance"]["matrix"])
+    i, j = names.index(first), names.index(second)
+    return float(P[i, j] / np.sqrt(P[i, i] * P[j, j]))
+
+
+def _unscented(pooled: Pooled) -> Finding:
+    keys = ("ekf", "ukf", "ukf-sparse", "printed")
+    ratio = {key: statistics(pooled, key)["ratio_to_bound"]["value"] for key in keys}
+    errors = ", ".join(f"{ESTIMATORS[key].label} {mean(pooled.firsts(key), validation_urad):.2f} µrad" for key in keys)
+    paired = np.sqrt([a / b for a, b in zip(*(_squared_errors(pooled, key) for key in ("ukf", "ekf")), strict=True)])
+    low, high = np.percentile(paired, (5, 95))
+    pairs = (
+        f"Set by set the UKF's error is {np.median(paired):.3f} times the EKF's (5 to 95 %: {low:.3f} to {high:.3f})"
+    )
+    smaller = f"smaller in {np.sum(paired < 1)} of {len(paired)} sets."
+    once = f"The EKF that linearises a frame once, as the paper's did: {described(pooled, 'printed')}."
+    sparse = f"A UKF without the time for full rate, on every {SPARSE_EVERY}rd frame: {described(pooled, 'ukf-sparse')}"
+    lost = f"the lost frames alone cost √{SPARSE_EVERY} = {np.sqrt(SPARSE_EVERY):.2f}."
+    against = {key: "better" if ratio["ukf-sparse"] < ratio[key] else "worse" for key in ("printed", "ekf")}
+    trade = f"It is {against['printed']} than the EKF that linearises once and {against['ekf']} than the EKF that linearises again"
+    return _finding(
+        "UKF against EKF, the paper's open question",
+        "IV: “The optimal solution is not self-evident, but well worth investigating.”",
+        (
+            f"At full rate: {described(pooled, 'ekf')}. {described(pooled, 'ukf')}. {pairs}, {smaller}",
+            f"{once} {sparse}; {lost} {trade}.",
+            f"Mean validation RMS, which tells them apart least: {errors}.",
+        ),
+    )
+
+
+def _squared_errors(pooled: Pooled, key: str) -> list[float]:
+    """Squared error over the bound of every set, in order."""
+    return [record["squared_over_bound"] for record in pooled.of(key)]
+
+
+def _cosine(pooled: Pooled) -> Finding:
+    errors = {key: mean(pooled.firsts(key), validation_urad) for key in ("batch", "cosine")}
+    ratios = {key: statistics(pooled, key)["ratio_to_bound"]["value"] for key in errors}
+    excess = 100 * (ratios["cosine"] / ratios["batch"] - 1)
+    cost = f"The unweighted cosine's errors are {excess:+.0f} % against the arc's, what leaving out R costs included"
+    return _finding(
+        "What the cosine of the arc costs",
+        "II-B: the cosine error “introduces arbitrary and unjustified weights”; the paper gives no figure.",
+        (
+            f"{described(pooled, 'cosine')}. {described(pooled, 'batch')}.",
+            f"{cost}; validation RMS {errors['cosine']:.2f} against {errors['batch']:.2f} µrad.",
+        ),
+    )
+
+
+def _condition(pooled: Pooled) -> Finding:
+    records, (low, high) = pooled.firsts("batch"), printed.CONDITION_NUMBERS
+    plain = [record["plain_condition_number"] for record in records]
+    inside = sum(low <= number <= high for number in plain)
+    whitened = _by_sensor(records, [record["condition_number"] for record in records])
+    unscaled = np.log10([_unscaled_condition(record["observability"]) for record in records])
+    return _finding(
+        "Condition numbers",
+        f"II-C: scaling brings the condition number from about 10¹⁴ to around {low:.0f} to {high:.0f}.",
+        (
+            f"Here, of the scaled Jacobian, by sensor {_by_sensor(records, plain)}: {inside} of {len(plain)} in that range.",
+            f"Of the Jacobian whitened by R, whose inverse square is the covariance: {whitened}.",
+            f"Without scaling 10^{unscaled.min():.1f} to 10^{unscaled.max():.1f}, b₄ in m⁻⁴ and b₂ in m⁻² (erratum to Table II).",
+        ),
+    )
+
+
+def _by_sensor(records: Sequence[Record], numbers: Sequence[float]) -> str:
+    return ", ".join(f"{record['sensor']}: {number:.0f}" for record, number in zip(records, numbers, strict=True))
+
+
+def _unscaled_condition(observed: Record) -> float:
+    """Condition number of the Jacobian in SI units, from its scaled singular values and vectors."""
+    values, vectors = np.array(observed["singular_values"]), np.array(observed["right_singular_vectors"])
+    singular = np.linalg.svd(values[:, None] * vectors / TYPICAL_SIGMA, compute_uv=False)
+    return float(singular[0] / singular[-1])
+
+
+def _initial_error(pooled: Pooled) -> Finding:
+    theirs = {sensor: values[3] for sensor, values in printed.TABLE_IV.items()}
+    ours = {
+        record["sensor"]: record["calibration"]["rms_arc_rad"]["initial"] * URAD_PER_RAD
+        for record in pooled.firsts("batch")
+    }
+    said = ", ".join(f"{sensor}: {error / theirs[sensor]:.2f}" for sensor, error in ours.items())
+    unknown = "Where it is far from 1 the real ground calibration was not nominal, or other pairs were used; neither is given."
+    return _finding(
+        "Table IV's initial errors are smaller than Table III's changes make them from a nominal start",
+        "Table IV gives initial errors of 83 to 423 µrad for the changes of Table III.",
+        (
+            f"Our initial error over the printed one, by sensor: {said}.",
+            unknown,
+        ),
+    )
+
+
+def _tolerance(pooled: Pooled) -> Finding:
+    records = pooled.firsts("batch")
+    theirs = _shares(records, [printed.TABLE_IV[record["sensor"]][0] for record in records])
+    said = [f"Availability at the ground calibration printed, by sensor: {theirs}."]
+    for place, tried in enumerate(records[0]["tolerances"]):
+        found = [record["tolerances"][place]["availability"]["initial"] for record in records]
+        size = f"{tried['arc_sigmas']:g} arc sigmas ({tried['flight_tolerance_rad'] * URAD_PER_RAD:.0f} µrad)"
+        said.append(f"Here at {size}: {_shares(records, found)}.")
+    return _finding(
+        "How wide the flight matching would have to be",
+        "The paper does not give the tolerance of its matching, on which Table IV's initial availability rests.",
+        said,
+    )
+
+
+def _shares(records: Sequence[Record], numbers: Sequence[float]) -> str:
+    return ", ".join(f"{record['sensor']}: {number:.2f}" for record, number in zip(records, numbers, strict=True))

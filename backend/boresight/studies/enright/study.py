@@ -1,0 +1,124 @@
+"""The whole study: which sets, on how many processes, and the document that comes out.
+
+Trials are independent, so they run in processes of their own and the document does not depend on their number or order; only what
+stands under `timing` does.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import platform
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from boresight import __version__
+from boresight.errors import RefusedInputError
+from boresight.simulation.sensors import SENSOR_NUMBERS
+from boresight.studies.enright.document import document
+from boresight.studies.enright.trials import Record, Trial, run_trial
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How large a study is.
+
+    Parameters
+    ----------
+    quick
+        Whether its sizes are the quick ones; said in the report.
+    sensors
+        Numbers of E Table I.
+    frames, validation_frames
+        A calibration and a validation set.
+    sets
+        Sets a sensor: one for tables and figures, the further ones for statistics.
+    processes
+        Trials at a time; 1 runs them in this process.
+    """
+
+    quick: bool = False
+    sensors: tuple[int, ...] = SENSOR_NUMBERS
+    frames: int = 200
+    validation_frames: int = 80
+    sets: int = 10
+    processes: int = 2
+
+    def check(self) -> None:
+        """Refuse sensors that the paper does not have.
+
+        Raises
+        ------
+        RefusedInputError
+            Names the sensor.
+        """
+        for number in self.sensors:
+            if number not in SENSOR_NUMBERS:
+                raise RefusedInputError(f"The paper has no sensor {number}: choose from 1 to {max(SENSOR_NUMBERS)}.")
+
+    def trials(self) -> list[Trial]:
+        """List the sets, those of the tables first, for they run more estimators."""
+        return [
+            Trial(sensor, index, self.frames, self.validation_frames)
+            for index in range(self.sets)
+            for sensor in self.sensors
+        ]
+
+
+def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None) -> dict[str, Any]:
+    """Run the study; returns its document, schema `boresight.reproduction/1`.
+
+    Parameters
+    ----------
+    plan
+        How large.
+    catalogue_folder
+        Where the trimmed star catalogue is cached, or None.
+    report
+        Told what ended and the fraction done.
+
+    Raises
+    ------
+    RefusedInputError
+        When the plan names a sensor that the paper does not have.
+    """
+    plan.check()
+    trials, records = plan.trials(), dict[Trial, list[Record]]()
+    for trial, found in _run_all(trials, catalogue_folder, plan.processes):
+        records[trial] = found
+        if report is not None:
+            report(f"sensor {trial.sensor}, set {trial.index + 1} of {plan.sets}", len(records) / len(trials))
+    ordered = [record for trial in trials for record in records[trial]]
+    return document(_described(plan), ordered)
+
+
+def _run_all(trials: list[Trial], catalogue_folder: Path | None, processes: int) -> Any:
+    """Yield trials with their records as they end."""
+    if processes == 1:
+        for trial in trials:
+            yield trial, run_trial(trial, catalogue_folder)
+        return
+    # a forked child would inherit the locks of our threads
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(processes, len(trials)), mp_context=context) as pool:
+        waiting = {pool.submit(run_trial, trial, catalogue_folder): trial for trial in trials}
+        for done in as_completed(waiting):
+            yield waiting[done], done.result()
+
+
+def _described(plan: Plan) -> dict[str, Any]:
+    """The plan as JSON, with the versions that computed it."""
+    return {
+        "quick": plan.quick,
+        "sensors": list(plan.sensors),
+        "frames": plan.frames,
+        "validation_frames": plan.validation_frames,
+        "sets": plan.sets,
+        "versions": {name: version(name) for name in ("numpy", "numba", "scipy", "pyerfa")}
+        | {"boresight": __version__, "python": platform.python_version()},
+    }

@@ -1,0 +1,227 @@
+"""One simulated set of one sensor: every estimator run on it and held against the truth. Each trial has its own process.
+
+The set is simulated twice from one seed, with the identifications that the estimators get (5 % missing) and with all of them; the
+second, whose centroids are the same bit for bit, gives the bound.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.evaluate import evaluate_parameters
+from boresight.calibration.flight import ARC_SIGMAS, flight_tolerance
+from boresight.calibration.problem import Problem, build_problem
+from boresight.calibration.rematch import ground_covariance
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.estimation.consistency import nees
+from boresight.estimation.cramer_rao import centroid_rows
+from boresight.estimation.metrics import arc_errors
+from boresight.simulation.scenarios import Scenario, calibration_scenario, validation_scenario
+from boresight.simulation.scenes import simulate
+from boresight.sky.catalogue import Catalogue, load_catalogue
+from boresight.studies.enright.estimators import ESTIMATORS, Estimator, estimators_for
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+FloatArray = NDArray[np.float64]
+Record = dict[str, Any]
+
+#: Seeds of the further sets of a sensor lie so far apart.
+SEED_STEP = 1000
+#: Tolerances of the flight software to try, as multiples of the one that everything else uses.
+TOLERANCE_FACTORS = (1.0, 1.2, 1.5, 2.0, 3.0)
+#: Step of a central difference, typical sigmas.
+STEP_SIGMA = 1e-2
+#: Parts of a calibration that a record keeps as they are.
+KEPT = (
+    "status",
+    "parameters",
+    "sigma",
+    "covariance",
+    "chi2_per_dof",
+    "nis",
+    "rms_arc_rad",
+    "iterations",
+    "frames",
+    "stars",
+)
+#: Parts of the first set's calibration that only the figures need.
+DRAWN = ("history", "observability", "matching")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One set to run.
+
+    Parameters
+    ----------
+    sensor
+        1 to 6.
+    index
+        0 is the set that the tables and figures show; further ones differ in their noise and serve the statistics.
+    frames, validation_frames
+        Sizes of the calibration and of the validation set.
+    """
+
+    sensor: int
+    index: int
+    frames: int
+    validation_frames: int
+
+
+@dataclass(frozen=True)
+class _Data:
+    """A trial's sets and what is known about them: the problem with every star named, and its information F."""
+
+    sensor: Sensor
+    truth: FloatArray
+    calibration: Telemetry
+    validation: Telemetry
+    catalogue: Catalogue
+    known: Problem
+    F: FloatArray
+
+
+def run_trial(trial: Trial, catalogue_folder: Path | None) -> list[Record]:
+    """Run every estimator on one set; returns a record each, in the registry's order."""
+    data = _data(trial, _catalogue(catalogue_folder))
+    records: list[Record] = []
+    for estimator in estimators_for(trial.sensor, further=trial.index > 0):
+        start = data.sensor.initial
+        if estimator.start == "batch":
+            start = _state(data.sensor, records[0]["parameters"])
+        records.append(_record(trial, data, estimator, start))
+    return records
+
+
+@cache
+def _catalogue(folder: Path | None) -> Catalogue:
+    """Load the catalogue once a process."""
+    return load_catalogue(folder)
+
+
+def _data(trial: Trial, catalogue: Catalogue) -> _Data:
+    """Simulate both sets of a trial."""
+    scenario = calibration_scenario(trial.sensor, trial.frames)
+    held_out = validation_scenario(trial.sensor, trial.validation_frames)
+    named = _simulated(replace(scenario, blanked_share=0.0), trial, catalogue)
+    known = build_problem(named, scenario.sensor, catalogue)
+    return _Data(
+        sensor=scenario.sensor,
+        truth=scenario.truth,
+        calibration=_simulated(scenario, trial, catalogue),
+        validation=_simulated(held_out, trial, catalogue),
+        catalogue=catalogue,
+        known=known,
+        F=_information(known, scenario.truth),
+    )
+
+
+def _information(known: Problem, truth: FloatArray) -> FloatArray:
+    """Fisher information F (n_parameters, n_parameters) of all centroids at the truth, in typical sigmas."""
+    scale = known.sensor.typical_sigma
+    return centroid_rows(known.camera, truth, known.arcs, np.arange(len(scale)), scale).information
+
+
+def _plain_condition(known: Problem, truth: FloatArray) -> float:
+    """Condition number of the scaled Jacobian of the arcs at the truth, not whitened (E Eq 23), by central differences."""
+    arcs = known.weighed(truth)
+    steps = np.diag(STEP_SIGMA * known.sensor.typical_sigma)
+    H = np.stack([(arc_errors(arcs, truth + step) - arc_errors(arcs, truth - step)) for step in steps], axis=-1)
+    return float(np.linalg.cond(H))
+
+
+def _simulated(scenario: Scenario, trial: Trial, catalogue: Catalogue) -> Telemetry:
+    """Simulate a scenario with the seed of the trial's set."""
+    return simulate(scenario, np.random.default_rng(scenario.seed + SEED_STEP * trial.index), catalogue)
+
+
+def _record(trial: Trial, data: _Data, estimator: Estimator, start: FloatArray) -> Record:
+    """Calibrate, and hold the result against truth, bound and validation set."""
+    sensor = replace(data.sensor, initial=start)
+    began = time.perf_counter()
+    found = calibrate(_thinned(data.calibration, estimator.every), sensor, data.catalogue, estimator.settings)
+    seconds = time.perf_counter() - began
+    x = _state(sensor, found["parameters"])
+    record = {
+        "sensor": trial.sensor,
+        "set": trial.index,
+        "estimator": estimator.key,
+        **{key: found[key] for key in KEPT},
+        "condition_number": (found["observability"] or {}).get("condition_number"),
+        **_against_truth(data, found, x, estimator),
+        "validation": _evaluation(trial, data, data.validation, found) if trial.index == 0 else None,
+        "timing_s": {"calibration": seconds, "fit": found["timing_s"].get("fit")},
+    }
+    if trial.index == 0:
+        record |= {key: found.get(key) for key in DRAWN}
+        if estimator.key == "batch":
+            record["calibration"] = _evaluation(trial, data, data.calibration, found)
+            record["plain_condition_number"] = _plain_condition(data.known, data.truth)
+            record["tolerances"] = [_at_tolerance(data, record, factor) for factor in TOLERANCE_FACTORS]
+    return record
+
+
+def _thinned(telemetry: Telemetry, every: int) -> Telemetry:
+    """Keep each n-th frame."""
+    kept = telemetry.frame % every == 0
+    columns = {name: column for name, column in vars(telemetry).items() if isinstance(column, np.ndarray)}
+    return replace(telemetry, **{name: column[kept] for name, column in columns.items()})
+
+
+def _state(sensor: Sensor, parameters: Mapping[str, float]) -> FloatArray:
+    """Put named parameters in state order."""
+    return np.array([parameters[name] for name in CAMERA_MODELS[sensor.camera_model].parameter_names])
+
+
+def _against_truth(data: _Data, found: Record, x: FloatArray, estimator: Estimator) -> Record:
+    """Hold the error against the claimed covariance (NEES) and against the bound, both per degree of freedom."""
+    names, scale = CAMERA_MODELS[data.sensor.camera_model].parameter_names, data.sensor.typical_sigma
+    error = (x - data.truth) / scale
+    places = [names.index(name) for name in found["covariance"]["names"]]
+    claimed = np.array(found["covariance"]["matrix"]) / np.outer(scale[places], scale[places])
+    usable = found["status"] == "converged" and len(places) > 0
+    return {
+        "error": dict(zip(names, (error * scale).tolist(), strict=True)),
+        "nees": nees(error[places], claimed) if usable else None,
+        "nees_dof": len(places),
+        "squared_over_bound": None if estimator.reduced else float(error @ data.F @ error) / len(error),
+    }
+
+
+def _evaluation(trial: Trial, data: _Data, telemetry: Telemetry, found: Record) -> Record:
+    """Compare ground and estimate on a set, matched anew with each and accepted by the rule of the flight software."""
+    settings = ESTIMATORS["batch"].settings
+    P_ground = ground_covariance(data.sensor, settings.initial_sigma_scale)
+    evaluation: Record = evaluate_parameters(
+        telemetry, data.sensor, data.catalogue, data.sensor.initial, _state(data.sensor, found["parameters"]), settings,
+        P_ground, _covariance(data.sensor, found, P_ground), rng=np.random.default_rng([trial.sensor, trial.index]),
+    )  # fmt: skip
+    return evaluation
+
+
+def _at_tolerance(data: _Data, found: Record, factor: float) -> Record:
+    """Availability and matched stars of the calibration set with another tolerance of the flight software."""
+    settings, x = ESTIMATORS["batch"].settings, _state(data.sensor, found["parameters"])
+    settings = replace(settings, flight_tolerance_urad=factor * flight_tolerance(data.sensor, settings) * 1e6)
+    seen = evaluate_parameters(data.calibration, data.sensor, data.catalogue, data.sensor.initial, x, settings)
+    kept = ("availability", "matched_star_ratio", "flight_tolerance_rad")
+    return {"arc_sigmas": factor * ARC_SIGMAS, **{key: seen[key] for key in kept}}
+
+
+def _covariance(sensor: Sensor, found: Record, P_ground: FloatArray) -> FloatArray:
+    """Covariance (n_parameters, n_parameters) SI of a result; what it held fixed keeps the ground's."""
+    names = CAMERA_MODELS[sensor.camera_model].parameter_names
+    places = [names.index(name) for name in found["covariance"]["names"]]
+    P = P_ground.copy()
+    P[np.ix_(places, places)] = found["covariance"]["matrix"]
+    return P

@@ -1,0 +1,135 @@
+"""The rule that judges a row: reproduced, in kind, or not reproduced.
+
+A cell holds the printed number p, ours o, and the interval [low, high] that our number has (95 % by bootstrap over frames,
+or three standard deviations of an estimated parameter), widened by half of the last printed digit; both
+count from an origin, 0 but for a focal length. Then
+
+    reproduced        p lies in the interval, or |o - p| <= 10 % of |p|
+    in kind           o and p have the same sign and 1/sqrt(10) <= o/p <= sqrt(10)
+    not reproduced    otherwise
+
+and a row is
+
+    reproduced        when all of its cells are and its conclusion holds
+    in kind           when every cell is reproduced or in kind and its conclusion holds
+    not reproduced    otherwise.
+
+The conclusion is the statement that the paper's text draws from such a row, as a number that can fail; each table states its
+own. A figure has no printed numbers, so it is at best in kind: its conclusion decides.
+
+Why a cell is not reproduced is never guessed from the number: each column carries beforehand the cause that can move it:
+`no orbital data` (the paper's telemetry, noise and skies are not public), `erratum` (a printed equation or sentence is wrong), or
+`unstated setting` (Q, P_0, the matching tolerance are not given).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+REPRODUCED, IN_KIND, NOT_REPRODUCED = "reproduced", "in kind", "not reproduced"
+VERDICTS = (REPRODUCED, IN_KIND, NOT_REPRODUCED)
+
+RELATIVE_TOLERANCE = 0.10
+SAME_ORDER = 10**0.5
+CAUSES = ("no orbital data", "erratum", "unstated setting")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One printed number beside ours.
+
+    Parameters
+    ----------
+    column
+        Heading.
+    unit
+        Of both numbers; empty for a ratio or a share.
+    printed, ours
+        The numbers; None where the run has none.
+    low, high
+        Interval of ours.
+    resolution
+        Last printed digit, so that 0.45 stands for 0.445 to 0.455.
+    origin
+        What the comparison by ratio counts from: 10 % of a focal length of 16 mm would pass anything.
+    cause, because
+        One of `CAUSES`, and in words what can move this number.
+    """
+
+    column: str
+    unit: str
+    printed: float
+    ours: float | None
+    low: float | None = None
+    high: float | None = None
+    resolution: float = 0.0
+    origin: float = 0.0
+    cause: str = "no orbital data"
+    because: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """Judge this cell alone."""
+        if self.ours is None:
+            return NOT_REPRODUCED
+        if self._within(self.ours) or abs(self.ours - self.printed) <= RELATIVE_TOLERANCE * abs(
+            self.printed - self.origin
+        ):
+            return REPRODUCED
+        return IN_KIND if self._same_order() else NOT_REPRODUCED
+
+    def _within(self, ours: float) -> bool:
+        """Whether the printed number, as rounded, touches our interval."""
+        low = ours if self.low is None else self.low
+        high = ours if self.high is None else self.high
+        return low - self.resolution / 2 <= self.printed <= high + self.resolution / 2
+
+    def _same_order(self) -> bool:
+        """Whether both have one sign and stay within half a decade."""
+        if self.ours is None or self.printed == self.origin:
+            return False
+        return 1 / SAME_ORDER <= (self.ours - self.origin) / (self.printed - self.origin) <= SAME_ORDER
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """What the text draws from a row: whether it holds here, and by which figures."""
+
+    holds: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row with its verdict and the reason."""
+
+    label: str
+    cells: tuple[Cell, ...]
+    conclusion: Conclusion
+    verdict: str
+    reason: str
+
+
+def judge(label: str, cells: Sequence[Cell], conclusion: Conclusion) -> Row:
+    """Judge a row by its worst cell and its conclusion, and say why."""
+    found = [cell.verdict for cell in cells] or [IN_KIND]
+    worst = max(found, key=VERDICTS.index)
+    verdict = worst if conclusion.holds else NOT_REPRODUCED
+    return Row(label, tuple(cells), conclusion, verdict, _reason(cells, conclusion))
+
+
+def _reason(cells: Sequence[Cell], conclusion: Conclusion) -> str:
+    """Name what agreed and, by cause, what did not."""
+    apart: dict[tuple[str, str], list[str]] = {}
+    for cell in cells:
+        if cell.verdict != REPRODUCED:
+            apart.setdefault((cell.cause, cell.because), []).append(cell.column)
+    agreed = len(cells) - sum(map(len, apart.values()))
+    sentences = [f"{agreed} of {len(cells)} numbers agree."] if cells else ["The paper's figure prints no numbers."]
+    sentences += [
+        f"{cause.capitalize()} ({', '.join(columns)}){': ' + because if because else ''}."
+        for (cause, because), columns in apart.items()
+    ]
+    sentences.append(f"Conclusion {'holds' if conclusion.holds else 'fails'}: {conclusion.sentence}")
+    return " ".join(sentences)

@@ -1,0 +1,213 @@
+"""The study of Enright 2018: printed numbers, the rule that judges, and what the report of a small run holds."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from boresight.errors import RefusedInputError
+from boresight.simulation.sensors import CHANGES, NOMINAL, TYPICAL_SIGMA
+from boresight.studies import enright
+from boresight.studies.enright import printed, report
+from boresight.studies.enright.estimators import ESTIMATORS, estimators_for
+from boresight.studies.enright.pooled import Pooled
+from boresight.studies.enright.trials import _thinned
+from boresight.studies.enright.verdicts import CAUSES, VERDICTS, Cell, Conclusion, judge
+from boresight.telemetry.schema import Telemetry
+
+HOLDS, FAILS = Conclusion(True, "it does."), Conclusion(False, "it does not.")
+
+
+# The printed numbers.
+
+
+def test_the_reduced_model_is_72_percent_worse_in_table_v_and_not_5_to_13():
+    excess = {name: round(100 * share) for name, share in printed.reduced_excess().items()}
+
+    assert excess == {"batch": 72, "q": 23, "no-q": 15, "no-refit": 10}
+
+
+def test_no_refit_is_worst_for_three_sensors_and_best_for_two_in_table_v():
+    assert printed.no_refit_rank() == {"worst": [3, 4, 6], "best": [1, 2]}
+
+
+def test_n0_and_a1_have_the_same_sign_for_every_sensor_of_table_iii():
+    assert printed.same_sign("n0_px", "a1_rad") == list(printed.SENSORS)
+
+
+def test_the_simulated_truth_is_the_printed_table_iii_in_units_of_table_ii():
+    assert np.array_equal(np.array(list(printed.TABLE_III.values())).T, CHANGES)
+    assert np.array_equal([nominal for nominal, _ in printed.TABLE_II.values()], NOMINAL)
+    assert np.array_equal([sigma for _, sigma in printed.TABLE_II.values()], TYPICAL_SIGMA)
+
+
+def test_most_final_errors_of_table_iv_fell_by_more_than_70_percent_as_its_text_says():
+    falls = [1 - final / initial for *_, initial, final in printed.TABLE_IV.values()]
+
+    assert sum(fall > 0.7 for fall in falls) == 4
+    assert min(falls) > 0.2
+
+
+# The rule.
+
+
+def cell(printed_value, ours, **extra):
+    return Cell("column", "unit", printed_value, ours, **extra)
+
+
+@pytest.mark.parametrize(
+    ("given_cell", "verdict"),
+    [
+        (cell(100.0, 109.0), "reproduced"),
+        (cell(100.0, 112.0), "in kind"),
+        (cell(100.0, 112.0, low=99.0, high=125.0), "reproduced"),
+        (cell(100.0, 112.0, low=100.04, high=125.0, resolution=0.1), "reproduced"),
+        (cell(100.0, 112.0, low=100.06, high=125.0, resolution=0.1), "in kind"),
+        (cell(100.0, 316.0), "in kind"),
+        (cell(100.0, 317.0), "not reproduced"),
+        (cell(100.0, 31.7), "in kind"),
+        (cell(100.0, 31.5), "not reproduced"),
+        (cell(100.0, -100.0), "not reproduced"),
+        (cell(-0.10, 0.02, low=-0.2, high=0.2), "reproduced"),
+        (cell(16.031, 16.039), "reproduced"),
+        (cell(16.031, 16.039, origin=16.095), "in kind"),
+        (cell(1.0, None), "not reproduced"),
+        (cell(0.0, 0.0), "reproduced"),
+        (cell(0.0, 0.1), "not reproduced"),
+    ],
+)  # fmt: skip
+def test_a_number_is_judged_by_its_interval_ten_percent_and_half_a_decade(given_cell, verdict):
+    assert given_cell.verdict == verdict
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(0.01, 100))
+def test_a_verdict_does_not_depend_on_the_unit(printed_value, ours, factor):
+    one, other = cell(printed_value, ours), cell(printed_value * factor, ours * factor)
+    edges = [0.9, 1.1, 10**0.5, 10**-0.5]
+    ratio = ours / printed_value if printed_value else 0.0
+
+    assert (
+        one.verdict == other.verdict
+        or any(abs(ratio / edge - 1) < 1e-9 for edge in edges)
+        or abs(printed_value) < 1e-300
+    )
+
+
+@pytest.mark.parametrize(
+    ("values", "conclusion", "verdict"),
+    [
+        ([(1, 1), (1, 1.05)], HOLDS, "reproduced"),
+        ([(1, 1), (1, 2)], HOLDS, "in kind"),
+        ([(1, 1), (1, 9)], HOLDS, "not reproduced"),
+        ([(1, 1), (1, 1)], FAILS, "not reproduced"),
+        ([], HOLDS, "in kind"),
+        ([], FAILS, "not reproduced"),
+    ],
+)
+def test_a_row_is_as_good_as_its_worst_number_and_its_conclusion(values, conclusion, verdict):
+    assert judge("row", [cell(*pair) for pair in values], conclusion).verdict == verdict
+
+
+def test_a_reason_names_the_cause_of_every_number_that_is_not_reproduced():
+    apart = Cell("RMS", "µrad", 100.0, 200.0, cause="erratum", because="a sign is wrong")
+    row = judge("1", [cell(1.0, 1.0), apart], FAILS)
+
+    assert row.reason == "1 of 2 numbers agree. Erratum (RMS): a sign is wrong. Conclusion fails: it does not."
+
+
+# What is run.
+
+
+def test_the_batch_comes_first_for_others_start_at_its_result():
+    assert all(
+        estimators_for(sensor, further=further)[0].key == "batch" for sensor in (3, 4) for further in (False, True)
+    )
+
+
+def test_every_estimator_has_settings_that_a_calibration_accepts():
+    for estimator in ESTIMATORS.values():
+        estimator.settings.check()
+
+
+def test_thinning_keeps_each_nth_frame_whole():
+    frame = np.repeat(np.arange(7), 3)
+    zeros = np.zeros(21)
+    thin = _thinned(Telemetry(frame, zeros.astype(int), np.arange(21.0), zeros, star_id=frame * 10), 3)
+
+    assert thin.frame.tolist() == [0, 0, 0, 3, 3, 3, 6, 6, 6]
+    assert thin.star_id.tolist() == (thin.frame * 10).tolist()
+    assert thin.quaternion is None
+
+
+# A small study.
+
+
+@pytest.fixture(scope="module")
+def study():
+    plan = enright.Plan(quick=True, sensors=(3, 4), frames=30, validation_frames=15, sets=1, processes=1)
+    return enright.run(plan, None)
+
+
+def test_the_document_follows_its_schema(study):
+    assert study["schema"] == "boresight.reproduction/1"
+    assert [table["number"] for table in study["tables"]] == ["III", "IV", "V", "VI", "VII"]
+    assert [figure["number"] for figure in study["figures"]] == ["3a", "3b", "4", "5"]
+    assert len(study["questions"]) == 5
+    rows = [row for table in study["tables"] for row in table["rows"]]
+    assert all(row["verdict"] in VERDICTS and row["reason"] for row in rows)
+    assert {cell["cause"] for row in rows for cell in row["cells"]} <= set(CAUSES)
+    assert sum(study["verdicts"].values()) == len(rows) + 4
+
+
+def test_every_estimator_stands_in_the_document_with_nees_and_its_ratio_to_the_bound(study):
+    found = {line["estimator"]: line for line in study["estimators"]}
+
+    assert set(found) == set(ESTIMATORS)
+    full = [line for key, line in found.items() if not ESTIMATORS[key].reduced]
+    assert all(
+        line["nees"]["expected"] == 8 and line["ratio_to_bound"]["lower"] < line["ratio_to_bound"]["upper"]
+        for line in full
+    )
+
+
+def test_every_validation_comes_with_bootstrap_intervals(study):
+    for record in study["records"]:
+        found = record["validation"]
+        low, high = found["intervals"]["rms_arc_rad"]["final"]
+        assert low <= found["rms_arc_rad"]["final"] <= high
+
+
+def test_the_report_holds_every_table_figure_finding_and_answer(study):
+    html = report.render(study)
+
+    assert re.findall(r'data-table="(\w+)"', html) == ["III", "IV", "V", "VI"]  # VII is sensor 2's, which was not run
+    assert re.findall(r'data-figure="(\w+)"', html) == ["3a", "3b", "4", "5"]
+    assert all(item["question"] in html for item in study["questions"])
+    assert 'http-equiv="Content-Security-Policy" content="default-src \'none\'' in html
+    assert not re.search(r'(src|href)="', html.partition("<script>")[0])
+
+
+def test_every_number_of_the_tables_has_its_unit_in_the_heading_or_none_to_have(study):
+    html = report.render(study)
+    for table in study["tables"]:
+        for cell_ in table["rows"][0]["cells"] if table["rows"] else ():
+            heading = cell_["column"] + (f" ({cell_['unit']})" if cell_["unit"] else "")
+            assert f"<th>{heading}</th>" in html
+            assert cell_["unit"] or "availability" in cell_["column"] or "star" in cell_["column"]
+
+
+def test_records_are_found_by_sensor_and_estimator(study):
+    pooled = Pooled(study["records"])
+
+    assert pooled.sensors == [3, 4]
+    assert pooled.first(3, "batch")["estimator"] == "batch"
+    assert pooled.first(1, "batch") is None
+
+
+def test_a_sensor_that_the_paper_does_not_have_is_refused():
+    with pytest.raises(RefusedInputError, match="no sensor 7"):
+        enright.run(enright.Plan(sensors=(7,)), None)
