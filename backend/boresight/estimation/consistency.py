@@ -124,9 +124,9 @@ def runs_p_value(series: FloatArray) -> float:
     return float(2 * ndtr(-abs(runs - 1 - pairs / n) / np.sqrt(variance)))
 
 
-def share_bounds(n: int, share: float) -> tuple[float, float]:
-    """Two-sided 95 % bounds of the share found among n when each is in with probability `share`."""
-    tail = (1 - CONFIDENCE) / 2
+def share_bounds(n: int, share: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Two-sided bounds of the share found among n when each is in with probability `share`."""
+    tail = (1 - confidence) / 2
     counts = np.arange(n + 1)
     below = bdtr(counts.astype(float), n, share)
     return float(np.searchsorted(below, tail)) / n, float(np.searchsorted(below, 1 - tail)) / n

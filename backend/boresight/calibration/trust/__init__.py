@@ -132,11 +132,17 @@ def _first(found: list[Sightings], ground: Ground) -> Sightings:
     return found[0]
 
 
+def _fits(view: dict[str, Any]) -> bool:
+    """Whether the camera model leaves no radial residual, as far as one can see."""
+    radius = view["residual_against"]["radius"]
+    return radius is None or bool(radius["even"])
+
+
 def _stars(view: dict[str, Any], ground: Ground, found: Sightings) -> list[dict[str, Any]]:
     """The table of stars, and what is told of it beside."""
     table = star_table(ground, found)
     worst_first = np.argsort(-table.z)
     view["suspects"] = [int(table.star_id[i]) for i in worst_first if table.suspect[i]]
     view["stars_in_all"] = len(table.z)
-    view["stars_sentence"] = stars_sentence(table, found.arcs.n_frames, ground.arcs.n_frames)
+    view["stars_sentence"] = stars_sentence(table, found.arcs.n_frames, ground.arcs.n_frames, fits=_fits(view))
     return stars(ground, table)

@@ -7,6 +7,9 @@ L^T.
 
 A ratio over one is information left behind: process noise, forgetting, a robust loss. A ratio under one cannot be had by an
 honest estimator: such sigmas are too small. Over all directions together the ratio is (det P / det bound)^(1 / 2n).
+
+A robust fit takes the size of the noise from the residuals, and so does its bound here: their median square over that of a unit
+normal.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ FloatArray = NDArray[np.float64]
 MOST_FRAMES = 400
 #: Ratios within this share of one are one: the isotropic error of an arc's ends is that near to a round pixel error.
 NEAR = 0.03
+#: Median of the square of a unit normal number.
+MEDIAN_OF_A_SQUARE = 0.454936
 
 
 def efficiency(ground: Ground) -> dict[str, Any]:
@@ -36,7 +41,7 @@ def efficiency(ground: Ground) -> dict[str, Any]:
     held = _centroid_information(ground, arcs)
     if ground.settings.sequential:
         held = held + np.eye(len(held)) / ground.settings.initial_sigma_scale**2
-    bound, P = np.linalg.inv(held), ground.estimate.P
+    bound, P = np.linalg.inv(held) * _noise(ground), ground.estimate.P
     ratio = np.sqrt(np.diag(P) / np.diag(bound))
     overall = float(np.exp((np.linalg.slogdet(P)[1] - np.linalg.slogdet(bound)[1]) / (2 * len(P))))
     sigma = np.sqrt(np.diag(bound)) * ground.parameters.scale
@@ -48,6 +53,11 @@ def efficiency(ground: Ground) -> dict[str, Any]:
         "frames_used": arcs.n_frames,
         "sentence": _sentence(overall, ratio, ground, arcs.n_frames),
     }
+
+
+def _noise(ground: Ground) -> float:
+    """Variance of the residuals over the stated one where the claim follows it, as a robust fit's does; else one."""
+    return 1.0 if np.isinf(ground.threshold) else float(np.median(ground.e**2)) / MEDIAN_OF_A_SQUARE
 
 
 def _centroid_information(ground: Ground, arcs: ArcSet) -> FloatArray:
@@ -69,8 +79,9 @@ def _sentence(overall: float, ratio: FloatArray, ground: Ground, frames_used: in
     numbers = (
         f"{overall:.3f} times the Cramér-Rao bound over all directions, {ratio[worst]:.3f} for {ground.symbols[worst]}"
     )
+    remedy = "; run the batch" if ground.settings.sequential else ""
     if overall < 1 - NEAR:
-        return f"The claimed sigmas are {numbers}{of}: less than the centroids allow, so they are too small; run the batch."
+        return f"The claimed sigmas are {numbers}{of}: less than the centroids allow, so they are too small{remedy}."
     if overall > 1 + NEAR:
         return f"The claimed sigmas are {numbers}{of}: these centroids hold more than the method took from them."
     return f"The claimed sigmas are {numbers}{of}: these centroids hold no more."

@@ -83,6 +83,11 @@ class Ground:
         return np.asarray(self.H.T @ self.H)
 
     @property
+    def threshold(self) -> float:
+        """Of Huber's loss, infinite for least squares: what is fitted again is fitted as the estimate was."""
+        return self.settings.huber_threshold if self.settings.robust == "huber" else np.inf
+
+    @property
     def determined(self) -> bool:
         """Whether the data determine every free parameter."""
         return self.estimate.status != "rank_deficient"

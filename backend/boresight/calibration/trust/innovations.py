@@ -21,8 +21,10 @@ from boresight.estimation.consistency import CONFIDENCE, runs_p_value, share_bou
 FloatArray = NDArray[np.float64]
 
 MOST_POINTS = 1000
-#: Chance of a run test so extreme below which the series is said to change with time.
+#: Chance of a share or of runs so extreme below which they are not put down to chance.
 UNLIKELY = 0.01
+#: So few values have no order to speak of.
+FEWEST_FOR_RUNS = 20
 
 
 def nis_over_time(ground: Ground) -> dict[str, Any]:
@@ -31,8 +33,8 @@ def nis_over_time(ground: Ground) -> dict[str, Any]:
     tail = (1 - CONFIDENCE) / 2
     per_dof, lower, upper = values / dof, chdtri(dof, 1 - tail) / dof, chdtri(dof, tail) / dof
     outside = float(np.mean((per_dof < lower) | (per_dof > upper)))
-    low, high = share_bounds(len(values), 1 - CONFIDENCE)
-    runs = runs_p_value(per_dof)
+    low, high = share_bounds(len(values), 1 - CONFIDENCE, 1 - UNLIKELY)
+    runs = runs_p_value(per_dof) if len(values) >= FEWEST_FOR_RUNS else 1.0
     shown = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_POINTS)).round().astype(int))
     return {
         "frame": frame[shown].tolist(),
@@ -70,6 +72,8 @@ def _sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, 
     what = "updates" if filtered else "frames"
     share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} is what chance allows)"
     wrong = "" if bounds[0] <= outside <= bounds[1] else ": the noise or the covariance is not what it is said to be"
+    if n < FEWEST_FOR_RUNS:
+        return f"{share}{wrong}."
     order = (
         "follow one another as by chance"
         if runs >= UNLIKELY

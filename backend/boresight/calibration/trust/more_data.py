@@ -29,7 +29,7 @@ def more_data(ground: Ground) -> dict[str, Any]:
     noise, forgetting = 0.0, 1.0
     if ground.settings.sequential:
         noise, forgetting = ground.settings.process_noise, ground.settings.forgetting_factor
-    P = [further_covariance(ground.estimate.P, ground.A / n, k, noise, forgetting) for k in frames]
+    P = [further_covariance(ground.estimate.P, ground.estimate.A / n, k, noise, forgetting) for k in frames]
     sigma = np.sqrt(np.array([np.diag(matrix) for matrix in P]))
     shown = sigma * ground.parameters.scale
     return {
@@ -45,8 +45,8 @@ def _sentence(ground: Ground, frames: list[int], sigma: np.ndarray[Any, np.dtype
     least = int(np.argmax(sigma[0]))
     double, most = frames.index(ground.arcs.n_frames), len(frames) - 1
     symbol = ground.symbols[least]
-    gains = [f"{1 - sigma[i, least] / sigma[0, least]:.0%} with {frames[i]}" for i in (double, most)]
+    gain = 1 - sigma[:, least] / sigma[0, least]
     return (
-        f"Further frames of the same kind would take the sigma of {symbol}, the parameter known least beside its typical "
-        f"sigma, down by {gains[0]} and by {gains[1]}."
+        f"{frames[double]} further frames of the same kind would lower the sigma of {symbol}, the parameter known least "
+        f"beside its typical sigma, by {gain[double]:.0%}, and {frames[most]} by {gain[most]:.0%}."
     )

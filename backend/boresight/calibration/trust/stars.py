@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable
 from boresight.calibration.trust.residuals import Sightings, sightings
-from boresight.sky.catalogue import SINGLE_STAR
+from boresight.sky.catalogue import Catalogue
+from boresight.sky.doubles import FAINTER_MAG, phrases, star_flags
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,7 +37,8 @@ FAMILY_LEVEL = 0.01
 FEWEST_KEPT = 3
 #: A sighting so many sigmas off, while its star's others are not, is a wrong match rather than a wrong place.
 FAR_OFF = 6.0
-SOLUTIONS = {1: "stochastic solution", 3: "variable and double", 7: "accelerated motion", 9: "accelerated motion"}
+#: Two stars nearer than this make one image.
+BLEND_PX = 5.0
 
 
 @dataclass(frozen=True)
@@ -148,13 +150,13 @@ def _summed(values: FloatArray, of: IntArray, n: int) -> FloatArray:
 def stars(ground: Ground, table: StarTable) -> list[dict[str, Any]]:
     """The worst stars first, at most `MOST_SHOWN`, every suspect among the first."""
     order = np.lexsort((-table.z, ~table.suspect))[:MOST_SHOWN]
-    solution = _solutions(ground, table.star_id[order])
-    return [_entry(table, place, kind) for place, kind in zip(order, solution, strict=True)]
+    said = _said_of(ground, table.star_id[order], table.pixel_rad[order])
+    return [_entry(table, place, phrases_of) for place, phrases_of in zip(order, said, strict=True)]
 
 
-def _entry(table: StarTable, i: int, solution: str | None) -> dict[str, Any]:
+def _entry(table: StarTable, i: int, said: list[str]) -> dict[str, Any]:
     """One star as JSON."""
-    flags = [] if solution is None else [solution]
+    flags = list(said)
     if table.sightings[i] > 1 and table.worst_z[i] > FAR_OFF and table.worst_z[i] > 0.9 * table.z[i]:
         flags.append("one sighting far off")
     d = table.displacement_rad[i]
@@ -171,31 +173,39 @@ def _entry(table: StarTable, i: int, solution: str | None) -> dict[str, Any]:
     }
 
 
-def _solutions(ground: Ground, star_id: IntArray) -> list[str | None]:
-    """What the catalogue says against each star's place, or None."""
-    if ground.catalogue is None:
-        return [None] * len(star_id)
+def _said_of(ground: Ground, star_id: IntArray, pixel_rad: FloatArray) -> list[list[str]]:
+    """What the catalogue says against each star's place, in phrases; its stars too faint to disturb these are not looked at."""
+    if ground.catalogue is None or not len(star_id):
+        return [[] for _ in star_id]
     index = ground.catalogue.index_of(star_id)
-    kinds = np.where(index >= 0, ground.catalogue.solution_type[index], -1)
-    return [
-        None
-        if kind == SINGLE_STAR
-        else "not in the catalogue"
-        if kind < 0
-        else SOLUTIONS.get(int(kind), "no single star")
-        for kind in kinds
-    ]
+    known = index[index >= 0]
+    faintest = ground.catalogue.magnitude[known].max(initial=-np.inf) + FAINTER_MAG
+    near = _brighter_than(ground.catalogue, faintest)
+    flags = star_flags(near, BLEND_PX * float(np.median(pixel_rad)))
+    place = near.index_of(star_id)
+    return [phrases(int(flags[at])) if at >= 0 else ["not in the catalogue"] for at in place]
 
 
-def stars_sentence(table: StarTable, frames_used: int, frames: int) -> str:
-    """How many stars were judged and who is suspect."""
+def _brighter_than(catalogue: Catalogue, magnitude: float) -> Catalogue:
+    """The catalogue's stars down to a magnitude."""
+    kept = catalogue.magnitude <= magnitude
+    return Catalogue(**{key: values[kept] for key, values in vars(catalogue).items()})
+
+
+def stars_sentence(table: StarTable, frames_used: int, frames: int, *, fits: bool) -> str:
+    """How many stars were judged and who is suspect, with a caution where the camera model does not fit."""
     named = table.star_id[table.suspect]
     of = "" if frames_used == frames else f" in {frames_used} frames spaced evenly over the set"
     if not len(named):
         return f"None of {len(table.z)} stars{of} is off its catalogue place by more than chance explains (1 % over all of them)."
     worst = table.star_id[table.suspect][np.argsort(-table.z[table.suspect])][:10]
+    what = (
+        "check their matches or leave them out"
+        if fits
+        else "but the camera model does not fit, so free more parameters first"
+    )
     more = "" if len(named) <= len(worst) else f" and {len(named) - len(worst)} more"
     return (
         f"{len(named)} of {len(table.z)} stars{of} {'is' if len(named) == 1 else 'are'} off the catalogue place by more than "
-        f"chance explains (1 % over all of them): HIP {', '.join(map(str, worst))}{more}; check their matches or leave them out."
+        f"chance explains (1 % over all of them): HIP {', '.join(map(str, worst))}{more}; {what}."
     )

@@ -51,7 +51,10 @@ def _fitted(ground: Ground, frames: NDArray[np.bool_]) -> batch.BatchFit:
     arcs = chosen(ground.arcs, frames)
     if arcs.n_arcs <= len(ground.names):
         raise Unavailable("A half of the set holds no more arcs than there are free parameters: add frames.")
-    fitted = batch.fit(arcs, ground.x, ground.parameters.free, ground.parameters.scale, max_iterations=MOST_ITERATIONS)
+    fitted = batch.fit(
+        arcs, ground.x, ground.parameters.free, ground.parameters.scale,
+        threshold=ground.threshold, max_iterations=MOST_ITERATIONS,
+    )  # fmt: skip
     if fitted.status != "converged":
         raise Unavailable(
             "A half of the set does not determine the free parameters by itself: add frames, or free fewer."

@@ -1,0 +1,75 @@
+"""A calibration with everything that trust is judged from, for the tests of its parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from unittest import mock
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calibration import result
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.problem import Problem
+from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.trust import trust_view
+from boresight.calibration.trust.ground import Ground, stand
+from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.simulation.sensors import st16_sensor
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.schema import Telemetry
+from tests.estimation.fields import COLUMNS, NOISE_PX, PITCH, ROWS, TRUTH
+
+
+@dataclass(frozen=True)
+class Case:
+    problem: Problem
+    parameters: Parameters
+    settings: CalibrationSettings
+    estimate: Estimate
+    telemetry: Telemetry
+    catalogue: Catalogue
+
+    @property
+    def ground(self) -> Ground:
+        return stand(**vars(self))
+
+    @property
+    def trust(self) -> dict:
+        return trust_view(**vars(self))
+
+
+def case(telemetry, sensor, catalogue, **settings):
+    """Calibrate a set with the matches it has; what the document is written from at the end is the case."""
+    chosen = CalibrationSettings(**{"match": "given", **settings})
+    with mock.patch.object(result, "document", wraps=result.document) as written:
+        calibrate(telemetry, sensor, catalogue, chosen)
+    return Case(*written.call_args.args[:4], telemetry, catalogue)
+
+
+def field(seed, frames=40, stars=12, exposures=2, parity=1, noise_px=NOISE_PX):
+    """A set of the tests' sensor with its own directions, each exposure's attitude a rotation proper or mirrored."""
+    rng = np.random.default_rng(seed)
+    n = frames * exposures * stars
+    row, col = rng.uniform(0, ROWS - 1, n), rng.uniform(0, COLUMNS - 1, n)
+    s_d = INVERTED_WANG.directions(TRUTH, row, col, PITCH) * np.array([1.0, parity, 1.0])
+    turns = Rotation.random(frames * exposures, rng=rng).as_matrix()
+    s_i = np.einsum("eij,eni->enj", turns, s_d.reshape(-1, stars, 3)).reshape(n, 3)
+    return Telemetry(
+        frame=np.repeat(np.arange(frames), exposures * stars),
+        exposure=np.tile(np.repeat(np.arange(exposures), stars), frames),
+        row_px=row + noise_px * rng.normal(size=n),
+        col_px=col + noise_px * rng.normal(size=n),
+        star_id=np.arange(1, n + 1),
+        ra_rad=np.arctan2(s_i[:, 1], s_i[:, 0]),
+        dec_rad=np.arcsin(s_i[:, 2]),
+    )
+
+
+def simulated(catalogue, number=1, frames=120, seed=0, changes=None, sky=None, **settings):
+    """Calibrate a simulated set of an ST-16; `sky` is the catalogue believed where it is not the one imaged."""
+    scenario = replace(calibration_scenario(number, frames), **(changes or {}))
+    telemetry = simulate(scenario, np.random.default_rng([number, seed]), catalogue)
+    return case(telemetry, st16_sensor(number), catalogue if sky is None else sky, **settings)

@@ -1,0 +1,83 @@
+"""What a covariance means on the detector, against parameters drawn from it."""
+
+import numpy as np
+import pytest
+
+from boresight.estimation import batch
+from boresight.estimation.arcs import arclength
+from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation.uncertainty import (
+    AZIMUTHS,
+    _arcs_from,
+    arc_sigma,
+    difference_over_detector,
+    expected_difference,
+)
+from tests.estimation.fields import COLUMNS, FREE, PITCH, ROWS, SCALE, TRUTH, star_field, weighed
+
+DETECTOR = (ROWS, COLUMNS, PITCH)
+LENGTH = np.radians(5.0)
+PLACES = (np.array([0.0, 100.0, 970.0, 1943.0]), np.array([0.0, 2400.0, 1300.0, 1200.0]))
+
+
+@pytest.fixture(scope="module")
+def P():
+    field = weighed(star_field(np.random.default_rng(31), frames=30), TRUTH)
+    return np.linalg.inv(batch.normal_equations(field, TRUTH, FREE, SCALE).A) * np.outer(SCALE, SCALE)
+
+
+def _drawn(P, n, seed=1):
+    return np.random.default_rng(seed).multivariate_normal(TRUTH, P, size=n, method="cholesky")
+
+
+def test_the_error_of_an_arc_is_the_spread_of_that_arc_over_drawn_parameters(P):
+    near, far, on = _arcs_from(INVERTED_WANG, TRUTH, PLACES, LENGTH, DETECTOR)
+    arcs = np.array(
+        [
+            arclength(INVERTED_WANG.directions(x, *near, PITCH), INVERTED_WANG.directions(x, *far, PITCH))
+            for x in _drawn(P, 3000)
+        ]
+    )
+    variance = np.where(on, arcs.var(axis=0), np.nan).reshape(-1, AZIMUTHS)
+
+    sigma = arc_sigma(INVERTED_WANG, TRUTH, P, PLACES, LENGTH, DETECTOR)
+
+    np.testing.assert_allclose(sigma, np.sqrt(np.nanmean(variance, axis=1)), rtol=0.05)
+    np.testing.assert_allclose(arcs.mean(axis=0)[on], LENGTH, atol=1e-5)
+
+
+def test_arcs_that_end_off_the_detector_do_not_count(P):
+    _, far, on = _arcs_from(INVERTED_WANG, TRUTH, PLACES, LENGTH, DETECTOR)
+    counts = on.reshape(-1, AZIMUTHS).sum(axis=1)
+
+    assert (counts >= 2).all()
+    assert counts[2] == AZIMUTHS
+    assert counts[0] < AZIMUTHS / 2
+    assert (far[0][on] >= -0.5).all()
+    assert (far[0][on] <= ROWS - 0.5).all()
+    assert np.isnan(arc_sigma(INVERTED_WANG, TRUTH, P, PLACES, np.radians(40.0), DETECTOR)).all()
+
+
+def test_a_bulk_rotation_of_the_detector_is_no_difference():
+    moved = TRUTH.copy()
+    moved[4] = moved[3] = moved[5] = moved[6] = 0.0
+    turned = moved.copy()
+    turned[1] += 3.0
+    turned[6] += 3.0 * PITCH / turned[0]  # the tilt that follows the principal point: all but a rotation
+
+    difference = difference_over_detector(INVERTED_WANG, moved, turned, PLACES, PITCH)
+    seen = INVERTED_WANG.directions(moved, *PLACES, PITCH) - INVERTED_WANG.directions(turned, *PLACES, PITCH)
+
+    assert np.linalg.norm(seen, axis=-1).min() > 3e-4
+    assert difference.max() < 2e-6
+    assert difference_over_detector(INVERTED_WANG, TRUTH, TRUTH, PLACES, PITCH).max() < 1e-14
+
+
+def test_the_expected_difference_is_the_mean_square_of_differences_drawn(P):
+    places = tuple(np.meshgrid(np.linspace(0, ROWS - 1, 5), np.linspace(0, COLUMNS - 1, 5), indexing="ij"))
+    places = (places[0].ravel(), places[1].ravel())
+
+    drawn = [difference_over_detector(INVERTED_WANG, x, TRUTH, places, PITCH) for x in _drawn(P, 2000, 2)]
+
+    expected = expected_difference(INVERTED_WANG, TRUTH, P, places, PITCH)
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(drawn), axis=0)), expected, rtol=0.08)
