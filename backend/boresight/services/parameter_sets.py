@@ -34,7 +34,9 @@ from boresight.telemetry.sensors import Sensor as SensorDescription
 SCHEMA = "boresight.parameter-set/1"
 USABLE_STATUSES = ("converged", "max_iterations")
 MEANING = ("camera_model", "parameters", "sigma", "covariance")  # what an estimate is
-EVIDENCE = ("method", "variant", "free", "status", "advice", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "inputs")
+EVIDENCE = (
+    "method", "variant", "free", "status", "advice", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "alignment", "inputs",
+)  # fmt: skip
 SUBMITTABLE = ("CANDIDATE", "WITHDRAWN", "SUPERSEDED")
 
 
