@@ -11,7 +11,7 @@ import pytest
 
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, UI_REVISION
-from tests.figures.examined import matching, trust
+from tests.figures.examined import matching, shadow, trust
 
 EVERY_FIGURE = pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())
 LIMIT_BYTES = 500_000
@@ -97,6 +97,7 @@ def long_result(n_frames):
         },
         "trust": trust(dict(zip(names, np.abs(walk[-1]), strict=True)), n_frames),
         "matching": matching(),
+        "shadow": shadow(n_frames, range(100), range(200, 300)),
     }
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from boresight.figures import CHAPTERS
 from boresight.store.sessions import utc_now
-from tests.figures.examined import matching, trust
+from tests.figures.examined import matching, shadow, trust
 
 
 @pytest.fixture
@@ -20,7 +20,13 @@ def examined(house, results):
 
 def examined_result(result, **changes):
     sigma = {name: value or 1.0 for name, value in result["sigma"].items()}
-    return {**result, "trust": {**trust(sigma), **changes}, "matching": matching()}
+    return {
+        **result,
+        "trust": {**trust(sigma), **changes},
+        "matching": matching(),
+        "shadow": shadow(),
+        "evaluation": None,
+    }
 
 
 def figures_of(page):
@@ -68,16 +74,18 @@ def test_a_part_that_could_not_be_made_is_no_data_with_its_reason(house, read, r
 
 def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(house, read, examined):
     text = read(house.visitor("victor").get(f"/runs/{examined[1]}?part=matching"))
-    for words in ("Kept 2\u202f201", "Removed 32", "Added 2\u202f265", "3: the matches rested", "41 doubles"):
+    for words in ("Kept 2 201", "Removed 32", "Added 2 265", "3: the matches rested", "41 doubles"):
         assert words in text
+    assert shadow()["validation"]["summary"]["sentence"] in text
     for phrase in ("neighbouring frame 5", "no catalogue star is near 61", "fewer than three stars matched 2"):
         assert phrase in text
-    assert "Calibration frames available 46.0\u202f% 100.0\u202f%" in text
-    assert "420\u202fµrad" in text
+    assert "valid 398" not in text
+    assert "Calibration frames available 46.0 % 100.0 %" in text
+    assert "420 µrad" in text
 
 
 def test_a_result_from_before_the_examination_says_how_to_have_one(house, read, results):
-    old = {**results["batch"], "trust": None, "matching": None}
+    old = {**results["batch"], "trust": None, "matching": None, "shadow": None}
     run_id = house.add_run("batch", state="SUCCEEDED", result=old)
     victor = house.visitor("victor")
     assert "clone its run and start it again" in read(victor.get(f"/runs/{run_id}?part=trust"))

@@ -15,6 +15,7 @@ from boresight.figures.radial import RADIAL
 from boresight.figures.residual_against import RESIDUAL_AGAINST
 from boresight.figures.residual_map import RESIDUAL_MAP
 from boresight.figures.rms import RMS
+from boresight.figures.shadow import SHADOW
 from boresight.figures.stars import STARS
 from boresight.figures.two_halves import TWO_HALVES
 from boresight.figures.whiteness import WHITENESS
@@ -27,7 +28,9 @@ CHAPTERS: dict[str, tuple[Figure, ...]] = {
         TWO_HALVES, ARC_UNCERTAINTY, EFFICIENCY, MORE_DATA, DROP_ONE, INNOVATIONS, WHITENESS, RESIDUAL_AGAINST,
         RESIDUAL_MAP, STARS,
     ),
-    "matching": (MATCHING,),
+    "matching": (MATCHING, SHADOW),
 }  # fmt: skip
 FIGURES: dict[str, Figure] = {figure.name: figure for chapter in CHAPTERS.values() for figure in chapter}
-WIDE = frozenset({"convergence", "observability", "two-halves", "more-data", "residual-map", "stars", "matching"})
+WIDE = frozenset(
+    {"convergence", "observability", "two-halves", "more-data", "residual-map", "stars", "matching", "shadow"}
+)

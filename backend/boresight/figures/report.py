@@ -21,7 +21,14 @@ from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.chart import Result, Trace
 from boresight.figures.evidence import verdict
 from boresight.figures.matching import why_no_matching
-from boresight.figures.matching_table import flight_rows, flight_tolerance, match_counts, match_facts, reason_tables
+from boresight.figures.matching_table import (
+    flight_rows,
+    flight_tolerance,
+    match_counts,
+    match_facts,
+    reason_tables,
+    side_by_side,
+)
 from boresight.figures.printed_table import HEADINGS, printed_rows
 from boresight.figures.star_table import star_rows, to_flag
 from boresight.figures.theme import LIGHT_TEMPLATE
@@ -97,7 +104,8 @@ def _matched(result: Result) -> dict[str, Any]:
         "match_counts": match_counts(matching) if matching else [],
         "match_facts": match_facts(matching),
         "flight": flight_rows(result),
-        "flight_tolerance": flight_tolerance(matching),
+        "flight_tolerance": flight_tolerance(result),
+        "side_by_side": side_by_side(result),
         "reasons": reason_tables(matching),
         "why_no_matching": why_no_matching(result),
     }

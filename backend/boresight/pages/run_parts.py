@@ -8,9 +8,17 @@ from typing import Any
 
 from boresight.figures import CHAPTERS
 from boresight.figures.evidence import marks
-from boresight.figures.matching import why_no_matching
-from boresight.figures.matching_table import flight_rows, flight_tolerance, match_counts, match_facts, reason_tables
+from boresight.figures.matching import MATCHING, why_no_matching
+from boresight.figures.matching_table import (
+    flight_rows,
+    flight_tolerance,
+    match_counts,
+    match_facts,
+    reason_tables,
+    side_by_side,
+)
 from boresight.figures.numbers import count
+from boresight.figures.shadow import SHADOW, shown
 from boresight.figures.star_table import star_rows, to_flag
 from boresight.figures.trust_marks import prospects, trust_doubts, trust_level, trust_marks
 from boresight.figures.trust_parts import why_absent
@@ -54,7 +62,7 @@ def _standing(part: str, result: Result) -> tuple[str, str]:
 def trust_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the trust part shows; `why_nothing` is said where the run has no result."""
     if not result:
-        return {"marks": [], "said": f"No examination: {why_nothing}"}
+        return {"marks": [], "said": f"No examination: {why_nothing}", "figures": ()}
     examined = bool(result.get("trust"))
     return {
         "marks": trust_marks(result),
@@ -70,16 +78,17 @@ def trust_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
 
 def matching_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the matching part shows."""
-    matching = (result or {}).get("matching")
-    if not result or not matching:
-        return {"counts": [], "said": why_no_matching(result) if result else f"No matching: {why_nothing}"}
+    matching = (result or {}).get("matching") or {}
     return {
-        "counts": match_counts(matching),
+        "counts": match_counts(matching) if matching else [],
+        "said": why_no_matching(result) if result else f"No matching: {why_nothing}",
         "facts": match_facts(matching),
         "reasons": reason_tables(matching),
-        "flight": flight_rows(result),
-        "tolerance": flight_tolerance(matching),
-        "figures": CHAPTERS["matching"],
+        "flight": flight_rows(result or {}),
+        "tolerance": flight_tolerance(result or {}),
+        "side_by_side": side_by_side(result or {}),
+        "cycles": MATCHING if matching else None,
+        "shadow": SHADOW if shown(result or {}) else None,
     }
 
 
