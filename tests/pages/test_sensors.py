@@ -178,13 +178,7 @@ def test_a_sensor_shows_what_its_newest_validated_run_would_change_with_interval
 def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_the_fitted_one(house, read, results):
     result = results["batch"] | {
         "validation": None,
-        "matching": {
-            "flight": {
-                "tolerance_rad": 422e-6,
-                "availability": {"initial": 0.2, "final": 0.98},
-                "matched_stars": {"initial": 300, "final": 4200},
-            }
-        },
+        "evaluation": evaluation(availability={"initial": 0.2, "final": 0.98}),
     }
     visitor = house.visitor("ada")
     visitor.post("/sensors", document=EXAMPLE)
@@ -194,7 +188,7 @@ def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_t
 
     assert "on its calibration set" in panel
     assert "these are the frames it was fitted to" in panel
-    for words in ("20.0", "98.0", "14.00"):
+    for words in ("20.0", "98.0", "5.66"):
         assert words in panel
 
 

@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from boresight.calibration import bootstrap
 from boresight.calibration.flight import FLIGHT_REASONS
 from boresight.calibration.problem import Problem, build_problem, weighed
+from boresight.calibration.rematch import Matches
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import Sighting, sightings
-from boresight.estimation.metrics import arc_errors, rms
+from boresight.estimation.metrics import arc_errors
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -112,7 +113,7 @@ def evaluate_sightings(
         "rms_ratio": value["rms_ratio"],
         "common_pairs": int(columns[:, 7].sum()),
         "stars": common.arcs.n_stars,
-        "match": settings.match,
+        "match": "rematch" if isinstance(final.matches, Matches) else "given",
         "flight_tolerance_rad": final.tolerance_rad,
         "intervals": {
             "availability": _sides(interval, "availability"),
@@ -185,27 +186,3 @@ def _score(
 def _counted(seen: Sighting) -> dict[str, int]:
     """How many frames are not available, by reason."""
     return dict(Counter(reason for reason in seen.frame_reasons() if reason != FLIGHT_REASONS[0]))
-
-
-def evaluate(problem: Problem, x_initial: FloatArray, x_final: FloatArray) -> dict[str, Any]:
-    """Compare two states (n_parameters,) on one problem, as the contract's `validation` object.
-
-    Parameters
-    ----------
-    problem
-        A set with at least one usable exposure; `arcs.phi` need not be filled.
-
-    Returns
-    -------
-    dict with `rms_arc_rad`, `availability`, `matched_star_ratio`, `frames`, `stars`, `common_pairs`.
-    """
-    arcs = weighed(problem.arcs, problem.camera, x_initial)
-    share = arcs.n_frames / problem.frames_in_set
-    return {
-        "rms_arc_rad": {"initial": rms(arcs, x_initial), "final": rms(arcs, x_final)},
-        "availability": {"initial": share, "final": share},
-        "matched_star_ratio": 1.0,
-        "frames": problem.frames_in_set,
-        "stars": arcs.n_stars,
-        "common_pairs": arcs.n_arcs,
-    }

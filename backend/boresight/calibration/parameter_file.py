@@ -1,12 +1,12 @@
 """Parameters from a file: a calibration JSON, or an object of names and values such as a simulation's truth.
 
-==============================================  =============================================
+==============================================  ==========================================================
 document                                        covariance
-==============================================  =============================================
-calibration JSON, `boresight.calibration/1`     its own; 0 for parameters it held fixed
+==============================================  ==========================================================
+calibration JSON, `boresight.calibration/1`     its own; a ground calibration's for parameters it held fixed
 `{"parameters": {"f_m": 0.016, ...}}`           none, unless it has `covariance` as above
 `{"f_m": 0.016, ...}`                           none
-==============================================  =============================================
+==============================================  ==========================================================
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.calibration.rematch import ground_covariance
+from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.formats import read_bytes, text_of
@@ -107,7 +109,7 @@ def _check_names(values: Mapping[str, Any], sensor: Sensor, name: str) -> None:
 
 
 def _covariance(covariance: Any, sensor: Sensor, name: str) -> FloatArray | None:
-    """Spread a document's covariance over all parameters; those not named in it were held fixed."""
+    """Spread a document's covariance over all parameters; those not named in it are known as a ground calibration knows them."""
     if covariance is None:
         return None
     parameters = CAMERA_MODELS[sensor.camera_model].parameter_names
@@ -121,6 +123,6 @@ def _covariance(covariance: Any, sensor: Sensor, name: str) -> FloatArray | None
         return None
     if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
         raise refusal
-    P = np.zeros((len(parameters), len(parameters)))
+    P = ground_covariance(sensor, CalibrationSettings().initial_sigma_scale)
     P[np.ix_(places, places)] = matrix
     return P

@@ -93,7 +93,8 @@ def sightings(
         (n_parameters,) x and (n_parameters, n_parameters) P each, SI: a state and what is known of its error; with P None as
         little as of a ground calibration.
     settings
-        `match`, `minimum_stars`, `flight_tolerance_urad`, and what matching looks at.
+        `match`, `minimum_stars`, `flight_tolerance_urad`, and what matching looks at. The matches of a file that gives
+        directions but names no stars stand in any case.
     cache_folder
         Where lost-in-space identification keeps its tables.
 
@@ -102,7 +103,7 @@ def sightings(
     RefusedInputError
         When rows that name stars can be given no direction at all, see `sky.directions`.
     """
-    if settings.match == "given":
+    if settings.match == "given" or (telemetry.star_id is None and telemetry.ra_rad is not None):
         given = given_matches(telemetry, catalogue)
         return [sighting_of(telemetry, sensor, given, x, settings) for x, _ in states]
     matcher = Rematcher(telemetry, sensor, catalogue, settings, cache_folder)

@@ -70,20 +70,12 @@ def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAf
 
 def judged_on(result: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
     """Return the set that a result is judged on and its scores, in the shape of an evaluation; None where nothing is."""
-    if result.get("validation"):
-        return "validation", result["validation"]
+    for key, whose in (("validation", "validation"), ("evaluation", "calibration")):
+        if result.get(key):
+            return whose, result[key]
     if (result.get("rms_arc_rad") or {}).get("final") is None:
         return None
-    flight = (result.get("matching") or {}).get("flight") or {}
-    stars = flight.get("matched_stars") or {}
-    ratio = stars["final"] / stars["initial"] if stars.get("initial") else None
-    return "calibration", {
-        "rms_arc_rad": result["rms_arc_rad"],
-        "availability": flight.get("availability"),
-        "matched_stars": stars,
-        "matched_star_ratio": ratio,
-        "flight_tolerance_rad": flight.get("tolerance_rad"),
-    }
+    return "calibration", {"rms_arc_rad": result["rms_arc_rad"]}
 
 
 def scores(evaluation: Mapping[str, Any]) -> list[Score]:
