@@ -111,7 +111,7 @@ def test_exposures_whose_stars_lie_on_one_line_are_left_out_and_counted(sensor, 
     line = np.linspace(-0.1, 0.1, len(telemetry))
     telemetry = replace(telemetry, ra_rad=line, dec_rad=np.zeros(len(telemetry)))
 
-    document = calibrate(telemetry, sensor, catalogue, CalibrationSettings())
+    document = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
 
     assert document["status"] == "too_few_stars"
     assert {"what": "exposures", "count": 6, "reason": "all usable stars on one line"} in document["left_out"]

@@ -95,7 +95,8 @@ class MatchedSet:
         n = len(self._parameters.free)
         held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self._settings.initial_sigma_scale**2), np.float64)
         dof = 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures - n
-        return self._at(estimate.x, self._covariance(held * max(1.0, estimate.chi2 / max(dof, 1))))
+        excess = max(1.0, estimate.chi2 / max(dof, 1))
+        return self._at(estimate.x, self._covariance(held * excess), noise=float(np.sqrt(excess)))
 
     def at_covariance(self, x: FloatArray, P: FloatArray) -> Matched:
         """Match with state x, SI, whose free parameters have the covariance P (n_free, n_free) in typical sigmas."""
@@ -112,11 +113,11 @@ class MatchedSet:
         whole[np.ix_(free, free)] = P * np.outer(scale, scale)
         return whole
 
-    def _at(self, x: FloatArray, P: FloatArray, frames: slice = slice(None)) -> Matched:
-        """Match frames of the set under x with covariance P, SI."""
+    def _at(self, x: FloatArray, P: FloatArray, frames: slice = slice(None), noise: float = 1.0) -> Matched:
+        """Match frames of the set under x with covariance P, SI, and centroid errors so many times the stated ones."""
         if self.matcher is None:
             return self._standing
-        matches = self.matcher(x, P, frames)
+        matches = self.matcher(x, P, frames, noise)
         part = rows_of(self.telemetry, self.matcher.rows(frames))
         kept = matches
         if self._settings.match_rule == "flight":

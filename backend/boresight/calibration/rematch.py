@@ -145,8 +145,8 @@ class Rematcher:
         ends = self._row_start[self._frame_start[[k0, k1]]]
         return slice(int(ends[0]), int(ends[1]))
 
-    def __call__(self, x: FloatArray, P: FloatArray, frames: slice = slice(None)) -> Matches:
-        """Match the set, or consecutive frames of it, under parameters x with covariance P, SI."""
+    def __call__(self, x: FloatArray, P: FloatArray, frames: slice = slice(None), noise: float = 1.0) -> Matches:
+        """Match the set, or consecutive frames of it, under parameters x with covariance P, SI, centroid errors times `noise`."""
         k0, k1, _ = frames.indices(self.n_frames)
         e0, e1 = int(self._frame_start[k0]), int(self._frame_start[k1])
         rows, exposures = self.rows(frames), slice(e0, e1)
@@ -156,7 +156,7 @@ class Rematcher:
             row_start=self._row_start[e0 : e1 + 1] - rows.start,
             s=s,
             G=G,
-            sigma_rad=sigma,
+            sigma_rad=noise * sigma,
             star_id=self._given[rows],
             given_s=self._given_s[rows],
             own=self._own[rows],

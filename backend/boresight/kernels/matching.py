@@ -29,6 +29,8 @@ _TELL_APART = 9.0
 _CHANCE = 0.03
 #: Arcs may differ by this much at most while a first set of stars is sought in a wide field, rad.
 _SEARCH_ARC = 3e-3
+#: A star that the file names is believed this much farther out than one that was only found.
+_GIVEN_GATE = 3.0
 _SEARCH_STARS = 4
 _SIBLING_STARS = 3
 _SEARCH_ASSOCIATIONS = 400
@@ -97,7 +99,7 @@ def _arcs_agree(s, G, sigma, i, j, c, k, q, gate, widest):
 
 
 @_jit
-def _disagreements(s, G, sigma, c, use, gate, bad):
+def _disagreements(s, G, sigma, c, use, named, gate, bad):
     """Count in `bad` (n,) with how many of the used others each used star's arc disagrees; c (n, 3) are the stars' directions."""
     n = s.shape[0]
     bad[:n] = 0
@@ -105,13 +107,14 @@ def _disagreements(s, G, sigma, c, use, gate, bad):
         if not use[i]:
             continue
         for j in range(i):
-            if use[j] and not _arcs_agree(s, G, sigma, i, j, c, i, j, gate, np.inf):
+            believed = gate * _GIVEN_GATE if named[i] or named[j] else gate
+            if use[j] and not _arcs_agree(s, G, sigma, i, j, c, i, j, believed, np.inf):
                 bad[i] += 1
                 bad[j] += 1
 
 
 @_jit
-def _verify(s, G, sigma, c, use, gate, bad):
+def _verify(s, G, sigma, c, use, named, gate, bad):
     """Drop stars whose arcs disagree with more than half of the others, the worst first; returns how many stay."""
     n = s.shape[0]
     count = 0
@@ -119,7 +122,7 @@ def _verify(s, G, sigma, c, use, gate, bad):
         if use[i]:
             count += 1
     while count >= 2:
-        _disagreements(s, G, sigma, c, use, gate, bad)
+        _disagreements(s, G, sigma, c, use, named, gate, bad)
         worst = -1
         for i in range(n):
             if use[i] and 2 * bad[i] > count - 1 and (worst < 0 or bad[i] > bad[worst]):
@@ -571,7 +574,7 @@ def _grow(s, T, A, sigma, C, m, c, turned, taken, density, gate, Lambda, eta, us
 
 
 @_jit
-def _prune(s, T, A, sigma, C, c, gate, Lambda, eta, use, reason, tolerance, L, y):
+def _prune(s, T, A, sigma, C, c, named, gate, Lambda, eta, use, reason, tolerance, L, y):
     """Drop stars that the joint fit of all the others rejects, the worst first; c (n, 3) are the stars' directions.
 
     Fills `tolerance` (n,) with the gate about the place that the others predict for each star that stays, rad.
@@ -583,7 +586,7 @@ def _prune(s, T, A, sigma, C, c, gate, Lambda, eta, use, reason, tolerance, L, y
             return False
         _forward(L, eta, d, f0)
         _backward(L, f0, d, y)
-        worst, worst_d2 = -1, gate * gate
+        worst, excess = -1, 1.0
         for i in range(n):
             if not use[i]:
                 continue
@@ -603,8 +606,9 @@ def _prune(s, T, A, sigma, C, c, gate, Lambda, eta, use, reason, tolerance, L, y
             if determinant < 1e-6 * variance * variance or v00 <= 0.0:
                 continue
             d2 = (v11 * r0 * r0 - 2.0 * v01 * r0 * r1 + v00 * r1 * r1) / determinant
-            if d2 > worst_d2:
-                worst, worst_d2 = i, d2
+            believed = gate * _GIVEN_GATE if named[i] else gate
+            if d2 > excess * believed * believed:
+                worst, excess = i, d2 / (believed * believed)
         if worst < 0:
             return True
         _residual(s[worst], T[worst], C, c[worst], r)
@@ -666,6 +670,7 @@ def match_frames(
         widest = max(widest, frame_start[k + 1] - frame_start[k])
     n_stars = hip.shape[0]
     A, T = np.empty((widest, most, 2, d)), np.empty((widest, most, 2, 3))
+    named = np.zeros((widest, most), np.bool_)
     use, bad, chosen = np.zeros((widest, most), np.bool_), np.empty(most, np.int64), np.empty(most, np.int64)
     solved = np.zeros(widest, np.bool_)
     Lambda, eta = np.zeros((widest, d, d)), np.zeros((widest, d))
@@ -685,11 +690,12 @@ def match_frames(
             n = i1 - i0
             for i in range(n):
                 use[q, i] = given[i0 + i] > 0 and not math.isnan(given_s[i0 + i, 0])
+                named[q, i] = use[q, i]
                 direction[i0 + i] = given_s[i0 + i]
                 reason[i0 + i] = NO_ATTITUDE
                 star_id[i0 + i] = given[i0 + i] if use[q, i] else 0
             _rows(s[i0:i1], G[i0:i1], A[q], T[q])
-            if _verify(s[i0:i1], G[i0:i1], sigma[i0:i1], direction[i0:i1], use[q], gate, bad) >= 2:
+            if _verify(s[i0:i1], G[i0:i1], sigma[i0:i1], direction[i0:i1], use[q], named[q], gate, bad) >= 2:
                 solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e])
                 if solved[q]:
                     start[e] = GIVEN
@@ -773,6 +779,7 @@ def match_frames(
                 m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1])
             taken[:m] = False
             for i in range(n):
+                named[q, i] = use[q, i] and star_id[i0 + i] == given[i0 + i]
                 reason[i0 + i] = MATCHED if use[q, i] else NO_STAR
                 if use[q, i]:
                     for j in range(m):
@@ -781,7 +788,7 @@ def match_frames(
                     chosen[i] = -1
             before = use[q].copy()
             _prune(
-                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], gate,
+                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], named[q], gate,
                 total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y,
             )  # fmt: skip
             for i in range(n):
@@ -798,11 +805,11 @@ def match_frames(
                     star_id[i0 + i] = hip[star[chosen[i]]]
                     direction[i0 + i] = c[chosen[i]]
             ok = ok and _prune(
-                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], gate,
+                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], named[q], gate,
                 total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y,
             )  # fmt: skip
             _finish(
-                s[i0:i1], G[i0:i1], A[q], sigma[i0:i1], weight[i0:i1], gate, n + 1 if not ok else 2 if start[e] <=
+                s[i0:i1], G[i0:i1], A[q], sigma[i0:i1], weight[i0:i1], named[q], gate, n + 1 if not ok else 2 if start[e] <=
                 OTHER_EXPOSURE else minimum_stars, use[q], star_id[i0:i1], direction[i0:i1], reason[i0:i1], attitude[e],
                 covariance[e], bad,
             )  # fmt: skip
@@ -834,12 +841,12 @@ def _count(use, n):
 
 @_jit
 def _finish(
-    s, G, A, sigma, weight, gate, fewest, use, star_id, direction, reason, attitude, covariance, bad
+    s, G, A, sigma, weight, named, gate, fewest, use, star_id, direction, reason, attitude, covariance, bad
 ):  # fmt: skip
     """Verify all arcs, solve the attitude with what is left, at least `fewest` stars, and blank what is not matched."""
     n = s.shape[0]
     held = use[:n].copy()
-    count = _verify(s, G, sigma, direction, use, gate, bad)
+    count = _verify(s, G, sigma, direction, use, named, gate, bad)
     for i in range(n):
         if held[i] and not use[i]:
             reason[i] = DISAGREES
