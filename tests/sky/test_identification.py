@@ -1,7 +1,9 @@
 """Lost in space: the attitude is right under wrong parameters, for both parities, or there is none."""
 
+import os
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from boresight.sky import identification
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.identification import field_of_view_deg, identify
 from boresight.telemetry.exposures import exposures_of
+from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.sensors import read_sensor
 
 pytest.importorskip("tetra3rs", reason="the lost-in-space extra is not installed")
 
@@ -71,6 +75,26 @@ def test_an_upright_image_is_recognised_as_one(catalogue, folder):
 
     assert (off[solved == 1] < MOST_OFF_RAD).all()
     assert solved[stars >= 8].mean() > 0.95
+
+
+def test_five_frames_of_the_real_sky_are_recognised_with_a_nominal_lens(folder):
+    beside = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "real-sky"
+    data = Path(os.environ.get("BORESIGHT_REAL_SKY", beside))
+    if not (data / "esa-5-frames.csv").is_file():
+        pytest.skip("the real star fields are not here; BORESIGHT_REAL_SKY says where they are")
+    sensor, telemetry = read_sensor(data / "esa.sensor.json"), read_telemetry(data / "esa-5-frames.csv")
+    camera, x, pitch = CAMERA_MODELS[sensor.camera_model], sensor.initial, sensor.pixel_pitch_m
+    field = field_of_view_deg(camera, x, sensor.rows, sensor.columns, pitch)
+    s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, pitch)
+    ra, dec = telemetry.ra_rad, telemetry.dec_rad
+    s_i = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    starts = np.append(exposures_of(telemetry).start, len(telemetry))
+
+    for rows in map(slice, starts[:-1], starts[1:]):
+        named = np.isfinite(ra[rows])
+        known = wahba(s_d[rows][named], s_i[rows][named], np.full(named.sum(), 1e-4), sensor.parity)
+        q = identify(s_d[rows], telemetry.magnitude[rows], sensor.parity, field, folder)
+        assert np.linalg.norm(rotation_vector(product(q, conjugate(known.quaternion)))) < np.radians(0.05)
 
 
 def random_field(seed, n):
