@@ -44,7 +44,10 @@ class Case:
 def case(telemetry, sensor, catalogue, **settings):
     """Calibrate a set with the matches it has; what the document is written from at the end is the case."""
     chosen = CalibrationSettings(**{"match": "given", **settings})
-    with mock.patch.object(result, "document", wraps=result.document) as written:
+    with (
+        mock.patch.object(result, "document", wraps=result.document) as written,
+        mock.patch("boresight.calibration.calibrate.judge"),  # judged here, part by part
+    ):
         calibrate(telemetry, sensor, catalogue, chosen)
     return Case(*written.call_args.args[:4], telemetry, catalogue)
 

@@ -90,6 +90,15 @@ def test_a_filter_that_forgets_is_told_that_more_data_buys_nothing(sensor, catal
     assert drifting["sigma"]["f_m"][-1] == pytest.approx(drifting["sigma"]["f_m"][-2], rel=1e-3)
 
 
+def test_the_doubt_of_a_prediction_is_the_spread_of_predictions_from_other_sets(sensor, catalogue):
+    parts = [more_data(case(field(2000 + seed, frames=60), sensor, catalogue).ground) for seed in range(30)]
+
+    sigmas = np.log([[sigma[-1] for sigma in part["sigma"].values()] for part in parts])
+    doubt = np.mean([list(part["relative_uncertainty"].values()) for part in parts], axis=0)
+    assert np.mean(doubt / sigmas.std(axis=0)) == pytest.approx(1, abs=0.3)
+    assert "1 sigma" in parts[0]["sentence"]
+
+
 def test_predicted_sigma_of_a_filter_with_process_noise_is_met_by_running_it(sensor, catalogue):
     few, many = (case(field(6, frames=n), sensor, catalogue, method="sqrf", variant="q") for n in (40, 80))
     part = more_data(few.ground)

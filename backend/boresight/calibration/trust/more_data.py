@@ -1,8 +1,14 @@
 """What more data would buy: predicted sigma against further frames of the same kind.
 
-How it follows is told in `estimation.prediction`. "Of the same kind" means as many stars, as well spread, seen as sharply: the mean
-information of the frames that are there. Where a set is short or covers little sky, further frames bring other stars and the
-prediction is only as good as the sample; `benchmarks/more_data.py` checks it by running the frames.
+How it follows is told in `estimation.prediction`. "Of the same kind" means as many stars, as well spread, seen as sharply: the
+mean information of the frames that are there. Where a set is short or covers little sky, further frames bring other stars and
+the prediction is only as good as the sample. How unlike its parts are tells how good: the set is cut into `BLOCKS` runs of
+frames, each is left out in turn, and the jackknife gives the relative uncertainty of the sigma that many further frames would
+leave,
+
+    s^2 = (B - 1) / B  sum_b (ln sigma_b - mean ln sigma)^2,        sigma_b^2 = diag((A - A_b) / (n - n_b))^-1.
+
+`benchmarks/more_data.py` checks the prediction by running the frames.
 """
 
 from __future__ import annotations
@@ -10,10 +16,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from boresight.calibration.trust.ground import Ground, Unavailable, nested
+from boresight.calibration.trust.ground import Ground, Unavailable, frame_arcs, nested
+from boresight.estimation import batch
 from boresight.estimation.prediction import further_covariance
 
+FloatArray = NDArray[np.float64]
+
+#: Share of a sigma that twenty times the data must lower it by, to be worth speaking of.
+LITTLE = 0.3
+#: Parts of the set that are left out in turn.
+BLOCKS = 20
 #: Further frames as shares of those that are there.
 SHARES = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
@@ -29,6 +43,7 @@ def more_data(ground: Ground) -> dict[str, Any]:
     noise, forgetting = 0.0, 1.0
     if ground.settings.sequential:
         noise, forgetting = ground.settings.process_noise, ground.settings.forgetting_factor
+    doubt = _doubt(ground)
     P = [further_covariance(ground.estimate.P, ground.estimate.A / n, k, noise, forgetting) for k in frames]
     sigma = np.sqrt(np.array([np.diag(matrix) for matrix in P]))
     shown = sigma * ground.parameters.scale
@@ -36,17 +51,43 @@ def more_data(ground: Ground) -> dict[str, Any]:
         "frames": n,
         "further_frames": frames,
         "sigma": {name: nested(shown[:, i]) for i, name in enumerate(ground.names)},
-        "sentence": _sentence(ground, frames, sigma),
+        "relative_uncertainty": None if doubt is None else dict(zip(ground.names, nested(doubt), strict=True)),
+        "sentence": _sentence(ground, frames, sigma, doubt),
     }
 
 
-def _sentence(ground: Ground, frames: list[int], sigma: np.ndarray[Any, np.dtype[np.float64]]) -> str:
+def _doubt(ground: Ground) -> FloatArray | None:
+    """Relative uncertainty (n_free,) of the predicted sigmas; None where the blocks are too few or too thin."""
+    n = ground.arcs.n_frames
+    blocks = min(n, BLOCKS)
+    if blocks < 3:
+        return None
+    block = np.arange(n) * blocks // n
+    starts = frame_arcs(ground.arcs)
+    cuts = starts[np.searchsorted(block, np.arange(blocks + 1))]
+    logs = []
+    for b in range(blocks):
+        H = ground.H[cuts[b] : cuts[b + 1]]
+        left = (ground.A - H.T @ H) / (n - np.sum(block == b))
+        if not batch.determined(left)[2].all():
+            return None
+        logs.append(np.log(np.diag(np.linalg.inv(left))) / 2)
+    return np.asarray(np.sqrt((blocks - 1) * np.var(logs, axis=0)))
+
+
+def _sentence(ground: Ground, frames: list[int], sigma: FloatArray, doubt: FloatArray | None) -> str:
     """What twice the data would buy for the parameter that is known least."""
     least = int(np.argmax(sigma[0]))
     double, most = frames.index(ground.arcs.n_frames), len(frames) - 1
     symbol = ground.symbols[least]
     gain = 1 - sigma[:, least] / sigma[0, least]
+    if gain[most] < LITTLE:
+        return (
+            f"A filter that forgets knows what its last frames told it: even {frames[most]} further frames of the same kind would "
+            f"lower the sigma of {symbol} by {gain[most]:.0%} only."
+        )
+    unlike = "" if doubt is None else f"; as its parts are unlike, that may be {doubt[least]:.0%} off (1 sigma)"
     return (
         f"{frames[double]} further frames of the same kind would lower the sigma of {symbol}, the parameter known least "
-        f"beside its typical sigma, by {gain[double]:.0%}, and {frames[most]} by {gain[most]:.0%}."
+        f"beside its typical sigma, by {gain[double]:.0%}, and {frames[most]} by {gain[most]:.0%}{unlike}."
     )

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable
 from boresight.calibration.trust.residuals import Sightings, sightings
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.doubles import FAINTER_MAG, phrases, star_flags
+from boresight.sky.doubles import phrases, star_flags
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -174,21 +174,24 @@ def _entry(table: StarTable, i: int, said: list[str]) -> dict[str, Any]:
 
 
 def _said_of(ground: Ground, star_id: IntArray, pixel_rad: FloatArray) -> list[list[str]]:
-    """What the catalogue says against each star's place, in phrases; its stars too faint to disturb these are not looked at."""
+    """What the catalogue says against each star's place, in phrases."""
     if ground.catalogue is None or not len(star_id):
         return [[] for _ in star_id]
-    index = ground.catalogue.index_of(star_id)
-    known = index[index >= 0]
-    faintest = ground.catalogue.magnitude[known].max(initial=-np.inf) + FAINTER_MAG
-    near = _brighter_than(ground.catalogue, faintest)
-    flags = star_flags(near, BLEND_PX * float(np.median(pixel_rad)))
-    place = near.index_of(star_id)
+    blend_rad = BLEND_PX * float(np.median(pixel_rad))
+    near = _near(ground.catalogue, star_id, blend_rad)
+    flags, place = star_flags(near, blend_rad), near.index_of(star_id)
     return [phrases(int(flags[at])) if at >= 0 else ["not in the catalogue"] for at in place]
 
 
-def _brighter_than(catalogue: Catalogue, magnitude: float) -> Catalogue:
-    """The catalogue's stars down to a magnitude."""
-    kept = catalogue.magnitude <= magnitude
+def _near(catalogue: Catalogue, star_id: IntArray, within_rad: float) -> Catalogue:
+    """The catalogue's stars that differ in declination by no more than this from one of some stars."""
+    index = catalogue.index_of(star_id)
+    dec = catalogue.dec_rad[index[index >= 0]]
+    order = np.argsort(catalogue.dec_rad)
+    edges = np.zeros(len(order) + 1, np.int64)
+    np.add.at(edges, np.searchsorted(catalogue.dec_rad[order], dec - within_rad), 1)
+    np.add.at(edges, np.searchsorted(catalogue.dec_rad[order], dec + within_rad), -1)
+    kept = np.sort(order[np.cumsum(edges)[:-1] > 0])
     return Catalogue(**{key: values[kept] for key, values in vars(catalogue).items()})
 
 
