@@ -20,7 +20,7 @@ from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.rotations import quaternion_of
 from boresight.sky import identification, matching
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.doubles import star_flags
+from boresight.sky.doubles import FAINTER_MAG, star_flags
 from boresight.sky.guide_stars import guide_stars, observer_motion
 from boresight.telemetry.exposures import exposures_of
 from boresight.telemetry.schema import Telemetry
@@ -115,7 +115,6 @@ class Rematcher:
     ) -> None:
         self._telemetry, self._sensor, self._settings = telemetry, sensor, settings
         self._cache_folder = cache_folder
-        self._catalogue = catalogue
         self._exposures = exposures_of(telemetry)
         frame_first = np.unique(self._exposures.frame, return_index=True)[1]
         self._frame_start = np.append(frame_first, len(self._exposures)).astype(np.int64)
@@ -132,7 +131,9 @@ class Rematcher:
         blend_rad = BLEND_PX * prepared.pixel_rad(sensor, sensor.initial)
         limit = prepared.magnitude_limit(telemetry, sensor, catalogue, self._given)
         self._stars = guide_stars(catalogue, limit, blend_rad)
-        self._flags = star_flags(catalogue, blend_rad)
+        # a companion beyond the catalogue's cut here would be too faint to matter
+        self._flagged = catalogue.brighter_than(limit + FAINTER_MAG)
+        self._flags = star_flags(self._flagged, blend_rad)
 
     @property
     def n_frames(self) -> int:
@@ -185,7 +186,7 @@ class Rematcher:
 
     def _matches(self, answer: matching.Association, detections: matching.Detections, exposures: slice) -> Matches:
         """Flag the matched stars, leave out the flagged ones where asked, and name exposures and frames."""
-        index = self._catalogue.index_of(answer.star_id)
+        index = self._flagged.index_of(answer.star_id)
         flags = np.where((answer.star_id > 0) & (index >= 0), self._flags[index], 0).astype(np.int8)
         left_out = (flags > 0) & self._settings.leave_out_doubles
         return Matches(

@@ -69,6 +69,11 @@ class Catalogue:
         """Count the stars."""
         return len(self.hip)
 
+    def brighter_than(self, magnitude: float) -> Catalogue:
+        """Return the stars not fainter than a magnitude, Hp."""
+        bright = self.magnitude <= magnitude
+        return Catalogue(**{field.name: getattr(self, field.name)[bright] for field in fields(self)})
+
     def index_of(self, hip: IntArray) -> IntArray:
         """Find stars by number.
 
