@@ -77,10 +77,10 @@ def test_matches_are_counted_and_reasons_ordered(sequential_result):
 def test_intervals_stand_beside_what_they_belong_to(sequential_result):
     intervals = {"availability": {"initial": [0.35, 0.57], "final": [0.96, 1.0]}, "matched_star_ratio": [2.5, 2.9]}
     with_them = sequential_result | {"validation": sequential_result["validation"] | {"intervals": intervals}}
-    rows = {row.name: row for row in flight_rows(with_them)}
-    assert rows["Validation frames available"].initial == "46.0\u202f% (35.0 to 57.0)"
-    assert rows["Validation matched star ratio"].final == "2.70 (2.50 to 2.90)"
-    assert rows["Calibration matched star ratio"].final == "2.70"
+    rows = {(row.whose, row.name): row for row in flight_rows(with_them)}
+    assert rows["Validation set", "Frames available"].initial == "46.0\u202f% (35.0 to 57.0)"
+    assert rows["Validation set", "Matched star ratio"].final == "2.70 (2.50 to 2.90)"
+    assert rows["Calibration set", "Matched star ratio"].final == "2.70"
 
 
 def test_the_report_prints_trust_and_matching_with_their_tables(sequential_result):

@@ -80,7 +80,7 @@ def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(
     for phrase in ("neighbouring frame 5", "no catalogue star is near 61", "fewer than three stars matched 2"):
         assert phrase in text
     assert "valid 398" not in text
-    assert "Calibration frames available 46.0 % 100.0 %" in text
+    assert "Frames available 46.0 % 100.0 %" in text
     assert "420 µrad" in text
 
 

@@ -38,7 +38,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     many = len(drawn) > 1
     theme.dress(figure, title=_headline(drawn), height_px=440, legend=many, hovermode="closest", barmode="group")
     figure.update_traces(showlegend=False, row=2, col=1)
-    figure.update_yaxes(type="log", exponentformat="power", minexponent=3)
+    figure.update_yaxes(type="log", dtick=1, exponentformat="power", minexponent=3)
     figure.update_yaxes(title_text="χ² rises by", range=_window(figure, 0), row=1, col=1)
     figure.update_yaxes(title_text="others move (σ)", range=_window(figure, 1), row=2, col=1)
     figure.update_xaxes(showgrid=False)

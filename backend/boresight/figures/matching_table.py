@@ -39,8 +39,9 @@ class Reasons:
 
 @dataclass(frozen=True)
 class FlightRow:
-    """One measure before and after, each with its 95 % interval where there is one."""
+    """One measure of a set before and after, each with its 95 % interval where there is one."""
 
+    whose: str
     name: str
     initial: str
     final: str
@@ -80,7 +81,10 @@ def reason_tables(matching: Mapping[str, Any]) -> list[Reasons]:
 
 def flight_rows(result: Result) -> list[FlightRow]:
     """List availability, matched stars and error before and after, of the calibration and of the validation set."""
-    rows = [*_flight_rows("Calibration", _scores(result)), *_flight_rows("Validation", result.get("validation") or {})]
+    rows = [
+        *_flight_rows("Calibration set", _scores(result)),
+        *_flight_rows("Validation set", result.get("validation") or {}),
+    ]
     return [row for row in rows if (row.initial, row.final) != (MISSING, MISSING)]
 
 
@@ -97,10 +101,10 @@ def _flight_rows(whose: str, measured: Mapping[str, Any]) -> list[FlightRow]:
     if ratio is None and stars.get("initial"):
         ratio = (stars.get("final") or 0) / stars["initial"]
     return [
-        FlightRow(f"{whose} frames available", *(_share(available.get(k), reach.get(k)) for k in ENDS)),
-        FlightRow(f"{whose} stars matched", *(count(stars.get(k)) for k in ENDS)),
-        FlightRow(f"{whose} matched star ratio", MISSING, _ratio(ratio, intervals.get("matched_star_ratio"))),
-        FlightRow(f"{whose} RMS arc (µrad)", *(_error(rms.get(k), rms_reach.get(k)) for k in ENDS)),
+        FlightRow(whose, "Frames available", *(_share(available.get(k), reach.get(k)) for k in ENDS)),
+        FlightRow(whose, "Stars matched", *(count(stars.get(k)) for k in ENDS)),
+        FlightRow(whose, "Matched star ratio", MISSING, _ratio(ratio, intervals.get("matched_star_ratio"))),
+        FlightRow(whose, "RMS arc (µrad)", *(_error(rms.get(k), rms_reach.get(k)) for k in ENDS)),
     ]
 
 

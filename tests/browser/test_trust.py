@@ -1,0 +1,110 @@
+"""The trust and matching parts of a run's page in a real browser: what is drawn, sorted and copied is the result's own."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+
+from boresight.figures import CHAPTERS
+from tests.browser.window import NARROW, WIDE
+
+pytestmark = pytest.mark.browser
+
+SINGLE = 1e-6  # figures travel in single precision
+
+
+def open_part(window, run_id, part):
+    """Go to a part by its tab."""
+    window.open(f"/runs/{run_id}")
+    window.page.get_by_role("navigation", name="Parts of this run").get_by_role("link", name=part).click()
+    window.page.wait_for_url(f"**/runs/{run_id}?part={part.lower()}")
+
+
+@pytest.fixture(scope="module")
+def result(people, batch_run):
+    with people.seat("analyst") as window:
+        return window.result(batch_run)
+
+
+@pytest.mark.parametrize("part", ["Trust", "Matching"])
+def test_a_part_keeps_nobody_out_and_fits_its_window(people, batch_run, part):
+    with people.seat("analyst") as window:
+        open_part(window, batch_run, part)
+        window.figures_drawn()
+        for theme in ("dark", "light"):
+            window.use_theme(theme)
+            for size in (NARROW, WIDE):
+                window.page.set_viewport_size(size)
+                window.fits()
+                window.keep(f"page-run-{part.lower()}-{theme}-{size['width']}")
+            assert window.barriers() == [], theme
+        window.use_theme("dark")
+
+
+def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
+    with people.seat("analyst") as window:
+        window.page.route("**/figures/*", lambda route: None)  # no figure ever arrives
+        window.open(f"/runs/{batch_run}?part=trust")
+        expect(window.page.get_by_role("heading", name="Examination")).to_be_visible()
+        expect(window.page.get_by_role("table", name="Residuals of each star")).to_be_visible()
+        window.page.unroute_all(behavior="ignoreErrors")
+
+
+def test_figures_far_below_are_drawn_without_being_scrolled_to(people, batch_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{batch_run}?part=trust")
+        window.figures_drawn()
+        assert window.page.evaluate("scrollY") == 0
+        for figure in CHAPTERS["trust"]:
+            expect(window.figure(figure.name)).to_have_count(1)
+
+
+def test_the_charts_hold_the_numbers_of_the_result(people, batch_run, result):
+    with people.seat("analyst") as window:
+        trust = result["trust"]
+        open_part(window, batch_run, "Trust")
+        map_drawn, bars = window.drawn("two-halves")
+        assert bars["y"] == pytest.approx(trust["two_halves"]["difference_in_sigma"], rel=SINGLE)
+        assert np.array(map_drawn["z"], dtype=float) == pytest.approx(
+            np.array(trust["two_halves"]["map"]["difference_arcsec"], dtype=float), rel=SINGLE, nan_ok=True
+        )
+        (ratios,) = window.drawn("efficiency")
+        assert ratios["y"] == pytest.approx(list(trust["efficiency"]["ratio"].values()), rel=SINGLE)
+        (correlations,) = window.drawn("whiteness")
+        assert correlations["y"] == pytest.approx(trust["whiteness"]["autocorrelation"], rel=SINGLE, abs=SINGLE)
+
+
+def test_a_heading_sorts_the_stars_and_a_second_press_turns_them_round(people, batch_run, result):
+    with people.seat("analyst") as window:
+        open_part(window, batch_run, "Trust")
+        table = window.page.get_by_role("table", name="Residuals of each star")
+        heading = table.get_by_role("columnheader", name="Sightings")
+        seen = [star["sightings"] for star in result["trust"]["stars"]]
+        for direction, expected in (("descending", sorted(seen, reverse=True)), ("ascending", sorted(seen))):
+            heading.get_by_role("button").click()
+            expect(heading).to_have_attribute("aria-sort", direction)
+            cells = table.locator("tbody tr td:nth-child(3)").all_inner_texts()
+            assert [int(re.sub(r"\D", "", cell)) for cell in cells] == expected
+
+
+def test_every_suspect_is_marked_and_they_are_the_list_to_flag(people, batch_run, result):
+    with people.seat("analyst") as window:
+        open_part(window, batch_run, "Trust")
+        suspects = [str(star) for star in result["trust"]["suspects"]]
+        table = window.page.get_by_role("table", name="Residuals of each star")
+        marked = table.get_by_role("row").filter(has=window.page.locator(".status-caution"))
+        assert sorted(marked.locator("th").all_inner_texts()) == sorted(suspects)
+        expect(window.page.get_by_role("button", name="Copy the stars to flag")).to_have_count(1 if suspects else 0)
+
+
+def test_the_matching_part_counts_what_the_result_counts(people, batch_run, result):
+    with people.seat("analyst") as window:
+        matching = result["matching"]
+        open_part(window, batch_run, "Matching")
+        for name in ("Given", "Kept", "Removed", "Added", "Matched"):
+            told = window.page.locator(f"#matches dl.verdict dt:text-is('{name}') + dd b").inner_text()
+            assert int(re.sub(r"\D", "", told)) == matching[name.lower()]
+        assert window.drawn("matching")[0]["y"] == [cycle["matched"] for cycle in matching["cycles"]]
