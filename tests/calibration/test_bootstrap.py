@@ -51,6 +51,15 @@ def test_independent_frames_are_drawn_one_by_one_and_alike_ones_in_runs():
     assert 5 < lengths[1] < 40
 
 
+def test_long_sets_are_drawn_in_longer_blocks_and_their_spread_stays():
+    rng = np.random.default_rng(10)
+    values = rng.normal(size=(20_000, 1))
+
+    sums = bootstrap.resampled_sums(np.column_stack([values, np.ones(20_000)]), 1, rng, 2000)
+
+    assert (sums[:, 0] / sums[:, 1]).std() == pytest.approx(values.std() / np.sqrt(20_000), rel=0.08)
+
+
 @given(n=st.integers(1, 60), length=st.integers(1, 20), seed=st.integers(0, 1000))
 def test_resampled_sums_are_sums_of_whole_blocks(n, length, seed):
     length = min(n, length)

@@ -72,9 +72,10 @@ class Sighting:
         """Why each frame is not available, (n_frames,) phrases, `valid` where it is: of the exposure that came farthest."""
         _, first = np.unique(self.matches.frame, return_index=True)
         last = np.append(first[1:], len(self.matches.frame))
-        farthest = [a + int(np.argmax(self.view.reason[a:b])) for a, b in zip(first, last, strict=True)]
-        available = self.view.valid_frames
-        return [FLIGHT_REASONS[0] if ok else self.exposure_reason(k) for ok, k in zip(available, farthest, strict=True)]
+        phrases = [FLIGHT_REASONS[0]] * len(first)
+        for k in np.flatnonzero(~self.view.valid_frames):
+            phrases[k] = self.exposure_reason(first[k] + int(np.argmax(self.view.reason[first[k] : last[k]])))
+        return phrases
 
 
 def sightings(
