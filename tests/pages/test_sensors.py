@@ -166,7 +166,7 @@ def test_a_sensor_shows_what_its_newest_validated_run_would_change_with_interval
         "100.0",
         "95.4 to 100.0",
         "5.66",
-        "4.21 to –",
+        "over 4.21",
         "632.5",
         "83.8",
         "81.2 to 86.5",

@@ -109,7 +109,9 @@ def _number(value: Any, factor: float, decimals: int) -> str:
 
 
 def _interval(ends: Sequence[Any] | None, factor: float, decimals: int) -> str:
-    """Print an interval; nothing where none is known, a dash for an end that is not."""
-    if not ends or not any(is_number(end) for end in ends):
+    """Print an interval; nothing where none is known, one end where the other is not."""
+    if not ends or not is_number(ends[0]):
         return ""
+    if not is_number(ends[1]):
+        return f"over {_number(ends[0], factor, decimals)}"
     return f"{NARROW_SPACE}to{NARROW_SPACE}".join(_number(end, factor, decimals) for end in ends)
