@@ -14,10 +14,11 @@ from boresight.errors import CancelledError, RefusedInputError
 MARKS = "BORESIGHT_TEST_MARKS"
 
 
-def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report=None, cancelled=None, cache_folder=None):
+def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report=None, cancelled=None, cache_folder):
     """Do what the sensor's name says."""
     assert len(telemetry) > 0
     assert len(catalogue.hip) > 0
+    assert cache_folder.is_dir()
     mark(sensor.name)
     BEHAVIOURS[sensor.name.split("-")[0]](report, cancelled)
     return {

@@ -45,6 +45,7 @@ def advice(
         *_of_shift(problem, parameters, estimate),
         *_of_weak_directions(observed, estimate),
         *_of_consistency(fit, nis, problem, settings, estimate),
+        *estimate.remarks,
         *_of_data(problem),
     ]
 
@@ -92,7 +93,12 @@ def _of_consistency(
     if estimate.status == "diverged":
         return
     implied = float(np.median(problem.arcs.sigma_px)) * np.sqrt(fit.mean)
-    if fit.mean > fit.upper:
+    if fit.mean > fit.upper and estimate.robust is not None:
+        yield (
+            f"The residuals are larger than the stated centroid noise explains (chi-square {fit.mean:.4g} per degree of "
+            f"freedom, at most {fit.upper:.4g} expected); the sigmas hold the scale that the robust fit measured."
+        )
+    elif fit.mean > fit.upper:
         yield (
             f"The residuals are larger than the stated centroid noise explains (chi-square {fit.mean:.4g} per degree of "
             f"freedom, at most {fit.upper:.4g} expected): the sigmas are about {np.sqrt(fit.mean) - 1:.1%} too small; a "

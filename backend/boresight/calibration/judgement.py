@@ -59,6 +59,8 @@ def judge(
     problem, matched = ended.matched.problem, ended.matched.telemetry
     document["trust"] = trust_view(problem, parameters, settings, estimate, matched, sets.catalogue)
     document["advice"] += trust_advice(document["trust"])
+    if document["robust"] is not None:
+        document["advice"].append(document["robust"]["sentence"])
 
 
 def validate(

@@ -20,6 +20,7 @@ from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.rotations import quaternion_of
 from boresight.sky import identification, matching
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.detections import Detections
 from boresight.sky.doubles import FAINTER_MAG, star_flags
 from boresight.sky.guide_stars import guide_stars, observer_motion
 from boresight.telemetry.exposures import exposures_of
@@ -152,7 +153,7 @@ class Rematcher:
         e0, e1 = int(self._frame_start[k0]), int(self._frame_start[k1])
         rows, exposures = self.rows(frames), slice(e0, e1)
         s, G, sigma = prepared.measured_directions(self._telemetry, rows, self._sensor, x, P)
-        detections = matching.Detections(
+        detections = Detections(
             frame_start=self._frame_start[k0 : k1 + 1] - e0,
             row_start=self._row_start[e0 : e1 + 1] - rows.start,
             s=s,
@@ -171,7 +172,7 @@ class Rematcher:
         )  # fmt: skip
         return self._matches(answer, detections, exposures)
 
-    def _identifier(self, detections: matching.Detections, x: FloatArray, rows: slice) -> matching.Identify:
+    def _identifier(self, detections: Detections, x: FloatArray, rows: slice) -> matching.Identify:
         """Lost-in-space identification of one exposure of these detections, which are in the triad already."""
         magnitude = None if self._telemetry.magnitude is None else self._telemetry.magnitude[rows]
         sensor, camera = self._sensor, CAMERA_MODELS[self._sensor.camera_model]
@@ -184,7 +185,7 @@ class Rematcher:
 
         return identify
 
-    def _matches(self, answer: matching.Association, detections: matching.Detections, exposures: slice) -> Matches:
+    def _matches(self, answer: matching.Association, detections: Detections, exposures: slice) -> Matches:
         """Flag the matched stars, leave out the flagged ones where asked, and name exposures and frames."""
         index = self._flagged.index_of(answer.star_id)
         flags = np.where((answer.star_id > 0) & (index >= 0), self._flags[index], 0).astype(np.int8)

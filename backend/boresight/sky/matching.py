@@ -40,10 +40,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from boresight.kernels import matching as loops
+from boresight.sky.detections import Detections
 from boresight.sky.guide_stars import GuideStars, ObserverMotion
+from boresight.sky.neighbours import carried_on
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -78,76 +80,9 @@ QUATERNION, NEIGHBOUR, LOST = (STARTS.index(name) for name in ("quaternion", "ne
 
 #: How far the first stars are sought from where a start says, rad: under a ground calibration the boresight may be off by degrees.
 START_RADIUS = {QUATERNION: 0.06, NEIGHBOUR: 0.06, LOST: 0.03}
-#: Frames are carried on from neighbours at most so many sample periods away.
-FARTHEST_NEIGHBOUR = 4
 NEIGHBOUR_ROUNDS = 8
 
 Identify = Callable[[int], FloatArray | None]
-
-
-@dataclass(frozen=True)
-class Detections:
-    """Detections of a set in the right-handed triad of D, exposure after exposure.
-
-    Parameters
-    ----------
-    frame_start
-        (n_frames + 1,) first exposure of each frame.
-    row_start
-        (n_exposures + 1,) first detection of each exposure.
-    s
-        (n_rows, 3) measured directions under the parameters matched with.
-    G
-        (n_rows, 3, p) their derivative times the square root of the parameters' covariance, ds/dx P^(1/2).
-    sigma_rad
-        (n_rows,) isotropic direction error.
-    star_id
-        (n_rows,) given Hipparcos numbers, 0 = none.
-    given_s
-        (n_rows, 3) apparent directions of the given stars, ICRS, NaN where there is none.
-    own
-        (n_rows,) True where that direction is the file's own and not the catalogue's.
-    quaternion
-        (n_exposures, 4) attitude given in the file, x y z w, ICRS to the triad; NaN where there is none.
-    time_s
-        (n_frames,) time of each frame, seconds from any epoch; NaN where unknown.
-    """
-
-    frame_start: IntArray
-    row_start: IntArray
-    s: FloatArray
-    G: FloatArray
-    sigma_rad: FloatArray
-    star_id: IntArray
-    given_s: FloatArray
-    own: NDArray[np.bool_]
-    quaternion: FloatArray
-    time_s: FloatArray
-
-    @property
-    def n_exposures(self) -> int:
-        """Number of exposures."""
-        return len(self.row_start) - 1
-
-    def frames(self, chosen: IntArray) -> tuple[Detections, IntArray, IntArray]:
-        """Return some frames as a set of their own, with the places of its rows and exposures in this one."""
-        if len(chosen) == len(self.frame_start) - 1:
-            return self, np.arange(len(self.star_id)), np.arange(self.n_exposures)
-        exposures = _ranges(self.frame_start, chosen)
-        rows = _ranges(self.row_start, exposures)
-        part = Detections(
-            frame_start=np.append(0, np.cumsum(np.diff(self.frame_start)[chosen])),
-            row_start=np.append(0, np.cumsum(np.diff(self.row_start)[exposures])),
-            s=self.s[rows],
-            G=self.G[rows],
-            sigma_rad=self.sigma_rad[rows],
-            star_id=self.star_id[rows],
-            given_s=self.given_s[rows],
-            own=self.own[rows],
-            quaternion=self.quaternion[exposures],
-            time_s=self.time_s[chosen],
-        )
-        return part, rows, exposures
 
 
 @dataclass(frozen=True)
@@ -182,13 +117,6 @@ class Association:
     reason: NDArray[np.int8]
     C: FloatArray
     covariance: FloatArray
-
-
-def _ranges(start: IntArray, chosen: IntArray) -> IntArray:
-    """All places start[k] to start[k + 1] of the chosen k, one after another."""
-    counts = np.diff(start)[chosen]
-    offsets = np.repeat(start[chosen] - np.append(0, np.cumsum(counts))[:-1], counts)
-    return np.asarray(np.arange(counts.sum()) + offsets, np.int64)
 
 
 def match(
@@ -302,49 +230,14 @@ def _fill_from_neighbours(run: _Matcher) -> None:
         lost = run.unsolved()
         if not len(lost) or len(lost) == len(run.detections.time_s):
             return
-        hint = np.full((run.detections.n_exposures, 4), np.nan)
-        hinted = _carried_on(run, lost, hint)
+        hint, hinted = carried_on(
+            run.detections.frame_start, run.detections.time_s, run.answer.reason == 0, run.answer.C, lost
+        )
         if not len(hinted):
             return
         run(hinted, hint, np.where(np.isnan(hint[:, 0]), 0, NEIGHBOUR))
         if len(run.unsolved()) == len(lost):
             return
-
-
-def _carried_on(run: _Matcher, lost: IntArray, hint: FloatArray) -> IntArray:
-    """Fill hints of lost frames from the two nearest solved frames, between or beyond them; returns the frames hinted."""
-    frame_start, time_s = run.detections.frame_start, run.detections.time_s
-    valid = run.answer.reason == 0
-    frame = np.repeat(np.arange(len(frame_start) - 1), np.diff(frame_start))
-    solved, place_of = np.unique(frame[valid], return_index=True)
-    first_valid = np.zeros(len(frame_start) - 1, np.int64)
-    first_valid[solved] = np.flatnonzero(valid)[place_of]
-    solved = solved[np.isfinite(time_s[solved])]
-    if len(solved) < 2:
-        return np.empty(0, np.int64)
-    period = np.nanmedian(np.diff(time_s)) if len(time_s) > 1 else np.nan
-    hinted = []
-    for k in lost:
-        place = int(np.clip(np.searchsorted(solved, k), 1, len(solved) - 1))
-        pair = solved[place - 1 : place + 1]
-        if np.abs(time_s[pair] - time_s[k]).min() > FARTHEST_NEIGHBOUR * period or not np.isfinite(time_s[k]):
-            continue
-        turned = _constant_rate(time_s[pair], run.answer.C[first_valid[pair]], float(time_s[k]))
-        if turned is not None:
-            hint[frame_start[k] : frame_start[k + 1]] = turned
-            hinted.append(k)
-    return np.array(hinted, np.int64)
-
-
-def _constant_rate(t: FloatArray, C: FloatArray, at: float) -> FloatArray | None:
-    """Attitude at a time, on the turn at constant rate through two attitudes (2, 3, 3); beyond them too."""
-    if not t[1] > t[0]:
-        return None
-    turn = Rotation.from_matrix(C[1] @ C[0].T).as_rotvec()
-    share = (at - t[0]) / (t[1] - t[0])
-    if 0 <= share <= 1:
-        return np.asarray(Slerp([0.0, 1.0], Rotation.from_matrix(C))(share).as_quat())
-    return np.asarray((Rotation.from_rotvec(share * turn) * Rotation.from_matrix(C[0])).as_quat())
 
 
 def _identify(run: _Matcher, lost: IntArray, identify: Identify) -> None:
