@@ -10,9 +10,11 @@ from playwright.sync_api import expect
 
 from boresight.figures import CHAPTERS
 from tests.browser.window import NARROW, WIDE
+from tests.browser.work import choose_filter, ends_as, queue
 
 pytestmark = pytest.mark.browser
 
+FRAMES_PER_S = 40.0
 SINGLE = 1e-6  # figures travel in single precision
 
 
@@ -46,7 +48,7 @@ def test_a_part_keeps_nobody_out_and_fits_its_window(people, batch_run, part):
 
 def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
     with people.seat("analyst") as window:
-        window.page.route("**/figures/*", lambda route: None)  # no figure ever arrives
+        window.page.route("**/figures/*", lambda _: None)  # no figure ever arrives
         window.open(f"/runs/{batch_run}?part=trust")
         expect(window.page.get_by_role("heading", name="Examination")).to_be_visible()
         expect(window.page.get_by_role("table", name="Residuals of each star")).to_be_visible()
@@ -108,3 +110,18 @@ def test_the_matching_part_counts_what_the_result_counts(people, batch_run, resu
             told = window.page.locator(f"#matches dl.verdict dt:text-is('{name}') + dd b").inner_text()
             assert int(re.sub(r"\D", "", told)) == matching[name.lower()]
         assert window.drawn("matching")[0]["y"] == [cycle["matched"] for cycle in matching["cycles"]]
+
+
+def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/new?clone={batch_run}")
+        choose_filter(window, FRAMES_PER_S)
+        run_id = queue(window, "Watched for its trust")
+        open_part(window, run_id, "Trust")
+        examination = window.page.locator("#examination")
+        expect(examination).to_contain_text("run ends")
+        ends_as(window, "SUCCEEDED")
+        expect(examination.locator("plot-figure")).to_have_count(len(CHAPTERS["trust"]))
+        window.figures_drawn()
+        assert len(window.drawn("efficiency")[0]["y"]) == len(window.result(run_id)["free"])
+        expect(window.page.locator("#parts")).to_contain_text("doubt")
