@@ -86,7 +86,11 @@ def _sentence(ground: Ground, frames: list[int], sigma: FloatArray, doubt: Float
             f"A filter that forgets knows what its last frames told it: even {frames[most]} further frames of the same kind would "
             f"lower the sigma of {symbol} by {gain[most]:.0%} only."
         )
-    unlike = "" if doubt is None else f"; as its parts are unlike, that may be {doubt[least]:.0%} off (1 sigma)"
+    unlike = (
+        ""
+        if doubt is None
+        else f"; judged by how unlike its parts are, that sigma is uncertain by {doubt[least]:.0%} (1 sigma)"
+    )
     return (
         f"{frames[double]} further frames of the same kind would lower the sigma of {symbol}, the parameter known least "
         f"beside its typical sigma, by {gain[double]:.0%}, and {frames[most]} by {gain[most]:.0%}{unlike}."
