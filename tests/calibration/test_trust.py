@@ -120,3 +120,25 @@ def test_five_real_frames_of_an_upright_image_are_judged(catalogue):
     assert 0.1 < trust["residuals"]["rms_px"] < 0.2
     assert trust["stars_in_all"] > 500
     assert trust["efficiency"]["overall_ratio"] == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("settings", "size"),
+    [
+        ({}, {"frames": 1, "stars": 4}),
+        ({}, {"frames": 1, "stars": 5, "exposures": 1}),
+        ({}, {"frames": 2, "stars": 5}),
+        ({}, {"frames": 20, "stars": 4, "exposures": 1}),
+        ({"method": "sqrf"}, {"frames": 2, "stars": 5}),
+        ({"method": "ekf", "variant": "q"}, {"frames": 1, "stars": 8}),
+        ({"method": "ukf", "forgetting_factor": 0.9}, {"frames": 25, "stars": 6}),
+        ({"robust": "huber"}, {"frames": 4, "stars": 6}),
+        ({"error": "cosine"}, {"frames": 4, "stars": 6}),
+    ],
+    ids=str,
+)
+def test_the_thinnest_sets_have_every_part_or_its_reason(settings, size, sensor, catalogue):
+    trust = case(field(2, **size), sensor, catalogue, **settings).trust
+
+    assert {part for part in PARTS if trust[part] is None} == {name for name in trust["unavailable"] if "." not in name}
+    json.dumps(trust, allow_nan=False)

@@ -87,9 +87,7 @@ def _sentence(ground: Ground, frames: list[int], sigma: FloatArray, doubt: Float
             f"lower the sigma of {symbol} by {gain[most]:.0%} only."
         )
     unlike = (
-        ""
-        if doubt is None
-        else f"; judged by how unlike its parts are, that sigma is uncertain by {doubt[least]:.0%} (1 sigma)"
+        "" if doubt is None else f"; judged by how unlike its parts are, it may be {doubt[least]:.0%} off (1 sigma)"
     )
     return (
         f"{frames[double]} further frames of the same kind would lower the sigma of {symbol}, the parameter known least "
