@@ -21,6 +21,7 @@ PANELS = (
     ("changed", "changed matches", 1.0),
     ("rms_arc_rad", "RMS arc (µrad)", 1e6),
 )
+LEAST_CYCLES = 3  # the axis has room for so many, that one alone is no wall
 GIVEN = "This run used the matches it was given: nothing was matched again."
 NOT_YET = "Matching is reported when the run ends; it is not there yet."
 NO_CYCLES = "This run matched its stars without cycles."
@@ -37,10 +38,11 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         for style, cycles in drawn:
             values = factor * column([cycle.get(key) for cycle in cycles])
             figure.add_trace(_bars(style, cycles, values, labelled=len(drawn) == 1), row=1, col=place)
-    many = len(drawn) > 1
+    many, most = len(drawn) > 1, max(len(cycles) for _, cycles in drawn)
+    room = [0.4, max(most, LEAST_CYCLES) + 0.6]
     theme.dress(figure, title=_headline(traces), height_px=340, legend=many, hovermode="closest", barmode="group")
     for place, (_, title, _) in enumerate(PANELS, start=1):
-        figure.update_xaxes(title_text="cycle", dtick=1, showgrid=False, row=1, col=place)
+        figure.update_xaxes(title_text="cycle", dtick=1, range=room, showgrid=False, row=1, col=place)
         figure.update_yaxes(title_text=title, rangemode="tozero", nticks=5, row=1, col=place)
     figure.update_traces(showlegend=False, selector=lambda trace: trace.xaxis != "x")
     return figure
