@@ -14,12 +14,12 @@ from boresight.settings import read_settings, use_kernel_folder
 
 PAPERS = ("enright",)
 #: Frames of a calibration and of a validation set, and sets a sensor, of the full and of the quick study.
-FULL, QUICK = (200, 80, 10), (100, 40, 1)
+FULL, QUICK = (200, 80, 20), (100, 40, 2)
 
 
 @click.command()
 @click.argument("paper", type=click.Choice(PAPERS))
-@click.option("--quick", is_flag=True, help="Fewer frames and one set a sensor: under two minutes.")
+@click.option("--quick", is_flag=True, help="Fewer frames and sets: under two minutes.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for report, JSON and CSV.")
 @click.option("--sensors", metavar="LIST", help="Sensors to run, as 3,4; all when left out.")
 @click.option("--frames", type=click.IntRange(10, 10_000), help="Frames of a calibration set.")

@@ -79,7 +79,9 @@ def _timing(pooled: Pooled) -> dict[str, Any]:
     """Milliseconds a frame of each estimator, matching included: the median over sets, by the clock of this run."""
     return {
         "ms_per_frame": {
-            key: float(np.median([1e3 * record["timing_s"]["calibration"] / record["frames"] for record in found]))
+            key: float(
+                np.median([1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in found])
+            )
             for key in ESTIMATORS
             if (found := pooled.of(key))
         }

@@ -61,22 +61,20 @@ def _figure_3a(pooled: Pooled) -> Drawing:
     return _drawing(
         "3a", "Focal length convergence for sensor 4, from the ground calibration",
         "Q and No-Q end within their own three sigmas of the batch.",
-        Conclusion(all(abs(ends[key]) <= 3 for key in ("q", "no-q")), f"{said}."), curves,
+        Conclusion(all(abs(ends.get(key, np.inf)) <= 3 for key in ("q", "no-q")), f"{said}."), curves,
     )  # fmt: skip
 
 
 def _figure_3b(pooled: Pooled) -> Drawing:
-    curves, from_ground = _focal_curves(pooled, "-from-batch"), _focal_curves(pooled, "")
-    apart = {
-        curve["estimator"]: curve["difference_um"][-1] - ground["difference_um"][-1]
-        for curve, ground in zip(curves, from_ground, strict=True)
-    }
+    curves = _focal_curves(pooled, "-from-batch")
+    ends = {curve["estimator"]: curve["difference_um"][-1] for curve in _focal_curves(pooled, "")}
+    apart = {key: curve["difference_um"][-1] - ends[key] for curve in curves if (key := curve["estimator"]) in ends}
     said = ", ".join(f"{key} {value:+.3f} µm" for key, value in apart.items())
-    refitted = max(abs(apart["q"]), abs(apart["no-q"]))
+    refitted = max(abs(apart.get(key, np.inf)) for key in ("q", "no-q"))
     return _drawing(
         "3b", "Focal length convergence for sensor 4, from the batch's result",
         "Q and No-Q end where they end from the ground calibration; No-Refit does not, for it uses other stars.",
-        Conclusion(abs(apart["no-refit"]) > refitted, f"between the two starts the ends differ by {said}."), curves,
+        Conclusion(abs(apart.get("no-refit", 0.0)) > refitted, f"between the two starts the ends differ by {said}."), curves,
     )  # fmt: skip
 
 
@@ -84,7 +82,7 @@ def _focal_curves(pooled: Pooled, suffix: str) -> list[Drawing]:
     """Delta f_k = f_k - f_batch (E Eq 31) with three sigmas, by variant."""
     batch = pooled.first(4, "batch")
     found = [(key, pooled.first(4, key + suffix)) for key in SEQUENTIAL]
-    return [_focal_curve(key, record, batch) for key, record in found if record is not None and batch is not None]
+    return [_focal_curve(key, record, batch) for key, record in found if record and batch and record["history"]]
 
 
 def _focal_curve(key: str, record: Record, batch: Record) -> Drawing:
@@ -109,14 +107,14 @@ def _figure_4(pooled: Pooled) -> Drawing:
     curves = []
     for key in ("q", "no-q"):
         record = pooled.first(4, f"{key}-from-batch")
-        if record is not None:
+        if record and record["history"]:
             curves.append(_rms_curve(key, record["history"]))
     apart = {curve["estimator"]: curve["tail_urad"][-1] - curve["aggregate_urad"][-1] for curve in curves}
     said = ", ".join(f"{key} {value:+.2f} µrad" for key, value in apart.items())
     return _drawing(
         "4", "Conventional and aggregate errors of Q and No-Q for sensor 4, from the batch's result",
         "No-Q ends close to its aggregate error; Q, which follows single frames, ends farther above its own.",
-        Conclusion(apart["q"] > abs(apart["no-q"]), f"at the end tail exceeds aggregate by {said}."), curves,
+        Conclusion(apart.get("q", 0.0) > abs(apart.get("no-q", np.inf)), f"at the end tail exceeds aggregate by {said}."), curves,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from boresight.studies.enright import printed
 from boresight.studies.enright.estimators import ESTIMATORS
-from boresight.studies.enright.findings import described, statistics, validation_urad
+from boresight.studies.enright.findings import described, over_bound, validation_urad
 from boresight.studies.enright.pooled import Pooled, Record
 from boresight.studies.enright.tables import reduced_excess
 
@@ -52,7 +52,7 @@ def _similar(pooled: Pooled) -> str:
 
 def _promising(pooled: Pooled) -> str:
     keys = (*SEQUENTIAL, "ekf", "ukf", "printed")
-    ranked = sorted(keys, key=lambda key: float(statistics(pooled, key)["ratio_to_bound"]["value"]))
+    ranked = sorted(keys, key=lambda key: over_bound(pooled, key))
     said = "; ".join(described(pooled, key) for key in ranked)
     return f"Ordered by their error against the Cramér-Rao bound, where the parameters do not drift: {said}."
 

@@ -184,17 +184,17 @@ def _state(sensor: Sensor, parameters: Mapping[str, float]) -> FloatArray:
 
 
 def _against_truth(data: _Data, found: Record, x: FloatArray, estimator: Estimator) -> Record:
-    """Hold the error against the claimed covariance (NEES) and against the bound, both per degree of freedom."""
+    """Hold the error of a converged estimate against its claimed covariance (NEES), and per degree of freedom against the bound."""
     names, scale = CAMERA_MODELS[data.sensor.camera_model].parameter_names, data.sensor.typical_sigma
     error = (x - data.truth) / scale
     places = [names.index(name) for name in found["covariance"]["names"]]
     claimed = np.array(found["covariance"]["matrix"]) / np.outer(scale[places], scale[places])
-    usable = found["status"] == "converged" and len(places) > 0
+    usable = found["status"] == "converged"
     return {
         "error": dict(zip(names, (error * scale).tolist(), strict=True)),
         "nees": nees(error[places], claimed) if usable else None,
         "nees_dof": len(places),
-        "squared_over_bound": None if estimator.reduced else float(error @ data.F @ error) / len(error),
+        "squared_over_bound": float(error @ data.F @ error) / len(error) if usable and not estimator.reduced else None,
     }
 
 
