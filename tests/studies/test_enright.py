@@ -200,6 +200,29 @@ def test_every_number_of_the_tables_has_its_unit_in_the_heading_or_none_to_have(
             assert cell_["unit"] or "availability" in cell_["column"] or "star" in cell_["column"]
 
 
+def test_every_finding_quotes_the_text_and_holds_figures_against_it(study):
+    assert len({finding["title"] for finding in study["findings"]}) == 11
+    assert all(
+        finding["text"] and any(re.search(r"\d", word) for word in finding["sentences"])
+        for finding in study["findings"]
+    )
+
+
+def test_the_reduced_model_and_the_printed_filter_claim_far_more_than_they_know(study):
+    nees = {line["estimator"]: line["nees"] for line in study["estimators"]}
+
+    assert nees["reduced-batch"]["mean"] > 1000 * nees["reduced-batch"]["expected"]
+    assert nees["batch"]["mean"] < 3 * nees["batch"]["expected"]
+    assert nees["printed"]["mean"] > nees["no-q"]["mean"]
+
+
+def test_the_sensors_that_moved_most_fail_in_flight_until_they_are_calibrated(study):
+    batches = [record for record in study["records"] if record["estimator"] == "batch"]
+
+    assert all(record["calibration"]["availability"]["initial"] < 0.6 for record in batches)
+    assert all(record["calibration"]["availability"]["final"] > 0.95 for record in batches)
+
+
 def test_records_are_found_by_sensor_and_estimator(study):
     pooled = Pooled(study["records"])
 

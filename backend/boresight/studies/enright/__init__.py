@@ -1,8 +1,8 @@
 """Enright, Jovanovic and Vaz 2018 made again: every table and figure of section III beside its printed numbers.
 
 `printed` holds the paper's numbers, `estimators` what is run, `trials` runs it on one simulated set, `study` runs all of
-them on both cores, `pooled` puts the sets together, `tables`, `charts`, `findings` and `questions` say what came out,
-`verdicts` holds the rule that judges a row, and `report` writes it down.
+them on both cores, `pooled` puts the sets together; `tables`, `drawings`, `findings`, `matching_findings` and `questions` say
+what came out, `verdicts` holds the rule that judges a row, and `document` and `report` write it down.
 """
 
 from boresight.studies.enright.report import write

@@ -5,68 +5,30 @@ Every finding is an object: `title`, what the `text` says, and the `sentences` t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.simulation.sensors import ST16_PIXEL_PITCH_M, TYPICAL_SIGMA
 from boresight.studies.enright import printed
 from boresight.studies.enright.estimators import ESTIMATORS, SPARSE_EVERY
+from boresight.studies.enright.matching_findings import matching_findings
 from boresight.studies.enright.pooled import Pooled, Record, mean
+from boresight.studies.enright.sentences import (
+    Finding,
+    by_sensor,
+    described,
+    finding,
+    over_bound,
+    statistics,
+    validation_urad,
+)  # fmt: skip
 from boresight.studies.enright.tables import NAMES, URAD_PER_RAD, reduced_excess
-
-Finding = dict[str, Any]
 
 
 def findings(pooled: Pooled) -> list[Finding]:
     """Return every finding; none needs a particular sensor."""
-    return [
-        make(pooled)
-        for make in (
-            _reduced_model, _no_refit, _fixed_tolerance, _as_printed, _weak_direction, _unscented, _cosine, _condition,
-            _initial_error, _tolerance,
-        )
-    ]  # fmt: skip
-
-
-def _finding(title: str, text: str, sentences: Sequence[str]) -> Finding:
-    return {"title": title, "text": text, "sentences": list(sentences)}
-
-
-def statistics(pooled: Pooled, key: str) -> Record:
-    """Return the pooled statistics of one estimator."""
-    return next(found for found in pooled.statistics() if found["estimator"] == key)
-
-
-def described(pooled: Pooled, key: str) -> str:
-    """Write NEES and ratio to the bound of an estimator, with their intervals."""
-    found = statistics(pooled, key)
-    nees, ratio = found["nees"], found["ratio_to_bound"]
-    words = [ESTIMATORS[key].label]
-    if found["converged"] < found["sets"]:
-        words.append(f"{found['converged']} of {found['sets']} sets converged")
-    if nees is not None:
-        words.append(
-            f"NEES {nees['mean']:.4g} (median {nees['median']:.4g}; {nees['lower']:.1f} to {nees['upper']:.1f} expected)"
-        )
-    if ratio is not None:
-        words.append(
-            f"error {ratio['value']:.2f} times the Cramér-Rao bound ({ratio['lower']:.2f} to {ratio['upper']:.2f})"
-        )
-    return ", ".join(words)
-
-
-def over_bound(pooled: Pooled, key: str) -> float:
-    """Ratio of errors to the bound; infinite where no set converged."""
-    ratio = statistics(pooled, key)["ratio_to_bound"]
-    return float(ratio["value"]) if ratio is not None else float("inf")
-
-
-def validation_urad(record: Record) -> float:
-    """RMS arc error on the validation set, µrad."""
-    return float(record["validation"]["rms_arc_rad"]["final"]) * URAD_PER_RAD
+    about_estimators = (_reduced_model, _as_printed, _weak_direction, _unscented, _cosine, _condition, _initial_error)
+    return [make(pooled) for make in about_estimators] + matching_findings(pooled)
 
 
 def _percent(shares: dict[str, float]) -> str:
@@ -83,38 +45,11 @@ def _reduced_model(pooled: Pooled) -> Finding:
     claims = (
         f" The reduced batch claims a covariance whose NEES is {nees['mean']:.3g} where 3 is expected." if nees else ""
     )
-    return _finding(
+    return finding(
         "The reduced model (f, m₀, n₀) is far worse than the text says",
         "III-B: “RMS errors from the reduced order models are between 5% and 13% higher”.",
         (theirs, f"{here}; {spread}{claims}"),
     )
-
-
-def _no_refit(pooled: Pooled) -> Finding:
-    rank, (worst, best) = printed.no_refit_rank(), _ranked(pooled)
-    stars = {key: mean(pooled.firsts(key), lambda record: record["stars"]) for key in ("no-q", "no-refit")}
-    theirs = f"Table V itself: worst of the three for {_listed(rank['worst'])}, best for {_listed(rank['best'])}."
-    here = f"Here: worst for {_listed(worst)}, best for {_listed(best)}, out of {_listed(pooled.sensors)}"
-    used = f"it used {stars['no-refit']:.0f} stars a set on average, No-Q {stars['no-q']:.0f}."
-    return _finding(
-        "No-Refit: the text and its own table disagree",
-        "III-B: “The No-Refit errors are higher than the other filter variants for most sensors”.",
-        (theirs, f"{here}; {used}", f"{described(pooled, 'no-refit')}. {described(pooled, 'q')}."),
-    )
-
-
-def _ranked(pooled: Pooled) -> tuple[list[int], list[int]]:
-    """Sensors for which our No-Refit is the worst, and the best, of the three sequential variants."""
-    worst, best = [], []
-    for sensor in pooled.sensors:
-        errors = [validation_urad(pooled.shown(sensor, key)) for key in ("no-refit", "q", "no-q")]
-        worst += [sensor] if errors[0] == max(errors) else []
-        best += [sensor] if errors[0] == min(errors) else []
-    return worst, best
-
-
-def _listed(sensors: Sequence[int]) -> str:
-    return "sensor " + ", ".join(map(str, sensors)) if sensors else "no sensor"
 
 
 def _as_printed(pooled: Pooled) -> Finding:
@@ -123,7 +58,7 @@ def _as_printed(pooled: Pooled) -> Finding:
     corrected = (
         "Equations 25, 26, 83, 84, 87 and 88 are corrected in both: as printed, their signs and shapes make no filter."
     )
-    return _finding(
+    return finding(
         "A filter with one linearisation a frame claims too much, and RMS does not show it",
         "III-B: the SQRF No-Q filters “come very close to that of the batch estimator”; excess error is laid to slow convergence.",
         (f"{described(pooled, 'printed')}. {described(pooled, 'no-q')}.", rms, corrected),
@@ -136,7 +71,7 @@ def _weak_direction(pooled: Pooled) -> Finding:
     found = [_correlation(record, "n0_px", "a1_rad") for record in pooled.firsts("batch")]
     theirs = f"Table III has the same sign for both in {len(printed.same_sign('n0_px', 'a1_rad'))} of 6 sensors."
     weak = f"Arcs see least the direction a₁ = (pixel / f) δn₀, {slope:+.2f} typical sigmas of a₁ for one of n₀"
-    return _finding(
+    return finding(
         "n₀ and a₁ move in the same direction, not in opposite ones",
         "III-A: “In Sensor-2 and Sensor-4 we see opposite motions in n₀ and a₁”.",
         (theirs, f"{weak}; the correlation of their errors here is {min(found):+.3f} to {max(found):+.3f}."),
@@ -164,7 +99,7 @@ def _unscented(pooled: Pooled) -> Finding:
     lost = f"the lost frames alone cost √{SPARSE_EVERY} = {np.sqrt(SPARSE_EVERY):.2f}."
     against = {key: "better" if ratio["ukf-sparse"] < ratio[key] else "worse" for key in ("printed", "ekf")}
     trade = f"It is {against['printed']} than the EKF that linearises once and {against['ekf']} than the EKF that linearises again"
-    return _finding(
+    return finding(
         "UKF against EKF, the paper's open question",
         "IV: “The optimal solution is not self-evident, but well worth investigating.”",
         (
@@ -183,29 +118,12 @@ def _paired(pooled: Pooled, key: str, other: str) -> NDArray[np.float64]:
     return np.sqrt(known or [1.0])
 
 
-def _fixed_tolerance(pooled: Pooled) -> Finding:
-    stars = ", ".join(
-        f"{ESTIMATORS[key].label} {mean(pooled.firsts(key), lambda record: record['stars']):.0f}"
-        for key in ("no-refit", "no-refit-flight", "no-q", "no-q-flight")
-    )
-    why = "What passes from a ground calibration is what agrees with it: no fair sample, and the estimate is drawn to the start."
-    return _finding(
-        "A fixed tolerance in the loop keeps the stars that agree with the ground calibration",
-        "II-D: matching only with the baseline values is “a conservative approach” that “will always preserve performance”.",
-        (
-            f"{described(pooled, 'no-refit-flight')}. {described(pooled, 'no-q-flight')}. {described(pooled, 'batch-flight')}.",
-            f"By the statistical rule: {described(pooled, 'no-refit')}. {described(pooled, 'no-q')}.",
-            f"Stars used, mean of a set: {stars}. {why}",
-        ),
-    )
-
-
 def _cosine(pooled: Pooled) -> Finding:
     errors = {key: mean(pooled.firsts(key), validation_urad) for key in ("batch", "cosine")}
     ratios = {key: over_bound(pooled, key) for key in errors}
     excess = 100 * (ratios["cosine"] / ratios["batch"] - 1)
     cost = f"The unweighted cosine's errors are {excess:+.0f} % against the arc's, what leaving out R costs included"
-    return _finding(
+    return finding(
         "What the cosine of the arc costs",
         "II-B: the cosine error “introduces arbitrary and unjustified weights”; the paper gives no figure.",
         (
@@ -219,21 +137,17 @@ def _condition(pooled: Pooled) -> Finding:
     records, (low, high) = pooled.firsts("batch"), printed.CONDITION_NUMBERS
     plain = [record["plain_condition_number"] for record in records]
     inside = sum(low <= number <= high for number in plain)
-    whitened = _by_sensor(records, [record["condition_number"] for record in records])
+    whitened = by_sensor(records, [record["condition_number"] for record in records])
     unscaled = np.log10([_unscaled_condition(record["observability"]) for record in records])
-    return _finding(
+    return finding(
         "Condition numbers",
         f"II-C: scaling brings the condition number from about 10¹⁴ to around {low:.0f} to {high:.0f}.",
         (
-            f"Here, of the scaled Jacobian, by sensor {_by_sensor(records, plain)}: {inside} of {len(plain)} in that range.",
+            f"Here, of the scaled Jacobian, by sensor {by_sensor(records, plain)}: {inside} of {len(plain)} in that range.",
             f"Of the Jacobian whitened by R, whose inverse square is the covariance: {whitened}.",
             f"Without scaling 10^{unscaled.min():.1f} to 10^{unscaled.max():.1f}, b₄ in m⁻⁴ and b₂ in m⁻² (erratum to Table II).",
         ),
     )
-
-
-def _by_sensor(records: Sequence[Record], numbers: Sequence[float]) -> str:
-    return ", ".join(f"{record['sensor']}: {number:.0f}" for record, number in zip(records, numbers, strict=True))
 
 
 def _unscaled_condition(observed: Record) -> float:
@@ -251,7 +165,7 @@ def _initial_error(pooled: Pooled) -> Finding:
     }
     said = ", ".join(f"{sensor}: {error / theirs[sensor]:.2f}" for sensor, error in ours.items())
     unknown = "Where it is far from 1 the real ground calibration was not nominal, or other pairs were used; neither is given."
-    return _finding(
+    return finding(
         "Table IV's initial errors are smaller than Table III's changes make them from a nominal start",
         "Table IV gives initial errors of 83 to 423 µrad for the changes of Table III.",
         (
@@ -259,22 +173,3 @@ def _initial_error(pooled: Pooled) -> Finding:
             unknown,
         ),
     )
-
-
-def _tolerance(pooled: Pooled) -> Finding:
-    records = pooled.firsts("batch")
-    theirs = _shares(records, [printed.TABLE_IV[record["sensor"]][0] for record in records])
-    said = [f"Availability at the ground calibration printed, by sensor: {theirs}."]
-    for place, tried in enumerate(records[0]["tolerances"]):
-        found = [record["tolerances"][place]["availability"]["initial"] for record in records]
-        size = f"{tried['arc_sigmas']:g} arc sigmas ({tried['flight_tolerance_rad'] * URAD_PER_RAD:.0f} µrad)"
-        said.append(f"Here at {size}: {_shares(records, found)}.")
-    return _finding(
-        "How wide the flight matching would have to be",
-        "The paper does not give the tolerance of its matching, on which Table IV's initial availability rests.",
-        said,
-    )
-
-
-def _shares(records: Sequence[Record], numbers: Sequence[float]) -> str:
-    return ", ".join(f"{record['sensor']}: {number:.2f}" for record, number in zip(records, numbers, strict=True))

@@ -8,8 +8,8 @@ import numpy as np
 
 from boresight.studies.enright import printed
 from boresight.studies.enright.estimators import ESTIMATORS
-from boresight.studies.enright.findings import described, over_bound, validation_urad
 from boresight.studies.enright.pooled import Pooled, Record
+from boresight.studies.enright.sentences import described, over_bound, validation_urad
 from boresight.studies.enright.tables import reduced_excess
 
 SEQUENTIAL = printed.ESTIMATORS[1:]
