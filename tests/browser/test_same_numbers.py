@@ -64,7 +64,7 @@ def test_rest_with_an_api_key_gives_the_numbers_of_the_page(installation, key, b
 
 def test_the_command_line_gives_the_numbers_of_the_page(installation, files, page_result):
     words = ["calibrate", str(files / "calibration.csv"), "--sensor", str(files / "sensor.json")]
-    words += ["--validate", str(files / "validation.csv"), "--match", "given", "--json", str(files / "result.json")]
+    words += ["--validate", str(files / "validation.csv"), "--json", str(files / "result.json")]
     installation.command(*words)
     same(json.loads((files / "result.json").read_text()), page_result)
 

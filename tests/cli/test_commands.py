@@ -14,7 +14,10 @@ from boresight.cli import main
 from boresight.cli.progress import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
 
-COMMANDS = ("calibrate", "check", "simulate", "report", "bench", "serve", "demo", "warm", "migrate", "user", "audit")
+COMMANDS = (
+    "calibrate", "match", "evaluate", "reproduce", "check", "simulate", "report", "bench",
+    "serve", "demo", "warm", "migrate", "user", "audit",
+)  # fmt: skip
 PASSWORD = "correct horse battery"
 
 

@@ -19,6 +19,7 @@ from boresight import __version__
 from boresight.errors import RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.chart import Result, Trace
+from boresight.figures.command_line import calibrate_command
 from boresight.figures.evidence import verdict
 from boresight.figures.matching import why_no_matching
 from boresight.figures.matching_table import (
@@ -159,14 +160,6 @@ def flattened(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
 
 def command(result: Result) -> str:
     """Write the command that makes this result again from the same files."""
-    settings = (result.get("inputs") or {}).get("settings") or {}
-    words = ["boresight calibrate TELEMETRY --sensor SENSOR.json", f"--method {result.get('method')}"]
-    if result.get("variant"):
-        words.append(f"--variant {result['variant']}")
-    if result.get("free"):
-        words.append(f"--free {','.join(result['free'])}")
-    if settings.get("linearisations") is not None and result.get("method") != "batch":
-        words.append(f"--linearisations {settings['linearisations']}")
-    if result.get("validation"):
-        words.append("--validate VALIDATION")
-    return " ".join([*words, "--json RESULT.json"])
+    settings = {**((result.get("inputs") or {}).get("settings") or {}), "method": result.get("method")}
+    validation = "VALIDATION" if result.get("validation") else None
+    return " ".join(calibrate_command("TELEMETRY", "SENSOR.json", settings, validation, "RESULT.json"))

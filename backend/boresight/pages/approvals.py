@@ -18,7 +18,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import RefusedInputError
-from boresight.figures import FIGURES
+from boresight.figures import FIGURES, WIDE
 from boresight.figures.evidence import marks
 from boresight.figures.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
 from boresight.pages.attempts import Refusal, attempt
@@ -33,8 +33,7 @@ from boresight.store.tables import Approval, ParameterSet, Signature
 router = APIRouter(dependencies=[Depends(csrf)])
 
 VIEWS = {"waiting": "Waiting for a signature", "submitted": "Submitted by me", "all": "All"}
-EVIDENCE_FIGURES = ("radial", "rms", "observability", "parameters")
-WIDE_FIGURES = frozenset({"observability", "parameters"})
+EVIDENCE_FIGURES = ("radial", "rms", "arc-uncertainty", "shadow", "two-halves", "observability", "parameters")
 MEANINGS = {
     "APPROVE": "I reviewed the evidence and approve this set for baseline",
     "REFUSE": "I reviewed the evidence and refuse this set",
@@ -145,7 +144,7 @@ def _page(
         marks=marks(result) if result else [],
         warnings=warnings_of(result, rows, is_ground=row.run_id is None),
         figures=[FIGURES[name] for name in EVIDENCE_FIGURES if row.run_id is not None],
-        wide=WIDE_FIGURES,
+        wide=WIDE,
         signatures=approvals.signatures_of(session, approval_id),
         blocked=approvals.why_not_sign(session, actor, approval_id),
         decisions=_decisions(approval, row),

@@ -10,7 +10,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from shlex import quote
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
@@ -20,6 +19,7 @@ from markupsafe import Markup
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import NotFoundError
 from boresight.figures import CHAPTERS, WIDE
+from boresight.figures.command_line import calibrate_command
 from boresight.figures.numbers import MISSING, count
 from boresight.figures.parameter_table import parameter_rows
 from boresight.pages.attempts import attempt
@@ -152,16 +152,9 @@ def _hash(value: Any) -> Markup | str:
 
 def command_of(run: Run, data: TelemetrySet, validation: TelemetrySet | None) -> str:
     """Write the command line that computes this run again from the files that the page offers."""
-    settings = run.settings
-    words = [f"boresight calibrate {quote(data.name)}", f"--sensor run-{run.id}.sensor.json", f"--method {run.method}"]
-    if run.method != "batch":
-        words.append(f"--variant {settings['variant']}")
-    if settings["free"]:
-        words.append(f"--free {','.join(settings['free'])}")
-    words.append(f"--match {settings['match']}")
-    if validation:
-        words.append(f"--validate {quote(validation.name)}")
-    return " \\\n  ".join([*words, f"--json run-{run.id}.json"])
+    files = data.name, f"run-{run.id}.sensor.json"
+    words = calibrate_command(*files, run.settings, validation.name if validation else None, f"run-{run.id}.json")
+    return " \\\n  ".join(words)
 
 
 @router.get("/runs/{run_id:int}", response_class=HTMLResponse)

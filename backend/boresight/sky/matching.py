@@ -81,6 +81,8 @@ QUATERNION, NEIGHBOUR, LOST = (STARTS.index(name) for name in ("quaternion", "ne
 #: How far the first stars are sought from where a start says, rad: under a ground calibration the boresight may be off by degrees.
 START_RADIUS = {QUATERNION: 0.06, NEIGHBOUR: 0.06, LOST: 0.03}
 NEIGHBOUR_ROUNDS = 8
+#: Frames that lost-in-space identification may fail on in a row before it is given up: under a wrong focal length it knows none.
+GIVE_UP = 40
 
 Identify = Callable[[int], FloatArray | None]
 
@@ -244,11 +246,16 @@ def _identify(run: _Matcher, lost: IntArray, identify: Identify) -> None:
     """Ask the lost-in-space identification for the exposures of lost frames, and match those it answers for."""
     frame_start = run.detections.frame_start
     hint = np.full((run.detections.n_exposures, 4), np.nan)
+    in_vain = 0
     for k in lost:
         for e in range(frame_start[k], frame_start[k + 1]):
             quaternion = identify(e)
             if quaternion is not None:
                 hint[e] = quaternion
+                in_vain = 0
+        in_vain += 1
+        if in_vain > GIVE_UP:
+            break
     answered = np.flatnonzero(np.logical_or.reduceat(np.isfinite(hint[:, 0]), frame_start[:-1]))
     if len(answered):
         run(answered, hint, np.where(np.isnan(hint[:, 0]), 0, LOST))
