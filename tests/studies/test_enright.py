@@ -19,7 +19,7 @@ from boresight.studies.enright.trials import _thinned
 from boresight.studies.enright.verdicts import CAUSES, VERDICTS, Cell, Conclusion, judge
 from boresight.telemetry.schema import Telemetry
 
-HOLDS, FAILS = Conclusion(True, "it does."), Conclusion(False, "it does not.")
+HOLDS, FAILS = Conclusion(True, "it does."), Conclusion(False, "it does not.", "erratum", "the text is wrong")
 
 
 # The printed numbers.
@@ -116,7 +116,10 @@ def test_a_reason_names_the_cause_of_every_number_that_is_not_reproduced():
     apart = Cell("RMS", "µrad", 100.0, 200.0, cause="erratum", because="a sign is wrong")
     row = judge("1", [cell(1.0, 1.0), apart], FAILS)
 
-    assert row.reason == "1 of 2 numbers agree. Erratum (RMS): a sign is wrong. Conclusion fails: it does not."
+    assert row.reason == (
+        "1 of 2 numbers agree. Erratum (RMS): a sign is wrong. Conclusion fails: it does not. "
+        "Erratum (conclusion): the text is wrong."
+    )
 
 
 # What is run.
@@ -159,6 +162,9 @@ def test_the_document_follows_its_schema(study):
     assert len(study["questions"]) == 5
     rows = [row for table in study["tables"] for row in table["rows"]]
     assert all(row["verdict"] in VERDICTS and row["reason"] for row in rows)
+    judged = [*rows, *study["figures"]]
+    causes = [cause.capitalize() for cause in CAUSES]
+    assert all(any(cause in row["reason"] for cause in causes) for row in judged if row["verdict"] == "not reproduced")
     assert {cell["cause"] for row in rows for cell in row["cells"]} <= set(CAUSES)
     assert sum(study["verdicts"].values()) == len(rows) + 4
 

@@ -42,7 +42,7 @@ def _fixed_tolerance(pooled: Pooled) -> Finding:
         f"{ESTIMATORS[key].label} {mean(pooled.firsts(key), lambda record: record['stars']):.0f}"
         for key in ("no-refit", "no-refit-flight", "no-q", "no-q-flight")
     )
-    why = "What passes from a ground calibration is what agrees with it: no fair sample, and the estimate is drawn to the start."
+    why = "From a ground calibration little passes, and what passes was chosen for agreeing with it."
     return finding(
         "A fixed tolerance in the loop keeps the stars that agree with the ground calibration",
         "II-D: matching only with the baseline values is “a conservative approach” that “will always preserve performance”.",

@@ -29,6 +29,8 @@ NO_TOLERANCE = (
 )
 NO_GROUND = "the truth is Table III's change added to one nominal ground calibration, for the real ones are not public"
 NO_TUNING = "Q and P_0 are not given"
+TOLERANCE, TUNING = ("unstated setting", NO_TOLERANCE), ("unstated setting", NO_TUNING)
+REDUCED = ("erratum", "the text's 5 to 13 % contradicts its own row 1R, +72 % for the batch")
 PRINTED_FILTER = "equations 25 to 88 as printed do not make a filter that converges; ours are corrected"
 
 
@@ -122,7 +124,7 @@ def _performance(record: Record) -> Row:
     holds = after >= before - SAME_AVAILABILITY and _no_fewer(ratio) and errors["final"] < errors["initial"]
     fall = 1 - errors["final"] / errors["initial"]
     sentence = f"availability {before:.3f} to {after:.3f}, RMS falls by {100 * fall:.0f} %."
-    return judge(str(record["sensor"]), cells, Conclusion(holds, sentence))
+    return judge(str(record["sensor"]), cells, Conclusion(holds, sentence, *TOLERANCE))
 
 
 def _no_fewer(ratio: float | None) -> bool:
@@ -146,9 +148,9 @@ def _errors(pooled: Pooled, sensor: int, label: str, prefix: str) -> Row:
     found = {name: pooled.first(sensor, prefix + name) for name in printed.ESTIMATORS}
     evaluations = {name: record["validation"] for name, record in found.items() if record is not None}
     values = printed.TABLE_V[label]
-    noise, tuning = ("no orbital data", NO_NOISE), ("unstated setting", NO_TUNING)
+    noise, tuning = ("no orbital data", NO_NOISE), TUNING
     if prefix:
-        noise = tuning = ("erratum", "the text's 5 to 13 % contradicts its own row 1R, +72 % for the batch")
+        noise = tuning = REDUCED
     cells = [_rms(evaluations["batch"], "initial", "raw", values[0], ("no orbital data", NO_GROUND))]
     cells += [
         _rms(evaluations[name], "final", name, value, noise if name == "batch" else tuning)
@@ -163,7 +165,7 @@ def _close(evaluations: Record) -> Conclusion:
     excess = {name: evaluations[name]["rms_arc_rad"]["final"] / batch["final"] - 1 for name in printed.ESTIMATORS[1:]}
     falls = all(evaluations[name]["rms_arc_rad"]["final"] < batch["initial"] for name in printed.ESTIMATORS)
     said = ", ".join(f"{name} {100 * value:+.1f} %" for name, value in excess.items())
-    return Conclusion(falls and max(map(abs, excess.values())) <= SAME_RMS, f"against the batch {said}.")
+    return Conclusion(falls and max(map(abs, excess.values())) <= SAME_RMS, f"against the batch {said}.", *TUNING)
 
 
 def _reduced(pooled: Pooled, evaluations: Record) -> Conclusion:
@@ -171,7 +173,7 @@ def _reduced(pooled: Pooled, evaluations: Record) -> Conclusion:
     excess = reduced_excess(pooled, 1, evaluations)
     low, high = printed.REDUCED_EXCESS
     said = ", ".join(f"{name} {100 * value:+.0f} %" for name, value in excess.items())
-    return Conclusion(all(low <= value <= high for value in excess.values()), f"reduced against full {said}.")
+    return Conclusion(all(low <= value <= high for value in excess.values()), f"reduced against full {said}.", *REDUCED)
 
 
 def reduced_excess(pooled: Pooled, sensor: int, evaluations: Record | None = None) -> dict[str, float]:
@@ -211,7 +213,9 @@ def _matching(pooled: Pooled, sensor: int) -> Row:
     apart = max(abs(share - shares[0]) for share in shares)
     lost = max(abs(count / max(stars[0], 1) - 1) for count in stars)
     sentence = f"availability differs by at most {apart:.3f} from the batch, matched stars by {100 * lost:.1f} %."
-    return judge(str(sensor), cells, Conclusion(apart <= SAME_AVAILABILITY and lost <= SAME_STARS, sentence))
+    return judge(
+        str(sensor), cells, Conclusion(apart <= SAME_AVAILABILITY and lost <= SAME_STARS, sentence, *TOLERANCE)
+    )
 
 
 def table_vii(pooled: Pooled) -> Table:
@@ -239,7 +243,7 @@ def _distortion(name: str, records: dict[str, Record | None]) -> Row:
     sentence = (
         f"largest difference {largest:+.2f} σ of the batch; with one linearisation a frame {shifts['printed']:+.1f} σ."
     )
-    return judge(name, cells, Conclusion(abs(largest) > 3, sentence))
+    return judge(name, cells, Conclusion(abs(largest) > 3, sentence, "erratum", PRINTED_FILTER))
 
 
 def _shift(record: Record, batch: Record, name: str) -> float:

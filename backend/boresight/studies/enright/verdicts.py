@@ -19,7 +19,7 @@ own. A figure has no printed numbers, so it is at best in kind: its conclusion d
 
 Why a cell is not reproduced is never guessed from the number: each column carries beforehand the cause that can move it:
 `no orbital data` (the paper's telemetry, noise and skies are not public), `erratum` (a printed equation or sentence is wrong), or
-`unstated setting` (Q, P_0, the matching tolerance are not given).
+`unstated setting` (Q, P_0, the matching tolerance are not given). A conclusion carries the cause that can make it fail likewise.
 """
 
 from __future__ import annotations
@@ -94,10 +94,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What the text draws from a row: whether it holds here, and by which figures."""
+    """What the text draws from a row: whether it holds here, by which figures, and which cause could make it fail."""
 
     holds: bool
     sentence: str
+    cause: str = "no orbital data"
+    because: str = ""
 
 
 @dataclass(frozen=True)
@@ -128,8 +130,14 @@ def _reason(cells: Sequence[Cell], conclusion: Conclusion) -> str:
     agreed = len(cells) - sum(map(len, apart.values()))
     sentences = [f"{agreed} of {len(cells)} numbers agree."] if cells else ["The paper's figure prints no numbers."]
     sentences += [
-        f"{cause.capitalize()} ({', '.join(columns)}){': ' + because if because else ''}."
+        _sentence(f"{cause.capitalize()} ({', '.join(columns)})", because)
         for (cause, because), columns in apart.items()
     ]
     sentences.append(f"Conclusion {'holds' if conclusion.holds else 'fails'}: {conclusion.sentence}")
+    if not conclusion.holds:
+        sentences.append(_sentence(f"{conclusion.cause.capitalize()} (conclusion)", conclusion.because))
     return " ".join(sentences)
+
+
+def _sentence(cause: str, because: str) -> str:
+    return f"{cause}: {because}." if because else f"{cause}."
