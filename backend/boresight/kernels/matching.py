@@ -29,8 +29,9 @@ _TELL_APART = 9.0
 _CHANCE = 0.03
 #: Arcs may differ by this much at most while a first set of stars is sought in a wide field, rad.
 _SEARCH_ARC = 3e-3
-#: A star that the file names is believed this much farther out than one that was only found.
-_GIVEN_GATE = 3.0
+#: A star that the file names is believed with so many times the stated centroid noise, for that may be understated; what
+#: the parameters may be off by is not widened, or a wrong name would pass under a ground calibration.
+_GIVEN_NOISE = 3.0
 _SEARCH_STARS = 4
 _SIBLING_STARS = 3
 _SEARCH_ASSOCIATIONS = 400
@@ -99,7 +100,7 @@ def _arcs_agree(s, G, sigma, i, j, c, k, q, gate, widest):
 
 
 @_jit
-def _disagreements(s, G, sigma, c, use, named, gate, bad):
+def _disagreements(s, G, sigma, c, use, gate, bad):
     """Count in `bad` (n,) with how many of the used others each used star's arc disagrees; c (n, 3) are the stars' directions."""
     n = s.shape[0]
     bad[:n] = 0
@@ -107,8 +108,7 @@ def _disagreements(s, G, sigma, c, use, named, gate, bad):
         if not use[i]:
             continue
         for j in range(i):
-            believed = gate * _GIVEN_GATE if named[i] or named[j] else gate
-            if use[j] and not _arcs_agree(s, G, sigma, i, j, c, i, j, believed, np.inf):
+            if use[j] and not _arcs_agree(s, G, sigma, i, j, c, i, j, gate, np.inf):
                 bad[i] += 1
                 bad[j] += 1
 
@@ -118,11 +118,13 @@ def _verify(s, G, sigma, c, use, named, gate, bad):
     """Drop stars whose arcs disagree with more than half of the others, the worst first; returns how many stay."""
     n = s.shape[0]
     count = 0
+    believed = np.empty(n)
     for i in range(n):
+        believed[i] = _GIVEN_NOISE * sigma[i] if named[i] else sigma[i]
         if use[i]:
             count += 1
     while count >= 2:
-        _disagreements(s, G, sigma, c, use, named, gate, bad)
+        _disagreements(s, G, believed, c, use, gate, bad)
         worst = -1
         for i in range(n):
             if use[i] and 2 * bad[i] > count - 1 and (worst < 0 or bad[i] > bad[worst]):
@@ -586,7 +588,7 @@ def _prune(s, T, A, sigma, C, c, named, gate, Lambda, eta, use, reason, toleranc
             return False
         _forward(L, eta, d, f0)
         _backward(L, f0, d, y)
-        worst, excess = -1, 1.0
+        worst, worst_d2 = -1, gate * gate
         for i in range(n):
             if not use[i]:
                 continue
@@ -605,10 +607,19 @@ def _prune(s, T, A, sigma, C, c, named, gate, Lambda, eta, use, reason, toleranc
             tolerance[i] = gate * variance * math.sqrt(2.0 / max(v00 + v11, 1e-6 * variance))
             if determinant < 1e-6 * variance * variance or v00 <= 0.0:
                 continue
+            if named[i]:
+                # S with the star's own noise widened by e is S + e S^2 / variance^2 (matrix inversion lemma)
+                q = (_GIVEN_NOISE * _GIVEN_NOISE - 1.0) * sigma[i] * sigma[i] / (variance * variance)
+                trace = v00 + v11
+                v00, v01, v11 = (
+                    v00 + q * (v00 * v00 + v01 * v01),
+                    v01 + q * v01 * trace,
+                    v11 + q * (v01 * v01 + v11 * v11),
+                )
+                determinant = v00 * v11 - v01 * v01
             d2 = (v11 * r0 * r0 - 2.0 * v01 * r0 * r1 + v00 * r1 * r1) / determinant
-            believed = gate * _GIVEN_GATE if named[i] else gate
-            if d2 > excess * believed * believed:
-                worst, excess = i, d2 / (believed * believed)
+            if d2 > worst_d2:
+                worst, worst_d2 = i, d2
         if worst < 0:
             return True
         _residual(s[worst], T[worst], C, c[worst], r)
