@@ -14,7 +14,7 @@ from boresight.settings import read_settings, use_kernel_folder
 
 PAPERS = ("enright",)
 #: Frames of a calibration and of a validation set, and sets a sensor, of the full and of the quick study.
-FULL, QUICK = (200, 80, 20), (100, 40, 2)
+FULL, QUICK = (200, 80, 12), (100, 40, 2)
 
 
 @click.command()

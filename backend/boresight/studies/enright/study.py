@@ -46,7 +46,7 @@ class Plan:
     sensors: tuple[int, ...] = SENSOR_NUMBERS
     frames: int = 200
     validation_frames: int = 80
-    sets: int = 20
+    sets: int = 12
     processes: int = 2
 
     def check(self) -> None:
