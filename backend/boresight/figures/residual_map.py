@@ -46,17 +46,25 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         return absent(TITLE, traces, PART)
     stars = _stars(drawn[0][2])
     means = cell_means(stars)
-    alone = f"{drawn[0][1].label} only: " if len(drawn) > 1 else ""
-    names = [f"{alone}star by star, {_scale(stars):,.0f} times", f"mean of each cell, {_scale(means):,.0f} times"]
+    names = [f"star by star, {_scale(stars):,.0f} times", f"mean of each cell, {_scale(means):,.0f} times"]
     figure = make_subplots(1, 2, shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=names)
     style = drawn[0][1]
     _arrows(figure, stars, style, 1, theme.translucent(style.colour, 0.75))
     _arrows(figure, means, style, 2, style.colour)
     n_clear = int(np.sum(means.clear))
     counted = f"{n_clear} of {len(means.row)} cell means are clear of their noise"
-    theme.dress(figure, title=f"Residuals: {counted}", height_px=470, legend=False, hovermode="closest")
+    title = f"Residuals: {counted}{_others([style.label for _, style, _ in drawn])}"
+    theme.dress(figure, title=title, height_px=470, legend=False, hovermode="closest")
     _frame(figure)
     return figure
+
+
+def _others(labels: Sequence[str]) -> str:
+    """Say which runs are compared with but not drawn: arrows over arrows could not be read."""
+    if len(labels) <= 1:
+        return ""
+    more = f" and {len(labels) - 3} more" if len(labels) > 3 else ""
+    return f"<br>of {labels[0]} alone; open {', '.join(labels[1:3])}{more} for theirs"
 
 
 def _stars(part: Result) -> Field:
