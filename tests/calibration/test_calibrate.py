@@ -126,7 +126,8 @@ def test_a_start_that_is_not_this_sensor_is_not_called_converged_with_small_sigm
 
     document = calibrate(scrambled, sensor, catalogue, CalibrationSettings())
 
-    assert document["status"] in {"diverged", "max_iterations"} or not document["chi2"]["consistent"]
+    given_up = {"diverged", "max_iterations", "too_few_stars"}
+    assert document["status"] in given_up or not document["chi2"]["consistent"]
     assert document["advice"]
     json.dumps(document, allow_nan=False)
 
