@@ -38,6 +38,8 @@ from scipy.special import ndtri, stdtrit
 FloatArray = NDArray[np.float64]
 
 REPLICATES = 1000
+#: Of the resampling at every door: the same data have the same intervals on page, command line and report.
+SEED = 2018
 CONFIDENCE = 0.95
 #: Quantile of the normal distribution that belongs to the confidence.
 Z = float(ndtri(0.5 + CONFIDENCE / 2))

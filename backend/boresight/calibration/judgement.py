@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.calibration import bootstrap
 from boresight.calibration.alignment import alignment_view
 from boresight.calibration.cycles import Ended
 from boresight.calibration.estimate import Estimate, Parameters
@@ -28,9 +29,6 @@ from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
 FloatArray = NDArray[np.float64]
-
-#: Of the resampling behind the intervals: the same data give the same intervals.
-SEED = 2018
 
 
 def judge(
@@ -96,7 +94,7 @@ def _scores(
     telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, seen: list[Sighting], settings: CalibrationSettings
 ) -> dict[str, Any]:
     """Flight scores of two sightings, with intervals."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(bootstrap.SEED)
     return evaluate_sightings(telemetry, sensor, catalogue, seen[0], seen[1], settings, rng)
 
 

@@ -110,10 +110,32 @@ def _judgements(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
         number = seen["condition_number"]
         yield "condition number", "infinite" if number is None else f"{number:,.4g}"
         yield "weakest direction", seen["weakest"]["sentence"]
-    if (validation := result["validation"]) is not None:
-        yield "validation RMS", _pair(validation["rms_arc_rad"])
-        availability = validation["availability"]
-        yield "validation availability", f"{availability['initial']:.3g} -> {availability['final']:.3g}"
+    if (matching := result["matching"]) is not None:
+        yield "matches", _matches(matching)
+    for name, scores in (("calibration set", result["evaluation"]), ("validation set", result["validation"])):
+        if scores is not None:
+            yield f"{name}, availability", _share(scores)
+            yield f"{name}, RMS", _pair(scores["rms_arc_rad"])
+    if (alignment := result["alignment"]) is not None:
+        yield "C_SD", alignment["sentence"]
+
+
+def _matches(matching: dict[str, Any]) -> str:
+    """Count what matching again did, and say whether it rests."""
+    counts = ", ".join(f"{matching[key]:,} {key}" for key in ("given", "kept", "removed", "added"))
+    cycles = len(matching["cycles"])
+    rest = "the matches rest" if matching["rested"] else "the matches do not rest yet"
+    return f"{counts}; {rest}" + (f" after {cycles} {'cycle' if cycles == 1 else 'cycles'}" if cycles else "")
+
+
+def _share(scores: dict[str, Any]) -> str:
+    """Availability before and after with its interval, by the flight code's tolerance."""
+    sides = []
+    for side in ("initial", "final"):
+        low, high = scores["intervals"]["availability"][side] or (None, None)
+        interval = "" if low is None or high is None else f" ({low:.1%} to {high:.1%})"
+        sides.append(f"{scores['availability'][side]:.1%}{interval}")
+    return f"{' -> '.join(sides)} of {scores['frames']:,} frames, arcs within {scores['flight_tolerance_rad'] * 1e6:.0f} µrad"
 
 
 def _pair(rms: dict[str, float | None]) -> str:

@@ -14,8 +14,6 @@ from boresight.errors import RefusedInputError
 from boresight.settings import read_settings, use_kernel_folder
 
 FRAMES_SHOWN = 40
-#: The resampling of the intervals is the same each time, so that one set gives one answer.
-SEED = 0
 
 
 @click.command()
@@ -64,6 +62,7 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     """Read the files and compare."""
     import numpy as np
 
+    from boresight.calibration import bootstrap
     from boresight.calibration.evaluate import evaluate_sightings
     from boresight.calibration.parameter_file import read_parameters
     from boresight.calibration.shadow import shadow_view
@@ -85,7 +84,7 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     catalogue = load_catalogue(folder)
     report("matching the stars under both parameter sets")
     initial, final = sightings(stars, sensor, catalogue, states, settings, folder)
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(bootstrap.SEED)
     document = evaluate_sightings(stars, sensor, catalogue, initial, final, settings, rng)
     return {**document, "sensor": sensor.name} | ({"shadow": shadow_view(stars, initial, final)} if shadow else {})
 
