@@ -3,13 +3,14 @@
 Synthetic frames: two exposures of 12 stars, uniform over an ST-16, 0.437 px of noise, the parameters of E Table III's first sensor.
 Each figure is the fastest of several repeats, kernels already compiled; a peer too slow for the whole set gets a part of it,
 and its figure is still per frame. Quote ratios: they hold when the machine's speed drifts.
+
+Matching needs a real sky: `studies.matching_speed` times it on frames of its own and says what a batch evaluation of those costs.
 """
 
 from __future__ import annotations
 
 import resource
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +26,8 @@ from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.studies import peers
+from boresight.studies import matching_speed, peers
+from boresight.studies.repeats import fastest
 
 FloatArray = NDArray[np.float64]
 
@@ -59,24 +61,27 @@ def measure(frames: int = 2000, report: Callable[[float, str], None] | None = No
     batch.fit(small, x_0, free, scale)
     _filter(small, x_0, free, scale)
     tell(0.1, "batch evaluation")
-    evaluation = _fastest(lambda: batch.normal_equations(arcs, x_0, free, scale))
+    evaluation = fastest(lambda: batch.normal_equations(arcs, x_0, free, scale))
     tell(0.2, "batch fit")
-    fit = _fastest(lambda: batch.fit(arcs, x_0, free, scale), repeats=3)
+    fit = fastest(lambda: batch.fit(arcs, x_0, free, scale), repeats=3)
     tell(0.3, "square-root filter")
-    sqrf = _fastest(lambda: _filter(arcs, x_0, free, scale), repeats=3)
+    sqrf = fastest(lambda: _filter(arcs, x_0, free, scale), repeats=3)
     ours = {
         "batch_evaluation_us_per_frame": evaluation / frames * 1e6,
         "batch_fit_us_per_frame": fit / frames * 1e6,
         "sqrf_us_per_frame": sqrf / frames * 1e6,
     }
-    beside = _peers(arcs, x_0, scale, tell)
+    tell(0.4, "matching")
+    matching, beside = matching_speed.measure(frames, np.random.default_rng(seed))
+    ours |= matching
+    beside |= _peers(arcs, x_0, scale, tell)
     tell(1.0, "done")
     return {
         "frames": frames,
         "stars_per_exposure": STARS,
         "exposures_per_frame": EXPOSURES_A_FRAME,
         **ours,
-        "match_us_per_frame": None,
+        "match_per_batch_evaluation": ours["match_us_per_frame"] / ours["match_batch_evaluation_us_per_frame"],
         "svd_us_per_frame": None,
         "peak_rss_mb": _peak_rss_mb(),
         "peers": beside,
@@ -86,7 +91,7 @@ def measure(frames: int = 2000, report: Callable[[float, str], None] | None = No
 
 def _ratios(ours: dict[str, float], beside: dict[str, float]) -> dict[str, float]:
     """How many times longer each peer takes than the product's loop that does its work."""
-    loop = {"evaluation": "batch_evaluation", "fit": "batch_fit", "sqrf": "sqrf", "ekf": "sqrf"}
+    loop = {"evaluation": "batch_evaluation", "fit": "batch_fit", "sqrf": "sqrf", "ekf": "sqrf", "match": "match"}
     work = {name: loop[name.removesuffix("_us_per_frame").rsplit("_", 1)[-1]] for name in beside}
     return {name.removesuffix("_us_per_frame"): beside[name] / ours[f"{work[name]}_us_per_frame"] for name in beside}
 
@@ -96,11 +101,11 @@ def _peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray, tell: Callable[[flo
     batched = peers.EqualExposures.of(arcs.frames(0, min(arcs.n_frames, BATCH_PEER_FRAMES)), STARS)
     slow = peers.EqualExposures.of(arcs.frames(0, min(arcs.n_frames, SLOW_PEER_FRAMES)), STARS)
     n_batched, n_slow = len(batched.phi) / EXPOSURES_A_FRAME, len(slow.phi) / EXPOSURES_A_FRAME
-    tell(0.4, "peer: evaluation in batched NumPy")
-    evaluation = _fastest(lambda: peers.numpy_evaluation(batched, x_0, scale), repeats=3)
-    tell(0.5, "peer: scipy.optimize.least_squares")
+    tell(0.5, "peer: evaluation in batched NumPy")
+    evaluation = fastest(lambda: peers.numpy_evaluation(batched, x_0, scale), repeats=3)
+    tell(0.55, "peer: scipy.optimize.least_squares")
     evaluations = [1]
-    fit = _fastest(lambda: evaluations.__setitem__(0, peers.scipy_fit(batched, x_0, scale)[1]), repeats=1)
+    fit = fastest(lambda: evaluations.__setitem__(0, peers.scipy_fit(batched, x_0, scale)[1]), repeats=1)
     times = {
         "numpy_evaluation": evaluation / n_batched,
         "scipy_evaluation": fit / evaluations[0] / n_batched,
@@ -114,7 +119,7 @@ def _peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray, tell: Callable[[flo
     }
     for turn, (name, (n_frames, run)) in enumerate(filters.items()):
         tell(0.6 + 0.1 * turn, f"peer: {name}")
-        times[name] = _fastest(run, repeats=2) / n_frames
+        times[name] = fastest(run, repeats=2) / n_frames
     return {f"{name}_us_per_frame": seconds * 1e6 for name, seconds in times.items()}
 
 
@@ -154,16 +159,6 @@ def _plain_filter(arcs: ArcSet, x_0: FloatArray, scale: FloatArray) -> None:
     """Run the same job in plain NumPy, from the same pooled start."""
     pooled = pool_start(arcs, START_ARCS_PER_PARAMETER * len(x_0))
     peers.numpy_square_root_filter(pooled, x_0, scale, START_SIGMA, Tuning().linearisations, Tuning().rest)
-
-
-def _fastest(run: Callable[[], object], repeats: int = 5) -> float:
-    """Seconds of the fastest of several repeats."""
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - began)
-    return min(times)
 
 
 def _peak_rss_mb() -> float:

@@ -1,0 +1,69 @@
+"""The bench keeps the contract's keys, times what it says it times, and its matching peer does match."""
+
+import numpy as np
+import pytest
+
+from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.simulation.sensors import ST16_MAGNITUDE_LIMIT, st16_sensor, st16_truth
+from boresight.sky.apparent import apparent_directions
+from boresight.sky.catalogue import load_catalogue
+from boresight.studies import speed
+from boresight.studies.matching_peer import scipy_match
+from boresight.studies.star_frames import STARS, TIME, star_frames
+
+CONTRACT = {
+    "frames", "batch_evaluation_us_per_frame", "batch_fit_us_per_frame", "sqrf_us_per_frame", "match_us_per_frame",
+    "svd_us_per_frame", "peak_rss_mb", "peers",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def measured():
+    return speed.measure(30)
+
+
+@pytest.fixture(scope="module")
+def catalogue():
+    return load_catalogue(None)
+
+
+def test_the_contract_s_keys_are_there_and_every_time_is_a_time(measured):
+    assert set(measured) >= CONTRACT
+    times = {key: value for key, value in measured.items() if key.endswith("_us_per_frame")} | measured["peers"]
+    assert all(value is None or value > 0 for value in times.values())
+    assert [key for key, value in times.items() if value is None] == ["svd_us_per_frame"]
+
+
+def test_every_ratio_is_a_peer_over_the_loop_that_does_its_work(measured):
+    assert {f"{name}_us_per_frame" for name in measured["ratios"]} == set(measured["peers"])
+    ours = measured["match_us_per_frame"]
+    assert measured["ratios"]["scipy_match"] == pytest.approx(measured["peers"]["scipy_match_us_per_frame"] / ours)
+    assert measured["match_per_batch_evaluation"] == pytest.approx(
+        ours / measured["match_batch_evaluation_us_per_frame"]
+    )
+
+
+def test_frames_for_matching_hold_twelve_real_stars_in_each_of_two_exposures(catalogue):
+    telemetry = star_frames(20, st16_sensor(1), st16_truth(1), catalogue, np.random.default_rng(1))
+
+    assert len(telemetry) == 20 * 2 * STARS
+    image = telemetry.star_id.reshape(-1, STARS)
+    assert all(len(set(stars)) == STARS for stars in image.tolist())
+    np.testing.assert_array_equal(image[::2], image[1::2])
+    assert (catalogue.magnitude[catalogue.index_of(telemetry.star_id)] <= ST16_MAGNITUDE_LIMIT).all()
+    assert not np.array_equal(telemetry.row_px[:STARS], telemetry.row_px[STARS : 2 * STARS])
+
+
+def test_the_peer_finds_the_unnamed_stars_of_a_well_known_camera(catalogue):
+    rng, truth = np.random.default_rng(2), st16_truth(1)
+    telemetry = star_frames(20, st16_sensor(1), truth, catalogue, rng)
+    bright = np.flatnonzero(catalogue.magnitude <= ST16_MAGNITUDE_LIMIT)
+    s_i = apparent_directions(catalogue, bright, np.full(len(bright), TIME), None)
+    s_d = INVERTED_WANG.directions(truth, telemetry.row_px, telemetry.col_px, 2.2e-6)
+    given = np.where(rng.random(len(telemetry)) < 0.5, 0, telemetry.star_id)
+
+    found = scipy_match(
+        np.arange(0, len(telemetry) + 1, STARS), s_d, given, catalogue.hip[bright], s_i, 0.25, 6e-4
+    )  # fmt: skip
+
+    assert np.mean(found == telemetry.star_id) > 0.95
