@@ -10,8 +10,9 @@ Each sensor of E Table III gets a simulated calibration set with one false star 
 - *nothing*: neither, so that lost-in-space identification starts; needs the extra.
 
 Recovered is the share of true stars without a name that were found again; wrong the share of all matches that are not the
-true star, false detections included; solved the share of frames with a valid exposure. Intervals are Wilson's for
-as many independent stars as the scatter between frames leaves, for the stars of one frame succeed and fail together.
+true star, false detections included; solved the share of frames with a valid exposure. Of 400 frames of sensor 6, 2.5 %
+show fewer than four true stars in either exposure: nobody can solve these. Intervals are Wilson's for as many independent
+stars as the scatter between frames leaves, for the stars of one frame succeed and fail together.
 """
 
 from __future__ import annotations
