@@ -28,8 +28,10 @@ from boresight.telemetry.detector import check_against_sensor
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
-#: Seconds between two progress reports with a partial result; each costs a pass over the set.
+#: Seconds between two progress reports with a partial result.
 REPORT_EVERY_S = 0.25
+#: Most of the time that may go into reports, for on a long set each costs many passes over it.
+REPORT_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ class _Stopwatch:
 
 
 class _Listener:
-    """Turns estimates on their way into progress reports, a partial result at most every `REPORT_EVERY_S`."""
+    """Turns estimates on their way into progress reports with a partial result, as often as is worth it."""
 
     def __init__(
         self,
@@ -183,7 +185,9 @@ class _Listener:
 
     def __call__(self, estimate: Estimate, fraction: float, message: str) -> None:
         """Report one estimate when it is time to."""
-        if self._report is None or time.perf_counter() < self._due:
+        began = time.perf_counter()
+        if self._report is None or began < self._due:
             return
         self._report(Progress(fraction, message, result.document(*self._of, estimate, self._sha256s)))
-        self._due = time.perf_counter() + REPORT_EVERY_S
+        ended = time.perf_counter()
+        self._due = ended + max(REPORT_EVERY_S, (ended - began) / REPORT_SHARE)

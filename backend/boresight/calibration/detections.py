@@ -21,7 +21,7 @@ CONE_MARGIN_RAD = np.radians(0.3)
 #: Where a sensor file gives no limit: this much fainter than the faintest star named in the set.
 FAINTER_MAG = 0.5
 #: Rows whose derivatives are taken at a time.
-CHUNK_ROWS = 65_536
+CHUNK_ROWS = 2_048
 
 
 def given_stars(telemetry: Telemetry, catalogue: Catalogue) -> tuple[IntArray, FloatArray, NDArray[np.bool_]]:
