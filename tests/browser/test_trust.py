@@ -14,7 +14,7 @@ from tests.browser.work import choose_filter, ends_as, queue
 
 pytestmark = pytest.mark.browser
 
-FRAMES_PER_S = 40.0
+FRAMES_PER_S = 6.0
 SINGLE = 1e-6  # figures travel in single precision
 
 
