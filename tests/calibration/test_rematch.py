@@ -95,6 +95,18 @@ def test_wrong_names_are_found_out(catalogue, start, most_kept, of):
     assert score.wrong_share <= 0.002
 
 
+def test_a_set_whose_names_are_all_wrong_is_matched_from_its_quaternions_all_the_same(catalogue):
+    score = Score()
+    for number in (3, 5):
+        field = sky(catalogue, number, 30)
+        wrong = np.random.default_rng(5).permutation(field.true)
+        named = replace(field.telemetry, star_id=np.where(wrong == field.true, 0, wrong))
+        score.count(field.match(named), replace(named, star_id=np.zeros_like(field.true)), field.true)
+
+    assert score.recovered >= 0.95
+    assert score.wrong_share <= 0.003
+
+
 def test_an_upright_image_gives_the_same_matches_and_attitudes(catalogue):
     field = sky(catalogue, 2, 20)
     telemetry = field.blanked(0.5)

@@ -157,3 +157,14 @@ def test_real_stars_keep_their_names_and_the_others_have_reasons(boresight, real
     assert found["kept"] >= 0.95 * found["given"]
     assert sum(found["removed_reasons"].values()) == found["removed"]
     assert found["valid_frames"] == found["frames"] == 5
+
+
+def test_telemetry_of_another_camera_is_said_to_be_that(boresight, simulated, half, tmp_path):
+    document = json.loads((simulated / "sensor.json").read_text())
+    document["initial"]["f_m"] *= 1.6
+    (tmp_path / "narrow.json").write_text(json.dumps(document))
+
+    done = boresight("match", half[0], "--sensor", tmp_path / "narrow.json", "--out", tmp_path / "matched.csv")
+
+    assert done.exit_code == 0, done.stderr
+    assert "given identities agree with this sensor" in done.stdout

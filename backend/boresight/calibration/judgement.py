@@ -17,6 +17,7 @@ from boresight.calibration.alignment import alignment_view
 from boresight.calibration.cycles import Ended
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluate import evaluate_sightings
+from boresight.calibration.match_report import names_advice
 from boresight.calibration.matched import Matched, MatchedSet
 from boresight.calibration.matching_view import matching_view
 from boresight.calibration.settings import CalibrationSettings
@@ -51,6 +52,8 @@ def judge(
     document["evaluation"] = evaluation
     document["shadow"]["calibration"] = shadow_view(telemetry, seen[0], seen[1])
     document["matching"] = matching_view(telemetry, sensor, ended, evaluation)
+    if document["matching"] is not None:
+        document["advice"] += names_advice(document["matching"]["given"], document["matching"]["kept"])
     P = np.zeros((len(estimate.x), len(estimate.x)))
     P[np.ix_(parameters.free, parameters.free)] = estimate.P * np.outer(parameters.scale, parameters.scale)
     document["alignment"] = alignment_view(ended.matched.problem, sensor.initial, estimate.x, P)

@@ -21,6 +21,9 @@ from boresight.telemetry.sensors import Sensor
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+#: Given identities below which their share says nothing.
+FEWEST_NAMES = 20
+
 SCHEMA = "boresight.matching/1"
 #: Reason of a row that matching found a star for and the flight code would not accept.
 NOT_ACCEPTED = "not accepted by the flight code"
@@ -68,6 +71,7 @@ def match_report(
         "kept": int(np.sum((given > 0) & (star_id == given))),
         "changed": int(np.sum((given > 0) & (star_id > 0) & (star_id != given))),
         "added": int(np.sum((given == 0) & (star_id > 0))),
+        "advice": names_advice(int(np.sum(given > 0)), int(np.sum((given > 0) & (star_id == given)))),
         "removed": int(removed.sum()),
         "matched": int(np.sum(star_id > 0)),
         "removed_reasons": _counted(why, removed),
@@ -79,6 +83,17 @@ def match_report(
         "flight_tolerance_rad": None if seen is None else seen.tolerance_rad,
         "exposures": exposures,
     }
+
+
+def names_advice(given: int, kept: int) -> list[str]:
+    """What to think of a set of which most given names do not agree with the sensor."""
+    if given < FEWEST_NAMES or 2 * kept >= given:
+        return []
+    sentence = (
+        f"Only {kept:,} of {given:,} given identities agree with this sensor: the sensor file, its parity or its parameters are "
+        "probably not those of this telemetry; attitudes and matches found in spite of that deserve no trust."
+    )
+    return [sentence]
 
 
 def _counted(why: list[str], rows: BoolArray) -> dict[str, int]:

@@ -190,6 +190,7 @@ class Rematcher:
         index = self._flagged.index_of(answer.star_id)
         flags = np.where((answer.star_id > 0) & (index >= 0), self._flags[index], 0).astype(np.int8)
         left_out = (flags > 0) & self._settings.leave_out_doubles
+        timeless = np.isnan(self._motion.years[exposures])
         return Matches(
             star_id=np.where(left_out, 0, answer.star_id),
             s_i=np.where(left_out[:, None], np.nan, answer.s_i),
@@ -199,7 +200,7 @@ class Rematcher:
             frame=self._exposures.frame[exposures],
             exposure=self._exposures.exposure[exposures],
             start=answer.start,
-            reason=answer.reason,
+            reason=np.where((answer.reason > 0) & timeless, matching.NO_TIME, answer.reason).astype(np.int8),
             quaternion=quaternion_of(answer.C),
             attitude_covariance=answer.covariance,
             flags=flags,

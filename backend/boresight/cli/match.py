@@ -92,6 +92,8 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
     yield aligned([keys, [f"{document[key]:,}" for key in keys]], left=())
     yield ""
     yield f"frames valid: {document['valid_frames']:,} of {document['frames']:,}"
+    for sentence in document["advice"]:
+        yield f"\n- {sentence}"
     for title, key in (
         ("frames not valid", "frame_reasons"),
         ("given stars removed", "removed_reasons"),

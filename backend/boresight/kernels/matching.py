@@ -661,7 +661,7 @@ def _attitude_covariance(A, sigma, use, covariance):
 
 @_jit
 def match_frames(
-    frame_start, row_start, s, G, sigma, given, given_s, own, any_own,
+    frame_start, row_start, s, G, sigma, given, given_s, own, any_own, believe,
     hint, hint_radius, hint_start, years, earth, beta, hip, place, motion, parallax, density, cone, gate, minimum_stars,
     star_id, direction, reason, tolerance, start, valid, attitude, covariance,
 ):  # fmt: skip
@@ -700,22 +700,29 @@ def match_frames(
             solved[q], valid[e] = False, False
             n = i1 - i0
             for i in range(n):
-                use[q, i] = given[i0 + i] > 0 and not math.isnan(given_s[i0 + i, 0])
+                use[q, i] = believe and given[i0 + i] > 0 and not math.isnan(given_s[i0 + i, 0])
                 named[q, i] = use[q, i]
                 direction[i0 + i] = given_s[i0 + i]
                 reason[i0 + i] = NO_ATTITUDE
                 star_id[i0 + i] = given[i0 + i] if use[q, i] else 0
             _rows(s[i0:i1], G[i0:i1], A[q], T[q])
-            if _verify(s[i0:i1], G[i0:i1], sigma[i0:i1], direction[i0:i1], use[q], named[q], gate, bad) >= 2:
+            n_named = _count(use[q], n)
+            agreed = _verify(s[i0:i1], G[i0:i1], sigma[i0:i1], direction[i0:i1], use[q], named[q], gate, bad)
+            # two that agree among many that do not are a coincidence
+            if agreed >= 3 or (agreed == 2 and n_named <= 3):
                 solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e])
-                if solved[q]:
-                    start[e] = GIVEN
+            if solved[q]:
+                start[e] = GIVEN
+            else:
+                use[q, :n] = False
         # attitudes of the others: the frame's other exposure, else the hint; the first stars are found by voting
         for e in range(e0, e1):
             q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
             if solved[q] and _count(use[q], i1 - i0) >= min(3, minimum_stars):
                 continue
             n = i1 - i0
+            fallback, fallback_use = solved[q], use[q].copy()
+            fallback_attitude = attitude[e].copy()
             for attempt in range(2):
                 radius = 0.0
                 kind = NO_START
@@ -748,6 +755,12 @@ def match_frames(
                 if solved[q]:
                     start[e] = kind
                     break
+            if fallback and not solved[q]:
+                solved[q], start[e] = True, GIVEN
+                use[q] = fallback_use
+                attitude[e] = fallback_attitude
+                for i in range(n):
+                    star_id[i0 + i], direction[i0 + i] = given[i0 + i], given_s[i0 + i]
         # what the first stars of each exposure say of the parameters
         for e in range(e0, e1):
             q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
@@ -824,7 +837,23 @@ def match_frames(
                 OTHER_EXPOSURE else minimum_stars, use[q], star_id[i0:i1], direction[i0:i1], reason[i0:i1], attitude[e],
                 covariance[e], bad,
             )  # fmt: skip
-            valid[e] = _count(use[q], n) >= minimum_stars
+            count = _count(use[q], n)
+            n_named, n_kept = 0, 0
+            for i in range(i0, i1):
+                n_named += given[i] > 0 and not math.isnan(given_s[i, 0])
+                n_kept += given[i] > 0 and star_id[i] == given[i]
+            if start[e] == GIVEN and 2 * n_kept < n_named and 2 * count < n:
+                # neither what the file says nor what the detector shows agrees with this attitude
+                for i in range(n):
+                    if use[q, i]:
+                        reason[i0 + i] = DISAGREES
+                use[q, :n] = False
+                star_id[i0:i1] = 0
+                direction[i0:i1] = np.nan
+                attitude[e] = np.nan
+                covariance[e] = np.nan
+                count = 0
+            valid[e] = count >= minimum_stars
             # the other exposures learn from all stars of this one
             Lambda[q] = 0.0
             eta[q] = 0.0

@@ -2,7 +2,7 @@
 
 From where the attitude comes, in this order:
 
-1. the matches given in the file, after their arcs have voted out the wrong ones (two are enough);
+1. the matches given in the file, after their arcs have voted out the wrong ones (three must agree, or two of at most three);
 2. the frame's other exposure; the quaternion in the file; the attitude of the neighbouring frames, carried on at constant rate;
 3. lost-in-space identification, which gives an attitude and nothing else.
 
@@ -42,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.estimation.rotations import quaternion_of
 from boresight.kernels import matching as loops
 from boresight.sky.detections import Detections
 from boresight.sky.guide_stars import GuideStars, ObserverMotion
@@ -74,12 +75,16 @@ EXPOSURE_REASONS = (
     "valid",
     "nothing to start from: too few given matches, and no quaternion, neighbour or lost-in-space answer that fits",
     "too few stars agree with the catalogue",
+    "no time, so that no catalogue star has a direction",
 )
+NO_TIME = 3
 LEFT_OUT = ROW_REASONS.index("left out as a double or for its unreliable astrometry")
-QUATERNION, NEIGHBOUR, LOST = (STARTS.index(name) for name in ("quaternion", "neighbouring frame", "lost in space"))
+OTHER_EXPOSURE, QUATERNION, NEIGHBOUR, LOST = (
+    STARTS.index(name) for name in ("other exposure", "quaternion", "neighbouring frame", "lost in space")
+)
 
 #: How far the first stars are sought from where a start says, rad: under a ground calibration the boresight may be off by degrees.
-START_RADIUS = {QUATERNION: 0.06, NEIGHBOUR: 0.06, LOST: 0.03}
+START_RADIUS = {OTHER_EXPOSURE: 0.03, QUATERNION: 0.06, NEIGHBOUR: 0.06, LOST: 0.03}
 NEIGHBOUR_ROUNDS = 8
 #: Frames that lost-in-space identification may fail on in a row before it is given up: under a wrong focal length it knows none.
 GIVE_UP = 40
@@ -150,7 +155,10 @@ def match(
     everything = np.arange(len(detections.frame_start) - 1)
     hint, kind = detections.quaternion.copy(), np.where(np.isnan(detections.quaternion[:, 0]), 0, QUATERNION)
     run = _Matcher(detections, stars, motion, cone_rad, minimum_stars, answer)
-    run(everything, hint, kind)
+    run(everything, hint, kind, believe=True)
+    if len(lost := run.unsolved()):
+        run(lost, hint, kind)  # their given matches may be wrong
+    _fill_from_exposures(run)
     _fill_from_neighbours(run)
     if identify is not None and len(lost := run.unsolved()):
         _identify(run, lost, identify)
@@ -193,8 +201,11 @@ class _Matcher:
         valid = np.logical_or.reduceat(self.answer.reason == 0, self.detections.frame_start[:-1])
         return np.flatnonzero(~valid)
 
-    def __call__(self, frames: IntArray, hint: FloatArray, kind: IntArray) -> None:
-        """Match frames with hints (n_exposures, 4) of kinds (n_exposures,); solved frames replace what was there."""
+    def __call__(self, frames: IntArray, hint: FloatArray, kind: IntArray, *, believe: bool = False) -> None:
+        """Match frames with hints (n_exposures, 4) of kinds (n_exposures,); exposures with more stars than before replace these.
+
+        `believe` starts from the given matches where they agree among themselves.
+        """
         part, rows, exposures = self.detections.frames(frames)
         n, e, stars = len(rows), len(exposures), self._stars
         star_id, direction, reason = np.zeros(n, np.int64), np.full((n, 3), np.nan), np.zeros(n, np.int64)
@@ -205,16 +216,22 @@ class _Matcher:
         radius = np.array([START_RADIUS.get(place, 0.0) for place in range(len(STARTS))])[kind]
         loops.match_frames(
             part.frame_start, part.row_start, part.s, part.G, part.sigma_rad, part.star_id, part.given_s, part.own,
-            bool(part.own.any()), _matrices(hint[exposures]), radius, kind, self._motion.years[exposures],
+            bool(part.own.any()), believe, _matrices(hint[exposures]), radius, kind, self._motion.years[exposures],
             self._motion.earth_au[exposures], self._motion.beta[exposures], stars.hip, stars.place, stars.motion,
             stars.parallax_rad, stars.density, self._cone, GATE, self._minimum_stars,
             star_id, direction, reason, tolerance, start, valid, C, covariance,
         )  # fmt: skip
-        self.answer.star_id[rows], self.answer.s_i[rows], self.answer.row_reason[rows] = star_id, direction, reason
-        self.answer.tolerance_rad[rows] = np.where(star_id > 0, tolerance, np.nan)
-        self.answer.start[exposures] = start
-        self.answer.reason[exposures] = np.where(valid, 0, np.where(start == 0, 1, 2))
-        self.answer.C[exposures], self.answer.covariance[exposures] = C, covariance
+        before = np.add.reduceat(self.answer.star_id[rows] > 0, part.row_start[:-1], dtype=np.int64)
+        after = np.add.reduceat(star_id > 0, part.row_start[:-1], dtype=np.int64)
+        new = (after > before) | ((before == 0) & (self.answer.start[exposures] == 0))
+        new_rows = np.repeat(new, np.diff(part.row_start))
+        rows, exposures = rows[new_rows], exposures[new]
+        self.answer.star_id[rows], self.answer.s_i[rows] = star_id[new_rows], direction[new_rows]
+        self.answer.row_reason[rows] = reason[new_rows]
+        self.answer.tolerance_rad[rows] = np.where(star_id > 0, tolerance, np.nan)[new_rows]
+        self.answer.start[exposures] = start[new]
+        self.answer.reason[exposures] = np.where(valid, 0, np.where(start == 0, 1, 2))[new]
+        self.answer.C[exposures], self.answer.covariance[exposures] = C[new], covariance[new]
 
 
 def _matrices(quaternion: FloatArray) -> FloatArray:
@@ -224,6 +241,20 @@ def _matrices(quaternion: FloatArray) -> FloatArray:
     if known.any():
         C[known] = Rotation.from_quat(quaternion[known]).as_matrix()
     return C
+
+
+def _fill_from_exposures(run: _Matcher) -> None:
+    """Match exposures that their given matches led astray from the attitude of the frame's other exposure."""
+    frame_start, valid = run.detections.frame_start, run.answer.reason == 0
+    counts = np.add.reduceat(valid, frame_start[:-1], dtype=np.int64)
+    partly = np.flatnonzero((counts > 0) & (counts < np.diff(frame_start)))
+    if not len(partly):
+        return
+    hint = np.full((run.detections.n_exposures, 4), np.nan)
+    for k in partly:
+        exposures = np.arange(frame_start[k], frame_start[k + 1])
+        hint[exposures] = quaternion_of(run.answer.C[exposures[valid[exposures]][0]])
+    run(partly, hint, np.where(np.isnan(hint[:, 0]), 0, OTHER_EXPOSURE))
 
 
 def _fill_from_neighbours(run: _Matcher) -> None:
