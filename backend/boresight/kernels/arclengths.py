@@ -10,8 +10,9 @@ The derivative of an arc is taken backwards. With c = s_i.s_j and g = (s_j - c s
 
     d phi / d x = -(g_i . dr_i/dx) - (g_j . dr_j/dx)        (E Eq 38 with both errata)
 
-and g.dr/dx collapses to a few products, because r = (B U, B V, f) depends on the pixel through (U, V) alone:
-dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what E Eq 43 means, without its 0/0 on the principal point.
+and g.dr/dx collapses to a few products. Model 0, `inverted_wang`: r = (B U, B V, f) depends on the pixel through (U, V) alone,
+dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what E Eq 43 means, without its 0/0 on the principal point. Model 1,
+`pinhole_radial`: r = (p, q, B), and dB follows from its radial equation. The loops take the number of the model before its state x.
 `tests/test_kernels.py` holds every loop against plain NumPy.
 """
 
@@ -27,7 +28,12 @@ HALF_BANDWIDTH = 4
 _BAND = HALF_BANDWIDTH + 1
 _HALVINGS = 6  # of a filter step that raises its frame's cost
 _THIN = 0.1  # sine of an angle: orders with a thinner triangle are mended
-_STAR = 20  # numbers kept a star: s(3), 1/|r|, M(3), U_u U_v V_u V_v, U_f V_f, u v, f/D^2, rho2, U V, column offset
+# numbers kept a star: s(3), 1/|r|, then of model 0 M(3), U_u U_v V_u V_v, U_f V_f, u v, f/D^2, rho2, U V, column offset;
+# of model 1 p q, 2 dB/dR^2, dB/dk1 dB/dk2, p/s, Delta/f, 1/f, B^2/T
+_STAR = 20
+_INVERTED_WANG = 0
+_STEPS = 60  # of a bracketed Newton search, which takes about five
+_SETTLED = 1e-11  # share of the root that the last step may be: its error is the square of that
 
 # Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
 _FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
@@ -35,8 +41,66 @@ _jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 
 
 @_jit
-def _star(x, pitch, row_px, col_px, w):
-    """Fill `w` (20,) with one star's ray and what its derivatives need (E Eqs 1-7, 44-77)."""
+def _undistorted_radius(reach, k1, k2):
+    """Solve r (1 + k1 r^2 + k2 r^4) = reach on the branch that rises from zero; NaN where it turns back before reach.
+
+    Newton's method, halving a bracket where a step would leave it: [0, r_turn], r_turn the first zero of the slope.
+    """
+    turn2 = _turn_squared(k1, k2)
+    low, high = 0.0, math.sqrt(turn2)
+    if math.isfinite(high) and not high * (1.0 + turn2 * (k1 + k2 * turn2)) > reach:
+        return math.nan
+    r = min(reach, 0.99 * high)
+    for _ in range(_STEPS):
+        r2 = r * r
+        excess = r * (1.0 + r2 * (k1 + k2 * r2)) - reach
+        if excess > 0.0:
+            high = r
+        else:
+            low = r
+        step = excess / (1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2))
+        r -= step
+        if not low <= r <= high:
+            r = 0.5 * (low + high)
+        elif abs(step) <= _SETTLED * r:
+            break
+    return r
+
+
+@_jit
+def _turn_squared(k1, k2):
+    """Smallest positive zero of the slope 1 + 3 k1 r^2 + 5 k2 r^4 in r^2; infinite where it never falls to zero."""
+    half = 1.5 * k1
+    inside = half * half - 5.0 * k2
+    if inside < 0.0:
+        return math.inf
+    root = math.sqrt(inside)
+    if root - half > 0.0:  # both forms of the quadratic's zeros without cancellation: 1 / (sqrt - 3 k1 / 2)
+        return 1.0 / (root - half)
+    return math.inf
+
+
+@_jit
+def _pinhole_star(x, pitch, row_px, col_px, w):
+    """Fill `w` (20,) with one star's ray and derivatives of model 1; its module derives them."""
+    s, f, u0, v0, k1, k2 = x[0], x[1], x[2], x[3], x[4], x[5]
+    scale = pitch / f
+    across = scale * (row_px - v0)
+    p, q = s * across, scale * (col_px - u0)
+    r = _undistorted_radius(math.sqrt(p * p + q * q), k1, k2)
+    r2 = r * r
+    B = 1.0 + r2 * (k1 + k2 * r2)
+    T = 1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2)
+    norm = 1.0 / math.sqrt(p * p + q * q + B * B)
+    w[0], w[1], w[2], w[3] = p * norm, q * norm, B * norm, norm
+    w[4], w[5], w[6] = p, q, (2.0 * k1 + 4.0 * k2 * r2) / (B * T)
+    w[7], w[8] = r2 * B / T, r2 * r2 * B / T
+    w[9], w[10], w[11], w[12] = across, scale, 1.0 / f, B * B / T
+
+
+@_jit
+def _wang_star(x, pitch, row_px, col_px, w):
+    """Fill `w` (20,) with one star's ray and what its derivatives need of model 0 (E Eqs 1-7, 44-77)."""
     f, m0, n0, b4, b2, a1, a2, g_y = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
     dn = pitch * (col_px - n0)
     u = pitch * (row_px - m0)
@@ -60,8 +124,35 @@ def _star(x, pitch, row_px, col_px, w):
 
 
 @_jit
-def _subtract_end(w, gx, gy, gz, pitch, g_y, h):
-    """Subtract g . dr/dx of one end of an arc from its row `h` (8,)."""
+def _star(model, x, pitch, row_px, col_px, w):
+    """Fill `w` (20,) with one star's ray and what its derivatives need."""
+    if model == _INVERTED_WANG:
+        _wang_star(x, pitch, row_px, col_px, w)
+    else:
+        _pinhole_star(x, pitch, row_px, col_px, w)
+
+
+@_jit
+def _aspect(model, x):
+    """Scale between the pixel's sides, which derivatives need beside `w`: g_y, or s."""
+    return x[7] if model == _INVERTED_WANG else x[0]
+
+
+@_jit
+def _subtract_pinhole_end(w, gx, gy, gz, aspect, h):
+    """Subtract g . dr/dx of one end of an arc from its row `h` (8,) for model 1."""
+    kx, ky = gx + gz * w[6] * w[4], gy + gz * w[6] * w[5]
+    h[0] -= kx * w[9]
+    h[1] += (kx * w[4] + ky * w[5]) * w[11]
+    h[2] += ky * w[10]
+    h[3] += kx * w[10] * aspect
+    h[4] -= gz * w[7]
+    h[5] -= gz * w[8]
+
+
+@_jit
+def _subtract_wang_end(w, gx, gy, gz, pitch, g_y, h):
+    """Subtract g . dr/dx of one end of an arc from its row `h` (8,) for model 0."""
     radial = gx * w[17] + gy * w[18]
     h1 = gx * w[4] + gy * w[5]
     h2 = gx * w[5] + gy * w[6]
@@ -79,6 +170,15 @@ def _subtract_end(w, gx, gy, gz, pitch, g_y, h):
 
 
 @_jit
+def _subtract_end(model, w, gx, gy, gz, pitch, aspect, h):
+    """Subtract g . dr/dx of one end of an arc from its row `h` (8,)."""
+    if model == _INVERTED_WANG:
+        _subtract_wang_end(w, gx, gy, gz, pitch, aspect, h)
+    else:
+        _subtract_pinhole_end(w, gx, gy, gz, aspect, h)
+
+
+@_jit
 def _arclength(w, i, j):
     """Return (phi, cos phi, sin phi) between stars i and j by atan2, exact at every separation."""
     cx = w[i, 1] * w[j, 2] - w[i, 2] * w[j, 1]
@@ -90,34 +190,39 @@ def _arclength(w, i, j):
 
 
 @_jit
-def _arc(w, i, j, pitch, g_y, h):
+def _arc(model, w, i, j, pitch, aspect, h):
     """Return the measured arc between stars i and j and fill its derivative row `h` (8,)."""
     phi, c, s = _arclength(w, i, j)
     ki, kj = w[i, 3] / s, w[j, 3] / s
     h[:] = 0.0
     _subtract_end(
-        w[i], ki * (w[j, 0] - c * w[i, 0]), ki * (w[j, 1] - c * w[i, 1]), ki * (w[j, 2] - c * w[i, 2]), pitch, g_y, h
-    )
+        model, w[i],
+        ki * (w[j, 0] - c * w[i, 0]), ki * (w[j, 1] - c * w[i, 1]), ki * (w[j, 2] - c * w[i, 2]),
+        pitch, aspect, h,
+    )  # fmt: skip
     _subtract_end(
-        w[j], kj * (w[i, 0] - c * w[j, 0]), kj * (w[i, 1] - c * w[j, 1]), kj * (w[i, 2] - c * w[j, 2]), pitch, g_y, h
-    )
+        model, w[j],
+        kj * (w[i, 0] - c * w[j, 0]), kj * (w[i, 1] - c * w[j, 1]), kj * (w[i, 2] - c * w[j, 2]),
+        pitch, aspect, h,
+    )  # fmt: skip
     return phi
 
 
 @_jit
-def _exposure_rows(x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H):
+def _exposure_rows(model, x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H):
     """Whitened residuals `e` and scaled Jacobian `H` of one exposure; returns its unweighted sum of squares.
 
     The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82).
     """
     n = row_px.shape[0]
     n_free = free.shape[0]
+    aspect = _aspect(model, x)
     for i in range(n):
-        _star(x, pitch, row_px[i], col_px[i], w[i])
+        _star(model, x, pitch, row_px[i], col_px[i], w[i])
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
-        residual = _arc(w, i, i + 1 + a % 2, pitch, x[7], h) - phi[a]
+        residual = _arc(model, w, i, i + 1 + a % 2, pitch, aspect, h) - phi[a]
         total += residual * residual
         inverse = 1.0 / band[a, 4]
         first = max(0, a - HALF_BANDWIDTH)
@@ -133,11 +238,11 @@ def _exposure_rows(x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H)
 
 
 @_jit
-def _exposure_residuals(x, pitch, row_px, col_px, phi, band, w, e):
+def _exposure_residuals(model, x, pitch, row_px, col_px, phi, band, w, e):
     """Whitened residuals `e` of one exposure without derivatives; returns its unweighted sum of squares."""
     n = row_px.shape[0]
     for i in range(n):
-        _star(x, pitch, row_px[i], col_px[i], w[i])
+        _star(model, x, pitch, row_px[i], col_px[i], w[i])
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
@@ -159,22 +264,51 @@ def _largest_exposure(star_start):
 
 
 @_jit
-def solid_angles(x, pitch, row_px, col_px, omega):
+def solid_angles(model, x, pitch, row_px, col_px, omega):
     """Fill `omega` (n_stars,) with the solid angle of one pixel at each star, steradian.
 
-    Called by `estimation.cameras.inverted_wang`. With r = (B U, B V, f): omega = |det[r, dr/dm, dr/dn]| / |r|^3, and as dr has no
-    third component the determinant is f det M det d(U, V)/d(u, v) times the pixel's area g_y Delta^2.
+    Called by `estimation.cameras`: omega = |det[r, dr/dm, dr/dn]| / |r|^3. Model 0, r = (B U, B V, f): dr has no third component,
+    so the determinant is f det M det d(U, V)/d(u, v) times the pixel's area g_y Delta^2. Model 1, r = (p, q, B): it is
+    B^2 / T times s Delta^2 / f^2.
     """
     w = np.empty(_STAR)
-    area = x[0] * x[7] * pitch * pitch
     for i in range(row_px.shape[0]):
-        _star(x, pitch, row_px[i], col_px[i], w)
-        stretch = (w[4] * w[6] - w[5] * w[5]) * (w[7] * w[10] - w[8] * w[9])
-        omega[i] = abs(area * stretch) * w[3] * w[3] * w[3]
+        _star(model, x, pitch, row_px[i], col_px[i], w)
+        if model == _INVERTED_WANG:
+            stretch = (w[4] * w[6] - w[5] * w[5]) * (w[7] * w[10] - w[8] * w[9]) * x[0] * pitch * pitch
+        else:
+            stretch = w[12] * w[10] * w[10]
+        omega[i] = abs(_aspect(model, x) * stretch) * w[3] * w[3] * w[3]
 
 
 @_jit
-def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scale, threshold, A, b):
+def rays_and_jacobians(model, x, pitch, row_px, col_px, s, D):
+    """Fill `s` (n_stars, 3) with unit directions in D and `D` (n_stars, 3, n_parameters) with ds/dx per parameter in SI.
+
+    Called by `estimation.cameras` and the filters on singular values. ds = (I - s s^T) dr / |r|, so row k of D is g . dr with
+    g = (e_k - s_k s) / |r|.
+    """
+    w, h = np.empty(_STAR), np.empty(N_PARAMETERS)
+    aspect = _aspect(model, x)
+    for i in range(row_px.shape[0]):
+        _star(model, x, pitch, row_px[i], col_px[i], w)
+        for k in range(3):
+            s[i, k] = w[k]
+            along = w[3] * w[k]
+            h[:] = 0.0
+            _subtract_end(
+                model, w,
+                (w[3] if k == 0 else 0.0) - along * w[0],
+                (w[3] if k == 1 else 0.0) - along * w[1],
+                (w[3] if k == 2 else 0.0) - along * w[2],
+                pitch, aspect, h,
+            )  # fmt: skip
+            for p in range(D.shape[2]):
+                D[i, k, p] = -h[p]
+
+
+@_jit
+def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, free, scale, threshold, A, b):
     """Accumulate A = H'^T W H' (n_free, n_free) and b = H'^T W e' (n_free,); return (cost, unweighted sum of squares).
 
     Called by `estimation.batch`. H' is whitened and in units of `scale` (the typical sigmas of the free parameters). W holds
@@ -192,7 +326,7 @@ def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scal
         s0, s1 = star_start[k], star_start[k + 1]
         a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
         total += _exposure_rows(
-            x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e, H
+            model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e, H
         )
         for a in range(a1 - a0):
             size = abs(e[a])
@@ -217,7 +351,7 @@ def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scal
 
 
 @_jit
-def count_beyond(x, pitch, star_start, row_px, col_px, phi, band, threshold):
+def count_beyond(model, x, pitch, star_start, row_px, col_px, phi, band, threshold):
     """Return (arcs whose whitened residual is beyond `threshold`, sum of squares of all, each cut off at it).
 
     Called by `estimation.robust`.
@@ -228,7 +362,7 @@ def count_beyond(x, pitch, star_start, row_px, col_px, phi, band, threshold):
     for k in range(star_start.shape[0] - 1):
         s0, s1 = star_start[k], star_start[k + 1]
         a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
-        _exposure_residuals(x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e)
+        _exposure_residuals(model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e)
         for a in range(a1 - a0):
             size = abs(e[a])
             beyond += size > threshold
@@ -237,20 +371,20 @@ def count_beyond(x, pitch, star_start, row_px, col_px, phi, band, threshold):
 
 
 @_jit
-def residuals(x, pitch, star_start, row_px, col_px, phi, e):
+def residuals(model, x, pitch, star_start, row_px, col_px, phi, e):
     """Fill `e` (n_arcs,) with measured minus catalogue arclength, radians. Called by `estimation.metrics`."""
     w = np.empty((_largest_exposure(star_start), _STAR))
     for k in range(star_start.shape[0] - 1):
         s0, s1 = star_start[k], star_start[k + 1]
         a0 = 2 * s0 - 3 * k
         for i in range(s1 - s0):
-            _star(x, pitch, row_px[s0 + i], col_px[s0 + i], w[i])
+            _star(model, x, pitch, row_px[s0 + i], col_px[s0 + i], w[i])
         for a in range(2 * (s1 - s0) - 3):
             e[a0 + a] = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
 
 
 @_jit
-def sums_of_squares(states, pitch, star_start, row_px, col_px, phi, totals):
+def sums_of_squares(model, states, pitch, star_start, row_px, col_px, phi, totals):
     """Fill `totals` (n_states,) with the unweighted sum of squares of the whole set at each state (n_states, 8).
 
     Called by `estimation.metrics.tail_rms` (E Eq 32).
@@ -262,7 +396,7 @@ def sums_of_squares(states, pitch, star_start, row_px, col_px, phi, totals):
             s0, s1 = star_start[k], star_start[k + 1]
             a0 = 2 * s0 - 3 * k
             for i in range(s1 - s0):
-                _star(states[m], pitch, row_px[s0 + i], col_px[s0 + i], w[i])
+                _star(model, states[m], pitch, row_px[s0 + i], col_px[s0 + i], w[i])
             for a in range(2 * (s1 - s0) - 3):
                 residual = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
                 total += residual * residual
@@ -270,7 +404,7 @@ def sums_of_squares(states, pitch, star_start, row_px, col_px, phi, totals):
 
 
 @_jit
-def whitened_rows(x, pitch, star_start, row_px, col_px, phi, band, free, scale, e, H):
+def whitened_rows(model, x, pitch, star_start, row_px, col_px, phi, band, free, scale, e, H):
     """Fill whitened `e` (n_arcs,) and `H` (n_arcs, n_free) of several exposures. Called by `estimation.filters.extended`."""
     w, h = np.empty((_largest_exposure(star_start), _STAR)), np.empty(N_PARAMETERS)
     total = 0.0
@@ -278,7 +412,19 @@ def whitened_rows(x, pitch, star_start, row_px, col_px, phi, band, free, scale, 
         s0, s1 = star_start[k], star_start[k + 1]
         a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
         total += _exposure_rows(
-            x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e[a0:a1], H[a0:a1]
+            model,
+            x,
+            pitch,
+            row_px[s0:s1],
+            col_px[s0:s1],
+            phi[a0:a1],
+            band[a0:a1],
+            free,
+            scale,
+            w,
+            h,
+            e[a0:a1],
+            H[a0:a1],
         )
     return total
 
@@ -359,14 +505,16 @@ def _prior_cost(S, z, z_prior, n_free, y):
 
 
 @_jit
-def _frame_residuals(x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
+def _frame_residuals(model, x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
     """Whitened residuals `e` of the exposures first <= m < last, one after another; returns their unweighted sum of squares."""
     total = 0.0
     n_arcs = 0
     for m in range(first, last):
         s0, s1 = star_start[m], star_start[m + 1]
         a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
-        total += _exposure_residuals(x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e[n_arcs:])
+        total += _exposure_residuals(
+            model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e[n_arcs:]
+        )
         n_arcs += a1 - a0
     return total
 
@@ -383,7 +531,7 @@ def _largest_frame(frame_start, star_start):
 
 @_jit
 def square_root_filter(
-    x, z, S, q, widening, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    x, z, S, q, widening, model, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
     """Run the Carlson filter over frames; x (8,), z (8,) and S (8, 8) change in place, zero beyond the free parameters.
@@ -424,7 +572,7 @@ def square_root_filter(
                 s0, s1 = star_start[m], star_start[m + 1]
                 a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
                 _exposure_rows(
-                    x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h,
+                    model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h,
                     e[n_arcs:], H[n_arcs:],
                 )  # fmt: skip
                 n_arcs += a1 - a0
@@ -443,7 +591,7 @@ def square_root_filter(
                 before += e[a] * e[a]
             for _ in range(_HALVINGS):
                 total = _frame_residuals(
-                    x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
+                    model, x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
                 )
                 after = _prior_cost(S_prior, z, z_prior, n_free, f)
                 for a in range(n_arcs):
@@ -476,7 +624,7 @@ def square_root_filter(
 
 @_jit
 def unscented_filter(
-    x, z, S, q, widening, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    x, z, S, q, widening, model, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     shrunk, straight, states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
     """Run the square-root unscented filter over frames; arguments and result as in `square_root_filter`.
@@ -491,7 +639,7 @@ def unscented_filter(
     w = np.empty((_largest_exposure(star_start), _STAR))
     e, H, C = np.empty(most), np.zeros((most, N_PARAMETERS)), np.empty((most, N_PARAMETERS))
     plus, minus = np.empty((N_PARAMETERS, most)), np.empty((N_PARAMETERS, most))
-    z_prior, z_at, point = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty(N_PARAMETERS)
+    z_prior, z_at, point = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty(x.shape[0])
     S_prior, S_at = np.empty((N_PARAMETERS, N_PARAMETERS)).T, np.empty((N_PARAMETERS, N_PARAMETERS)).T
     f, gain, M, x0 = (
         np.empty(N_PARAMETERS),
@@ -520,7 +668,7 @@ def unscented_filter(
                     for p in range(n_free):
                         point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
                     _frame_residuals(
-                        point, pitch, k0, k1, star_start, row_px, col_px, phi, band, w,
+                        model, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, w,
                         plus[i] if side == 0 else minus[i],
                     )  # fmt: skip
             _regress(plus, minus, S_at, n_free, n_arcs, e, H, C)
@@ -546,7 +694,7 @@ def unscented_filter(
             for j in range(p, n_free):
                 variance += S[p, j] * S[p, j]
             sigmas[k, p] = math.sqrt(variance)
-        total = _frame_residuals(x, pitch, k0, k1, star_start, row_px, col_px, phi, band, w, e)
+        total = _frame_residuals(model, x, pitch, k0, k1, star_start, row_px, col_px, phi, band, w, e)
         nis[k], dof[k], squares[k], passes[k] = frame_nis, n_arcs, total, done
         if not math.isfinite(total):
             return k

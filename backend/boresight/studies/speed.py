@@ -129,6 +129,7 @@ def synthetic(frames: int, rng: np.random.Generator) -> ArcSet:
     places, _ = arcsets.order(star_start, s_i)
     noise = sensor.centroid_sigma_px * rng.normal(size=(2, n))
     arcs = ArcSet(
+        model=INVERTED_WANG.kernel,
         pitch=sensor.pixel_pitch_m,
         frame=np.arange(frames),
         frame_start=np.arange(frames + 1) * EXPOSURES_A_FRAME,

@@ -19,6 +19,8 @@ class CameraModel:
     ----------
     name
         As in the sensor file.
+    kernel
+        Number of the model in the compiled loops, see `boresight.kernels.arclengths`.
     parameter_names, symbols, units
         (n_parameters,) in state order; symbols are the paper's letters for pages, units for tables.
     directions
@@ -40,6 +42,7 @@ class CameraModel:
     """
 
     name: str
+    kernel: int
     parameter_names: tuple[str, ...]
     symbols: tuple[str, ...]
     units: tuple[str, ...]
