@@ -69,13 +69,13 @@ def _undistorted_radius(reach, k1, k2):
 
 @_jit
 def _turn_squared(k1, k2):
-    """Smallest positive zero of the slope 1 + 3 k1 r^2 + 5 k2 r^4 in r^2; infinite where it never falls to zero."""
+    """Smallest positive zero of the slope 1 + 3 k1 r^2 + 5 k2 r^4 in r^2; infinite where it does not below 1e12."""
     half = 1.5 * k1
     inside = half * half - 5.0 * k2
     if inside < 0.0:
         return math.inf
     root = math.sqrt(inside)
-    if root - half > 0.0:  # both forms of the quadratic's zeros without cancellation: 1 / (sqrt - 3 k1 / 2)
+    if root - half > 1e-12:  # both forms of the quadratic's zeros without cancellation: 1 / (sqrt - 3 k1 / 2)
         return 1.0 / (root - half)
     return math.inf
 
