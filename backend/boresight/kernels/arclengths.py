@@ -6,13 +6,13 @@ begin at arc `2 star_start[k] - 3 k`. Arcs are interleaved: number 2i joins star
 the covariance R of an exposure (E Eqs 16-18) has half-bandwidth 4 and its lower factor is kept as five numbers an arc,
 `band[a, 4 - d] = L[a, a - d]`.
 
-The derivative of an arc is taken backwards. With c = s_i.s_j and g = (s_j - c s_i) / (|r_i| sin phi),
+The derivative of an arc is taken backwards. With c = s_i.s_j and g = (s_j - c s_i) s_z,i / sin phi, the z component of s_i,
 
-    d phi / d x = -(g_i . dr_i/dx) - (g_j . dr_j/dx)        (E Eq 38 with both errata)
+    d phi / d x = -(g_i . dt_i/dx) - (g_j . dt_j/dx)        (E Eq 38 with both errata)
 
-and g.dr/dx collapses to a few products. Model 0, `inverted_wang`: r = (B U, B V, f) depends on the pixel through (U, V) alone,
-dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what E Eq 43 means, without its 0/0 on the principal point. Model 1,
-`pinhole_radial`: r = (p, q, B), and dB follows from its radial equation. The loops take the number of the model before its state x.
+where t = (s_x / s_z, s_y / s_z, 1) are the tangents of a star: g is at right angles to the ray, so that whatever changes the ray's
+length alone drops out. A model is what fills t and the 2 by 8 derivatives of its first two components; all else is the same for
+every model. The loops take the number of the model (`CameraModel.kernel`) before its state x.
 `tests/test_kernels.py` holds every loop against plain NumPy.
 """
 
@@ -28,9 +28,8 @@ HALF_BANDWIDTH = 4
 _BAND = HALF_BANDWIDTH + 1
 _HALVINGS = 6  # of a filter step that raises its frame's cost
 _THIN = 0.1  # sine of an angle: orders with a thinner triangle are mended
-# numbers kept a star: s(3), 1/|r|, then of model 0 M(3), U_u U_v V_u V_v, U_f V_f, u v, f/D^2, rho2, U V, column offset;
-# of model 1 p q, 2 dB/dR^2, dB/dk1 dB/dk2, p/s, Delta/f, 1/f, B^2/T
-_STAR = 20
+_STAR = 20  # numbers kept a star: s (3), 1 / |t| = s_z, d t_x / dx (8), d t_y / dx (8)
+_T_X, _T_Y = 4, 12  # where those derivatives begin
 _INVERTED_WANG = 0
 _STEPS = 60  # of a bracketed Newton search, which takes about five
 _SETTLED = 1e-11  # share of the root that the last step may be: its error is the square of that
@@ -81,101 +80,103 @@ def _turn_squared(k1, k2):
 
 
 @_jit
+def _pinhole_tangents(x, pitch, row_px, col_px):
+    """Tangents t_x and t_y of one star of `pinhole_radial`, whose module derives it, with its r^2 and B: t = (p, q) / B."""
+    scale = pitch / x[1]
+    p, q = x[0] * scale * (row_px - x[3]), scale * (col_px - x[2])
+    r = _undistorted_radius(math.sqrt(p * p + q * q), x[4], x[5])
+    r2 = r * r
+    B = 1.0 + r2 * (x[4] + x[5] * r2)
+    return p / B, q / B, r2, B
+
+
+@_jit
 def _pinhole_star(x, pitch, row_px, col_px, w):
-    """Fill `w` (20,) with one star's ray and derivatives of model 1; its module derives them."""
+    """Fill `w` (20,) with one star of `pinhole_radial`; d(t_x, t_y) / d(p, q) is ((xx, xy), (xy, yy))."""
     s, f, u0, v0, k1, k2 = x[0], x[1], x[2], x[3], x[4], x[5]
-    scale = pitch / f
+    tx, ty, r2, B = _pinhole_tangents(x, pitch, row_px, col_px)
+    T = 1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2)
+    slope = (2.0 * k1 + 4.0 * k2 * r2) / T
+    inverse, scale, over_f = 1.0 / B, pitch / f, 1.0 / f
+    xx, xy, yy = inverse * (1.0 - slope * tx * tx), -inverse * slope * tx * ty, inverse * (1.0 - slope * ty * ty)
     across = scale * (row_px - v0)
     p, q = s * across, scale * (col_px - u0)
-    r = _undistorted_radius(math.sqrt(p * p + q * q), k1, k2)
-    r2 = r * r
-    B = 1.0 + r2 * (k1 + k2 * r2)
-    T = 1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2)
-    norm = 1.0 / math.sqrt(p * p + q * q + B * B)
-    w[0], w[1], w[2], w[3] = p * norm, q * norm, B * norm, norm
-    w[4], w[5], w[6] = p, q, (2.0 * k1 + 4.0 * k2 * r2) / (B * T)
-    w[7], w[8] = r2 * B / T, r2 * r2 * B / T
-    w[9], w[10], w[11], w[12] = across, scale, 1.0 / f, B * B / T
+    norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+    w[0], w[1], w[2], w[3] = tx * norm, ty * norm, norm, norm
+    w[4], w[12] = xx * across, xy * across
+    w[5], w[13] = -(xx * p + xy * q) * over_f, -(xy * p + yy * q) * over_f
+    w[6], w[14] = -scale * xy, -scale * yy
+    w[7], w[15] = -s * scale * xx, -s * scale * xy
+    w[8], w[16] = -tx * r2 / T, -ty * r2 / T
+    w[9], w[17] = -tx * r2 * r2 / T, -ty * r2 * r2 / T
+    w[10], w[11], w[18], w[19] = 0.0, 0.0, 0.0, 0.0
+
+
+@_jit
+def _wang_tangents(x, pitch, row_px, col_px):
+    """Tangents t_x and t_y of one star of `inverted_wang` (E Eqs 1-7), with its U, V, u, v and 1 / (a_1 v + a_2 u + f)."""
+    f = x[0]
+    u, v = pitch * (row_px - x[1]), x[7] * pitch * (col_px - x[2])
+    inverse = 1.0 / (x[5] * v + x[6] * u + f)
+    U, V = u * f * inverse, v * f * inverse
+    rho2 = U * U + V * V
+    B_over_f = (1.0 + rho2 * (x[4] + rho2 * x[3])) / f
+    return B_over_f * U, B_over_f * V, U, V, u, v, inverse
 
 
 @_jit
 def _wang_star(x, pitch, row_px, col_px, w):
-    """Fill `w` (20,) with one star's ray and what its derivatives need of model 0 (E Eqs 1-7, 44-77)."""
-    f, m0, n0, b4, b2, a1, a2, g_y = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
-    dn = pitch * (col_px - n0)
-    u = pitch * (row_px - m0)
-    v = g_y * dn
-    tilt = a1 * v + a2 * u
-    inverse = 1.0 / (tilt + f)
-    U = u * f * inverse
-    V = v * f * inverse
+    """Fill `w` (20,) with one star of `inverted_wang` (E Eqs 44-77).
+
+    t = (B U, B V) / f depends on the pixel through (U, V) alone, and dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what
+    E Eq 43 means, without its 0/0 on the principal point. The slope of t over (U, V) is ((xx, xy), (xy, yy)).
+    """
+    f, b4, b2, a1, a2, g_y = x[0], x[3], x[4], x[5], x[6], x[7]
+    tx, ty, U, V, u, v, inverse = _wang_tangents(x, pitch, row_px, col_px)
+    over_f = 1.0 / f
     rho2 = U * U + V * V
-    B = 1.0 + rho2 * (b2 + rho2 * b4)
-    slope = 2.0 * b2 + 4.0 * b4 * rho2
-    rx, ry = B * U, B * V
-    norm = 1.0 / math.sqrt(rx * rx + ry * ry + f * f)
+    B, slope = over_f * (1.0 + rho2 * (b2 + rho2 * b4)), over_f * (2.0 * b2 + 4.0 * b4 * rho2)
+    xx, xy, yy = B + slope * U * U, slope * U * V, B + slope * V * V
     fd2 = f * inverse * inverse
-    w[0], w[1], w[2], w[3] = rx * norm, ry * norm, f * norm, norm
-    w[4], w[5], w[6] = B + slope * U * U, slope * U * V, B + slope * V * V
-    w[7], w[8] = fd2 * (a1 * v + f), -fd2 * a1 * u
-    w[9], w[10] = -fd2 * a2 * v, fd2 * (a2 * u + f)
-    w[11], w[12] = u * tilt * inverse * inverse, v * tilt * inverse * inverse
-    w[13], w[14], w[15], w[16], w[17], w[18], w[19] = u, v, fd2, rho2, U, V, dn
+    u_u, u_v, v_u, v_v = fd2 * (a1 * v + f), -fd2 * a1 * u, -fd2 * a2 * v, fd2 * (a2 * u + f)
+    along_x, along_y = xx * u + xy * v, xy * u + yy * v
+    tilted = (a1 * v + a2 * u) * inverse * inverse
+    col_x, col_y = pitch * (xx * u_v + xy * v_v), pitch * (xy * u_v + yy * v_v)
+    radial_x, radial_y = rho2 * U * over_f, rho2 * V * over_f
+    dn = col_px - x[2]
+    norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+    w[0], w[1], w[2], w[3] = tx * norm, ty * norm, norm, norm
+    w[4], w[12] = tilted * along_x - tx * over_f, tilted * along_y - ty * over_f
+    w[5], w[13] = -pitch * (xx * u_u + xy * v_u), -pitch * (xy * u_u + yy * v_u)
+    w[6], w[14] = -g_y * col_x, -g_y * col_y
+    w[7], w[15] = rho2 * radial_x, rho2 * radial_y
+    w[8], w[16] = radial_x, radial_y
+    w[9], w[17] = -fd2 * v * along_x, -fd2 * v * along_y
+    w[10], w[18] = -fd2 * u * along_x, -fd2 * u * along_y
+    w[11], w[19] = dn * col_x, dn * col_y
 
 
 @_jit
-def _star(model, x, pitch, row_px, col_px, w):
-    """Fill `w` (20,) with one star's ray and what its derivatives need."""
+def _stars(model, x, pitch, row_px, col_px, w):
+    """Fill the first rows of `w` (at least n_stars, 20) with the stars of one exposure; asking the model once keeps this fast."""
     if model == _INVERTED_WANG:
-        _wang_star(x, pitch, row_px, col_px, w)
+        for i in range(row_px.shape[0]):
+            _wang_star(x, pitch, row_px[i], col_px[i], w[i])
     else:
-        _pinhole_star(x, pitch, row_px, col_px, w)
+        for i in range(row_px.shape[0]):
+            _pinhole_star(x, pitch, row_px[i], col_px[i], w[i])
 
 
 @_jit
-def _aspect(model, x):
-    """Scale between the pixel's sides, which derivatives need beside `w`: g_y, or s."""
-    return x[7] if model == _INVERTED_WANG else x[0]
-
-
-@_jit
-def _subtract_pinhole_end(w, gx, gy, gz, aspect, h):
-    """Subtract g . dr/dx of one end of an arc from its row `h` (8,) for model 1."""
-    kx, ky = gx + gz * w[6] * w[4], gy + gz * w[6] * w[5]
-    h[0] -= kx * w[9]
-    h[1] += (kx * w[4] + ky * w[5]) * w[11]
-    h[2] += ky * w[10]
-    h[3] += kx * w[10] * aspect
-    h[4] -= gz * w[7]
-    h[5] -= gz * w[8]
-
-
-@_jit
-def _subtract_wang_end(w, gx, gy, gz, pitch, g_y, h):
-    """Subtract g . dr/dx of one end of an arc from its row `h` (8,) for model 0."""
-    radial = gx * w[17] + gy * w[18]
-    h1 = gx * w[4] + gy * w[5]
-    h2 = gx * w[5] + gy * w[6]
-    ku = h1 * w[7] + h2 * w[9]
-    kv = h1 * w[8] + h2 * w[10]
-    tilt = w[15] * (h1 * w[13] + h2 * w[14])
-    h[0] -= h1 * w[11] + h2 * w[12] + gz
-    h[1] += pitch * ku
-    h[2] += g_y * pitch * kv
-    h[3] -= w[16] * w[16] * radial
-    h[4] -= w[16] * radial
-    h[5] += w[14] * tilt
-    h[6] += w[13] * tilt
-    h[7] -= w[19] * kv
-
-
-@_jit
-def _subtract_end(model, w, gx, gy, gz, pitch, aspect, h):
-    """Subtract g . dr/dx of one end of an arc from its row `h` (8,)."""
-    if model == _INVERTED_WANG:
-        _subtract_wang_end(w, gx, gy, gz, pitch, aspect, h)
-    else:
-        _subtract_pinhole_end(w, gx, gy, gz, aspect, h)
+def _directions(model, x, pitch, row_px, col_px, w):
+    """Fill the directions alone, the first three numbers of each row of `w`, where no derivative is asked for."""
+    for i in range(row_px.shape[0]):
+        if model == _INVERTED_WANG:
+            tx, ty, _, _, _, _, _ = _wang_tangents(x, pitch, row_px[i], col_px[i])
+        else:
+            tx, ty, _, _ = _pinhole_tangents(x, pitch, row_px[i], col_px[i])
+        norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+        w[i, 0], w[i, 1], w[i, 2] = tx * norm, ty * norm, norm
 
 
 @_jit
@@ -190,21 +191,14 @@ def _arclength(w, i, j):
 
 
 @_jit
-def _arc(model, w, i, j, pitch, aspect, h):
+def _arc(w, i, j, h):
     """Return the measured arc between stars i and j and fill its derivative row `h` (8,)."""
     phi, c, s = _arclength(w, i, j)
     ki, kj = w[i, 3] / s, w[j, 3] / s
-    h[:] = 0.0
-    _subtract_end(
-        model, w[i],
-        ki * (w[j, 0] - c * w[i, 0]), ki * (w[j, 1] - c * w[i, 1]), ki * (w[j, 2] - c * w[i, 2]),
-        pitch, aspect, h,
-    )  # fmt: skip
-    _subtract_end(
-        model, w[j],
-        kj * (w[i, 0] - c * w[j, 0]), kj * (w[i, 1] - c * w[j, 1]), kj * (w[i, 2] - c * w[j, 2]),
-        pitch, aspect, h,
-    )  # fmt: skip
+    ix, iy = ki * (c * w[i, 0] - w[j, 0]), ki * (c * w[i, 1] - w[j, 1])
+    jx, jy = kj * (c * w[j, 0] - w[i, 0]), kj * (c * w[j, 1] - w[i, 1])
+    for p in range(N_PARAMETERS):
+        h[p] = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
     return phi
 
 
@@ -216,13 +210,11 @@ def _exposure_rows(model, x, pitch, row_px, col_px, phi, band, free, scale, w, h
     """
     n = row_px.shape[0]
     n_free = free.shape[0]
-    aspect = _aspect(model, x)
-    for i in range(n):
-        _star(model, x, pitch, row_px[i], col_px[i], w[i])
+    _stars(model, x, pitch, row_px, col_px, w)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
-        residual = _arc(model, w, i, i + 1 + a % 2, pitch, aspect, h) - phi[a]
+        residual = _arc(w, i, i + 1 + a % 2, h) - phi[a]
         total += residual * residual
         inverse = 1.0 / band[a, 4]
         first = max(0, a - HALF_BANDWIDTH)
@@ -230,10 +222,13 @@ def _exposure_rows(model, x, pitch, row_px, col_px, phi, band, free, scale, w, h
             residual -= band[a, 4 - a + b] * e[b]
         e[a] = residual * inverse
         for p in range(n_free):
-            value = h[free[p]] * scale[p]
-            for b in range(first, a):
-                value -= band[a, 4 - a + b] * H[b, p]
-            H[a, p] = value * inverse
+            h[p] = h[free[p]] * scale[p]  # free ascends, so nothing is overwritten before it is read
+        for b in range(first, a):
+            share = band[a, 4 - a + b]
+            for p in range(n_free):
+                h[p] -= share * H[b, p]
+        for p in range(n_free):
+            H[a, p] = h[p] * inverse
     return total
 
 
@@ -241,8 +236,7 @@ def _exposure_rows(model, x, pitch, row_px, col_px, phi, band, free, scale, w, h
 def _exposure_residuals(model, x, pitch, row_px, col_px, phi, band, w, e):
     """Whitened residuals `e` of one exposure without derivatives; returns its unweighted sum of squares."""
     n = row_px.shape[0]
-    for i in range(n):
-        _star(model, x, pitch, row_px[i], col_px[i], w[i])
+    _directions(model, x, pitch, row_px, col_px, w)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
@@ -267,44 +261,34 @@ def _largest_exposure(star_start):
 def solid_angles(model, x, pitch, row_px, col_px, omega):
     """Fill `omega` (n_stars,) with the solid angle of one pixel at each star, steradian.
 
-    Called by `estimation.cameras`: omega = |det[r, dr/dm, dr/dn]| / |r|^3. Model 0, r = (B U, B V, f): dr has no third component,
-    so the determinant is f det M det d(U, V)/d(u, v) times the pixel's area g_y Delta^2. Model 1, r = (p, q, B): it is
-    B^2 / T times s Delta^2 / f^2.
+    Called by `estimation.cameras`: |det d(t_x, t_y) / d(m, n)| / |t|^3, where moving the pixel is moving the principal point back.
     """
     w = np.empty(_STAR)
-    for i in range(row_px.shape[0]):
-        _star(model, x, pitch, row_px[i], col_px[i], w)
-        if model == _INVERTED_WANG:
-            stretch = (w[4] * w[6] - w[5] * w[5]) * (w[7] * w[10] - w[8] * w[9]) * x[0] * pitch * pitch
-        else:
-            stretch = w[12] * w[10] * w[10]
-        omega[i] = abs(_aspect(model, x) * stretch) * w[3] * w[3] * w[3]
+    if model == _INVERTED_WANG:
+        for i in range(row_px.shape[0]):
+            _wang_star(x, pitch, row_px[i], col_px[i], w)
+            omega[i] = abs(w[5] * w[14] - w[6] * w[13]) * w[3] * w[3] * w[3]
+    else:
+        for i in range(row_px.shape[0]):
+            _pinhole_star(x, pitch, row_px[i], col_px[i], w)
+            omega[i] = abs(w[6] * w[15] - w[7] * w[14]) * w[3] * w[3] * w[3]
 
 
 @_jit
 def rays_and_jacobians(model, x, pitch, row_px, col_px, s, D):
     """Fill `s` (n_stars, 3) with unit directions in D and `D` (n_stars, 3, n_parameters) with ds/dx per parameter in SI.
 
-    Called by `estimation.cameras` and the filters on singular values. ds = (I - s s^T) dr / |r|, so row k of D is g . dr with
-    g = (e_k - s_k s) / |r|.
+    Called by the filters on stars: ds = (I - s s^T) dt / |t|.
     """
-    w, h = np.empty(_STAR), np.empty(N_PARAMETERS)
-    aspect = _aspect(model, x)
+    one = np.empty((1, _STAR))
+    w = one[0]
     for i in range(row_px.shape[0]):
-        _star(model, x, pitch, row_px[i], col_px[i], w)
-        for k in range(3):
-            s[i, k] = w[k]
-            along = w[3] * w[k]
-            h[:] = 0.0
-            _subtract_end(
-                model, w,
-                (w[3] if k == 0 else 0.0) - along * w[0],
-                (w[3] if k == 1 else 0.0) - along * w[1],
-                (w[3] if k == 2 else 0.0) - along * w[2],
-                pitch, aspect, h,
-            )  # fmt: skip
-            for p in range(D.shape[2]):
-                D[i, k, p] = -h[p]
+        _stars(model, x, pitch, row_px[i : i + 1], col_px[i : i + 1], one)
+        s[i, 0], s[i, 1], s[i, 2] = w[0], w[1], w[2]
+        for p in range(D.shape[2]):
+            x_p, y_p = w[3] * w[_T_X + p], w[3] * w[_T_Y + p]
+            along = w[0] * x_p + w[1] * y_p
+            D[i, 0, p], D[i, 1, p], D[i, 2, p] = x_p - w[0] * along, y_p - w[1] * along, -w[2] * along
 
 
 @_jit
@@ -377,8 +361,7 @@ def residuals(model, x, pitch, star_start, row_px, col_px, phi, e):
     for k in range(star_start.shape[0] - 1):
         s0, s1 = star_start[k], star_start[k + 1]
         a0 = 2 * s0 - 3 * k
-        for i in range(s1 - s0):
-            _star(model, x, pitch, row_px[s0 + i], col_px[s0 + i], w[i])
+        _directions(model, x, pitch, row_px[s0:s1], col_px[s0:s1], w)
         for a in range(2 * (s1 - s0) - 3):
             e[a0 + a] = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
 
@@ -395,8 +378,7 @@ def sums_of_squares(model, states, pitch, star_start, row_px, col_px, phi, total
         for k in range(star_start.shape[0] - 1):
             s0, s1 = star_start[k], star_start[k + 1]
             a0 = 2 * s0 - 3 * k
-            for i in range(s1 - s0):
-                _star(model, states[m], pitch, row_px[s0 + i], col_px[s0 + i], w[i])
+            _directions(model, states[m], pitch, row_px[s0:s1], col_px[s0:s1], w)
             for a in range(2 * (s1 - s0) - 3):
                 residual = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
                 total += residual * residual
