@@ -19,7 +19,7 @@ from boresight.studies.enright.pooled import Pooled, Record
 from boresight.studies.enright.questions import questions
 from boresight.studies.enright.tables import Table, tables
 from boresight.studies.enright.trials import DRAWN
-from boresight.studies.enright.verdicts import VERDICTS, Row
+from boresight.studies.verdicts import VERDICTS, Row
 
 SCHEMA = "boresight.reproduction/1"
 PAPER = "Enright, Jovanovic, Vaz, “Autonomous Recalibration of Star Trackers”, IEEE Sensors Journal, 2018"

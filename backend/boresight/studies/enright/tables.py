@@ -12,7 +12,7 @@ from typing import Any
 from boresight.simulation.sensors import GROUND, TYPICAL_SIGMA
 from boresight.studies.enright import printed
 from boresight.studies.enright.pooled import Pooled, Record
-from boresight.studies.enright.verdicts import Cell, Conclusion, Row, judge
+from boresight.studies.verdicts import Cell, Conclusion, Row, judge
 
 URAD_PER_RAD = 1e6
 NAMES = tuple(printed.TABLE_II)
