@@ -206,7 +206,7 @@ def _arc(w, i, j, h):
 def _exposure_rows(model, x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H):
     """Whitened residuals `e` and scaled Jacobian `H` of one exposure; returns its unweighted sum of squares.
 
-    The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82).
+    The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82). `free` ascends.
     """
     n = row_px.shape[0]
     n_free = free.shape[0]
