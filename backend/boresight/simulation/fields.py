@@ -62,7 +62,7 @@ def directions(catalogue: Catalogue) -> FloatArray:
     return _unit_vectors(catalogue.ra_rad, catalogue.dec_rad)
 
 
-def random_fields(  # noqa: PLR0913 - sensor, its truth and its sky, and how many fields of which part of it
+def random_fields(
     sensor: Sensor,
     truth: FloatArray,
     s_i: FloatArray,
