@@ -9,6 +9,7 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.rematch import rematch
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import FIGURES
 from boresight.figures.chart import Trace
 from boresight.figures.report import render_report
@@ -88,12 +89,34 @@ def test_the_report_names_its_parameters(results):
 
 def test_matches_are_found_without_any_given(scenario, telemetry, catalogue):
     unnamed = replace(telemetry, star_id=None)
-    sensor = replace(scenario.sensor, magnitude_limit=6.5)  # half of the stars at its own limit are detected, and some beyond
+    sensor = replace(
+        scenario.sensor, magnitude_limit=6.5
+    )  # half of the stars at its own limit are detected, and some beyond
 
     matches = rematch(unnamed, sensor, catalogue, scenario.truth, np.zeros((6, 6)), CalibrationSettings())
 
     known = telemetry.star_id > 0
     assert np.mean(matches.star_id[known] == telemetry.star_id[known]) > 0.98
+
+
+@pytest.mark.parametrize("k1", [-1.0, -20.0])
+def test_rows_that_have_no_direction_are_matched_with_nothing(scenario, telemetry, catalogue, k1):
+    row_px, x = telemetry.row_px.copy(), scenario.truth.copy()
+    row_px[3], x[4], x[5] = 9000.0, k1, 0.0  # at -1 the distortion turns back 2,100 px out, at -20 inside the detector
+
+    matches = rematch(
+        replace(telemetry, row_px=row_px, quaternion=None),
+        scenario.sensor,
+        catalogue,
+        x,
+        np.zeros((6, 6)),
+        CalibrationSettings(),
+    )
+
+    s = CAMERA_MODELS["pinhole_radial"].directions(x, row_px, telemetry.col_px, scenario.sensor.pixel_pitch_m)
+    blind = np.isnan(s[:, 0])
+    assert blind[3]
+    assert not matches.star_id[blind].any()
 
 
 def test_a_truth_whose_distortion_turns_back_on_the_detector_is_refused():
