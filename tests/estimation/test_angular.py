@@ -1,10 +1,12 @@
 """The angular distances of all pairs: with their covariance in full they say what 2 N - 3 arcs say."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
+from boresight.errors import RefusedInputError
 from boresight.estimation import angular
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FILTERS, Tuning
@@ -50,3 +52,10 @@ def test_the_filter_on_all_pairs_ends_where_the_filter_on_arcs_does():
     np.testing.assert_allclose(pairs.sigmas[-1], arcs.sigmas[-1], rtol=1e-3)
     np.testing.assert_array_equal(pairs.dof, arcs.dof)
     np.testing.assert_allclose(pairs.nis.sum(), arcs.nis.sum(), rtol=1e-3)
+
+
+def test_the_gain_form_is_refused_where_it_would_take_seconds_a_frame():
+    field = weighed(star_field(np.random.default_rng(4), frames=1, mean_stars=90), TRUTH)
+
+    with pytest.raises(RefusedInputError, match="choose the information form, which gives the same"):
+        FILTERS["angular"](field, start(TRUTH, 8, 1.0), FREE, SCALE, Tuning(gain_form="gain"))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.errors import RefusedInputError
 from boresight.estimation.angular import all_pairs
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
@@ -16,6 +17,9 @@ from boresight.estimation.filters.information import Measurement, information_fi
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+#: Pairs of an exposure beyond which the gain form is refused: its m by m inverse takes seconds a frame here, and grows with m^3.
+MOST_PAIRS = 2000
 
 
 class AllPairs:
@@ -55,6 +59,11 @@ class AllPairs:
         for e, H, entries, L, n in unwhitened:
             pairs = all_pairs(int(n))
             m, G = len(pairs), np.zeros((len(pairs), 2 * n))
+            if m > MOST_PAIRS:
+                raise RefusedInputError(
+                    f"The gain form would invert a matrix of {m} pairs of {n} stars in one exposure;"
+                    f" it is kept to {MOST_PAIRS}: choose the information form, which gives the same."
+                )
             places = np.stack([2 * pairs[:, 0], 2 * pairs[:, 0] + 1, 2 * pairs[:, 1], 2 * pairs[:, 1] + 1], axis=1)
             np.put_along_axis(G, places, entries[:m], axis=1)
             factor = np.tril(L[: 2 * n, : 2 * n])
