@@ -18,9 +18,9 @@ The conclusion is the statement that the paper's text draws from such a row, as 
 own. A figure has no printed numbers, so it is at best in kind: its conclusion decides.
 
 Why a cell is not reproduced is never guessed from the number: each column carries beforehand the cause that can move it:
-`no orbital data` (the paper's telemetry, noise and skies are not public), `no field data` (nor are its images), `erratum` (a printed
-equation or sentence is wrong), or `unstated setting` (Q, P_0, the matching tolerance are not given). A conclusion carries the cause
-that can make it fail likewise.
+`no orbital data` (the paper's telemetry, noise and skies are not public), `no field data` (nor are its images), `erratum` (a
+printed equation or sentence is wrong), or `unstated setting` (Q, P_0, the matching tolerance are not given). A conclusion carries
+the cause that can make it fail likewise.
 """
 
 from __future__ import annotations
