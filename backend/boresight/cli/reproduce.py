@@ -18,7 +18,7 @@ Report = Callable[[str, float], None]
 PAPERS = ("enright", "wu")
 #: Frames of a calibration and of a validation set, and sets (of enright: a sensor), of the full and of the quick study.
 FULL = {"enright": (200, 80, 20), "wu": (2400, 100, 20)}
-QUICK = {"enright": (100, 40, 2), "wu": (400, 100, 4)}
+QUICK = {"enright": (100, 40, 2), "wu": (1200, 100, 4)}
 
 
 @click.command()

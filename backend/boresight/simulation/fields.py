@@ -93,8 +93,9 @@ def random_fields(
     -------
     The fields in the order drawn.
     """
-    counts, stars, rows, columns = [], [], [], []
-    while sum(map(len, counts)) < n_fields:
+    counts: list[IntArray] = []
+    stars, rows, columns = list[IntArray](), list[FloatArray](), list[FloatArray]()
+    while sum(len(count) for count in counts) < n_fields:
         field, star, row_px, col_px = _block(sensor, truth, s_i, galactic_latitude_deg, rng)
         count = np.bincount(field, minlength=BLOCK)
         kept = (count >= minimum_stars)[field]

@@ -1,7 +1,7 @@
 """W Figures 3, 4, 6 and 8 as curves, judged by the conclusions that their text draws; `figures.wu_*` draws them.
 
-All show the first set of group 2 at 0.2 px. Figures 3 and 4: the smallest singular value of H W of single frames at the truth. Figure 6:
-both criteria along the run. Figure 8, the paper's field experiment: the six parameters along the run, here simulated.
+All show the first set of group 2 at 0.2 px. Figures 3 and 4: the smallest singular value of H W of single frames at the truth.
+Figure 6: both criteria along the run. Figure 8, the paper's field experiment: the six parameters along the run, here simulated.
 """
 
 from __future__ import annotations
@@ -135,5 +135,5 @@ def _figure_8(pooled: Pooled) -> Drawing:
     said = ", ".join(f"{symbol} {settled[symbol]}" for symbol in ours)
     return _drawing(
         "8", "Estimation results of the parameters", f"They converge in the order {', '.join(ORDER)}.",
-        Conclusion(tuple(ours) == ORDER, f"frames from which each stays within three of Table 1's precisions: {said}.", *FIELD), curves,
+        Conclusion(tuple(ours) == ORDER, f"each stays within three of Table 1's precisions from frame: {said}.", *FIELD), curves,
     )  # fmt: skip

@@ -80,7 +80,7 @@ class Estimator:
     def row_sigma(self, arcs: ArcSet) -> float:
         """Standard deviation r of a row under diagonal weights, rad."""
         r = float(arcs.sigma_px[0] * arcs.pitch / WU_START[1])
-        return r if self.method == "svd" else r * np.sqrt(2)
+        return r if self.method == "svd" else float(r * np.sqrt(2))
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def _diagonal(estimator: Estimator, arcs: ArcSet) -> Run:
         information = information + weight * H.T @ H
         z = z - np.linalg.solve(information, weight * H.T @ e)
         states[k] = x = WU_START + START_SIGMA * z
-    P = np.linalg.inv(information)
+    P = np.asarray(np.linalg.inv(information), dtype=np.float64)
     sigmas = np.full_like(states, np.nan)
     sigmas[-1] = START_SIGMA * np.sqrt(np.diag(P))
     return Run(states, sigmas, P)

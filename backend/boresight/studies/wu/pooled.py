@@ -44,14 +44,14 @@ class Pooled:
         return chi_square(sum(record["nees"] for record in found), 6 * len(found))
 
 
-def spread(records: Sequence[Record], value: Callable[[Record], float]) -> Spread:
-    """Take a number of every set together."""
+def spread(records: Sequence[Record], value: Callable[[Record], float], least: float = -np.inf) -> Spread:
+    """Take a number of every set together; no interval reaches below the least that the number can be."""
     values = np.array([value(record) for record in records])
     mean = float(values.mean())
     if len(values) < 2:
         return Spread(mean, None, None)
     reach = REACH * float(values.std(ddof=1))
-    return Spread(mean, mean - reach, mean + reach)
+    return Spread(mean, max(mean - reach, least), mean + reach)
 
 
 def criterion(name: str, which: str) -> Callable[[Record], float]:

@@ -1,8 +1,8 @@
 """W Tables 2 to 4 made again: printed number beside ours, judged row by row; their times stand in `timing`.
 
 Every row is made four times: with the full and with a diagonal R, at 0.2 and at 0.5 px. A number is the mean over the sets and its
-interval reaches two standard deviations of single sets to either side, for the paper's number is one set's. An error of a parameter,
-whose mean is near zero, is shown from the first set.
+interval reaches two standard deviations of single sets to either side, for the paper's number is one set's. An error of a
+parameter, whose mean is near zero, is shown from the first set.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def table_2(pooled: Pooled) -> Table:
     ]
     return Table(
         "2", "Calibration results by different models",
-        "Model 4's error of a parameter is neither the largest nor the smallest over the sets; Model 4's criterion A is smallest by "
-        f"more than {PER_CENT * SAME_A:.0f} %",
+        "Model 4's error of a parameter is neither the largest nor the smallest over the sets; its criterion A is smallest by more "
+        f"than {PER_CENT * SAME_A:.0f} %",
         "quantity", tuple(rows),
     )  # fmt: skip
 
@@ -85,10 +85,9 @@ def _errors(pooled: Pooled, name: str, weights: str, noise_px: float) -> Row:
         sizes.append(float(np.sqrt(np.mean([value(record) ** 2 for record in found]))))
     holds = min(sizes[:3]) < sizes[3] < max(sizes[:3])
     said = ", ".join(f"{size:.2g}" for size in sizes)
-    row = judge(
+    return judge(
         labelled(f"Δ{name}", weights, noise_px), cells, Conclusion(holds, f"RMS over the sets {said} %.", *NO_Q)
     )
-    return row
 
 
 def _criterion_a(
@@ -106,7 +105,7 @@ def _criterion_a(
 def _cell(
     records: Sequence[Record], column: str, theirs: float, which: tuple[str, str], cause: tuple[str, str]
 ) -> Cell:
-    over = spread(records, criterion(*which))
+    over = spread(records, criterion(*which), least=0.0)
     return Cell(column, "″", theirs, over.mean, over.low, over.high, 1e-3, 0.0, *cause)
 
 
@@ -149,8 +148,8 @@ def table_4(pooled: Pooled) -> Table:
     return Table(
         "4", "Calibration results of the comparison experiment",
         f"A mean: SVD is within {PER_CENT * SAME_A:.0f} % of AD or better in every group; A deviation: SVD's is smaller in every "
-        f"group; B mean: SVD's is larger in every group; B deviation: both within {PER_CENT * SAME_B:.0f} %",
-        "quantity", (*_stars(pooled), *rows),
+        f"group; B: within {PER_CENT * SAME_B:.0f} % of AD in every group; SVD − AD: positive in every group",
+        "quantity", (*_stars(pooled), *rows, *(_always_worse(pooled, *variant) for variant in VARIANTS)),
     )  # fmt: skip
 
 
@@ -176,9 +175,24 @@ def _compared(pooled: Pooled, quantity: str, which: str, variant: tuple[str, flo
     holds = {
         ("A", "mean"): max(ratios) <= 1 + SAME_A,
         ("A", "deviation"): max(ratios) < 1,
-        ("B", "mean"): min(ratios) > 1,
+        ("B", "mean"): max(abs(ratio - 1) for ratio in ratios) <= SAME_B,
         ("B", "deviation"): max(abs(ratio - 1) for ratio in ratios) <= SAME_B,
     }[quantity, which]
     said = ", ".join(f"{ratio:.4f}" if quantity == "B" else f"{ratio:.2f}" for ratio in ratios)
     cause = CAUSE[variant] if variant == ("full", 0.2) else NO_Q
     return judge(labelled(f"{quantity} {which}", *variant), cells, Conclusion(holds, f"SVD over AD {said}.", *cause))
+
+
+def _always_worse(pooled: Pooled, weights: str, noise_px: float) -> Row:
+    """By how much SVD exceeds AD under criterion B, where the text says that it always does."""
+    cells, theirs = [], printed.TABLE_4["B", "mean"]
+    for group, limit in enumerate(printed.GROUPS):
+        pairs = zip(*(pooled.of(key, weights, noise_px, limit) for key in ("svd-4-23", "angular")), strict=True)
+        apart = [{"difference": svd["B"][0] - angular["B"][0]} for svd, angular in pairs]
+        over = spread(apart, lambda record: float(record["difference"]))
+        value = round(theirs[2 * group + 1] - theirs[2 * group], 3)
+        cells.append(Cell(f"group {group + 1}", "″", value, over.mean, over.low, over.high, 1e-3, 0.0, *NO_Q))
+    said = ", ".join(f"{cell.ours:+.4f}″" for cell in cells)
+    holds = all(cell.ours is not None and cell.ours > 0 for cell in cells)
+    label = labelled("B mean, SVD − AD", weights, noise_px)
+    return judge(label, cells, Conclusion(holds, f"mean over the sets {said}.", *NO_Q))
