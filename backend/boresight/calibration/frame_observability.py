@@ -1,7 +1,7 @@
 """What single frames can tell under each reference (W section 3.3, Figures 3 and 4), and what each holds of all there is.
 
 `estimation.references` derives both. Of every frame the smallest singular value of H' = H W is kept, under Models 1 to 4 with
-sigma_2 and sigma_3, and under Model 4 with each singular value alone; null where a frame has fewer rows than free parameters.
+sigma_2 and sigma_3, and under Model 4 with each singular value alone; null where a frame does not determine all free parameters.
 It says how far the measurements move and not how well they are known, so beside it stands the information of each reference,
 whitened by its full covariance: per parameter the variance of the Cramer-Rao bound over the reference's own, and of these
 the geometric mean. A parameter that a reference leaves open has none.
@@ -39,6 +39,8 @@ MOST_FRAMES = 150
 MOST_CUBES = 1.5e6
 #: Subsets of the three singular values whose information is told of Model 4, beside the models' own.
 SUBSETS = ((1,), (2,), (3,), (1, 2, 3))
+#: Smallest singular values below it are rounding: the values that are measured are of order one, their slopes at most that.
+ROUNDING = 1e-12
 #: Shares less than this apart are the same.
 ADDS_NOTHING = 0.005
 
@@ -55,7 +57,7 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
     weighed = problem.weighed(estimate.x)
     arcs = chosen(weighed, _taken(weighed))
     view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
-    models, values = observability_of_models(view, arcs).T, observability_of_values(view, arcs).T
+    models, values = _known(observability_of_models(view, arcs)), _known(observability_of_values(view, arcs))
     names = [*(f"model_{model}" for model in STAR_MODELS), *(f"sigma_{k}" for k in VALUES)]
     curves = zip(names, (*models, *values), strict=True)
     information = _information(view, arcs, [problem.camera.parameter_names[p] for p in parameters.free])
@@ -63,7 +65,7 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
         "frame": arcs.frame.tolist(),
         "frames_used": arcs.n_frames,
         "frames": weighed.n_frames,
-        "minimum_singular_value": {name: nested(np.where(curve > 0, curve, np.nan)) for name, curve in curves},
+        "minimum_singular_value": {name: nested(curve) for name, curve in curves},
         "information": information,
         "sentence": _sentence(information, models),
     }
@@ -77,6 +79,11 @@ def _taken(arcs: ArcSet) -> NDArray[np.bool_]:
     taken = np.zeros(n, np.bool_)
     taken[np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))] = True
     return taken
+
+
+def _known(smallest: FloatArray) -> FloatArray:
+    """Curves (n_curves, n_frames) from smallest singular values (n_frames, n_curves), NaN where not all is determined."""
+    return np.asarray(np.where(smallest > ROUNDING, smallest, np.nan).T)
 
 
 def _information(view: View, arcs: ArcSet, names: list[str]) -> list[dict[str, Any]]:
@@ -128,10 +135,10 @@ def _of_the_first(without: float | None, with_it: float | None) -> str:
 
 def _of_the_measure(models: FloatArray) -> str:
     """Say which model W's measure puts first."""
-    measured = models[:, (models > 0).any(axis=0)]
+    measured = models[:, np.isfinite(models).any(axis=0)]
     if not measured.size:
         return " No frame alone determines all free parameters."
-    firsts = np.bincount(np.argmax(measured, axis=0), minlength=len(STAR_MODELS)) / measured.shape[1]
+    firsts = np.bincount(np.nanargmax(measured, axis=0), minlength=len(STAR_MODELS)) / measured.shape[1]
     first = int(np.argmax(firsts))
     return f" In {100 * firsts[first]:.0f} % of the frames the minimum singular value is largest under Model {STAR_MODELS[first]}."
 
