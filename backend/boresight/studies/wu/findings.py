@@ -77,7 +77,8 @@ def _consistency(pooled: Pooled) -> Finding:
         "A diagonal R claims far more than it knows",
         "3.2 leaves R open; 4.1 judges by criteria A and B, which do not see claims.",
         f"Over {sets} sets the mean NEES of Model 4 {{2,3}} with the full R is {6 * full.mean:.2f} where 6 is expected, "
-        f"{verdict} its 95 % bounds of {6 * full.lower:.2f} to {6 * full.upper:.2f}; of all angular distances {6 * angular.mean:.2f}.",
+        f"{verdict} its 95 % bounds of {6 * full.lower:.2f} to {6 * full.upper:.2f}; that of all angular distances is "
+        f"{6 * angular.mean:.2f}.",
         f"With a diagonal R it is {6 * diagonal[0].mean:.0f} and {6 * diagonal[1].mean:.0f}.",
     )
 
