@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.simulation.sensors import WU_TRUTH
 from boresight.studies.documents import Table
 from boresight.studies.verdicts import Cell, Conclusion, Row, judge
@@ -19,6 +20,7 @@ from boresight.studies.wu.pooled import Pooled, criterion, mean_of, spread
 from boresight.studies.wu.trials import NOISES_PX, Record
 
 NAMES = tuple(printed.TABLE_2)
+SYMBOLS = dict(zip(PINHOLE_RADIAL.parameter_names, PINHOLE_RADIAL.symbols, strict=True))
 VARIANTS = tuple((weights, noise) for noise in NOISES_PX for weights in ("full", "diagonal"))
 PER_CENT = 100.0
 
@@ -86,7 +88,9 @@ def _errors(pooled: Pooled, name: str, weights: str, noise_px: float) -> Row:
     holds = min(sizes[:3]) < sizes[3] < max(sizes[:3])
     said = ", ".join(f"{size:.2g}" for size in sizes)
     return judge(
-        labelled(f"Δ{name}", weights, noise_px), cells, Conclusion(holds, f"RMS over the sets {said} %.", *NO_Q)
+        labelled(f"Δ{SYMBOLS[name]}", weights, noise_px),
+        cells,
+        Conclusion(holds, f"RMS over the sets {said} %.", *NO_Q),
     )
 
 
