@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from boresight.figures.method_scores import SETTLED_SIGMAS, MethodScores, method_scores
 from boresight.figures.numbers import MISSING, count, fixed, number
 from boresight.pages.formats import words
-from boresight.pages.methods import METHODS, is_sequential
+from boresight.pages.methods import METHODS, is_sequential, title_of
 from boresight.store.tables import Run
 
 #: Settings that are a method's own, and so belong to the comparison.
@@ -109,6 +109,7 @@ def _lines(compared: Sequence[HasResult]) -> list[Line]:
     """Lay the table out."""
     scores = [method_scores(one.result) for one in compared]
     lines = [
+        Line("Method", "", [title_of(one.run.method) for one in compared], "When to use it is told below the table."),
         Line(
             "Claimed error",
             "bound sigmas",
@@ -140,7 +141,7 @@ def _lines(compared: Sequence[HasResult]) -> list[Line]:
             "Of all arcs at the end, whatever was measured, with the verdict of its 95 % bounds.",
         ),
     ]
-    return [*lines[:1], *_against_truth(scores), *lines[1:]]
+    return [*lines[:2], *_against_truth(scores), *lines[2:]]
 
 
 def _against_truth(scores: Sequence[MethodScores]) -> list[Line]:
