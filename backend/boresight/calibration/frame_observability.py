@@ -35,8 +35,8 @@ from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Se
 FloatArray = NDArray[np.float64]
 
 MOST_FRAMES = 150
-#: Sum of N^3 over the exposures that are taken.
-MOST_CUBES = 1.5e6
+#: Sum of the squared numbers of stars over the exposures that are taken.
+MOST_SQUARES = 8e4
 #: Subsets of the three singular values whose information is told of Model 4, beside the models' own.
 SUBSETS = ((1,), (2,), (3,), (1, 2, 3))
 #: Smallest singular values below it are rounding: the values that are measured are of order one, their slopes at most that.
@@ -73,9 +73,9 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
 
 def _taken(arcs: ArcSet) -> NDArray[np.bool_]:
     """Which frames are looked at, (n_frames,)."""
-    cubes = np.sum(np.diff(arcs.star_start).astype(float) ** 3)
+    squares = np.sum(np.diff(arcs.star_start).astype(float) ** 2)
     n = arcs.n_frames
-    most = int(np.clip(MOST_CUBES / cubes * n, 1, MOST_FRAMES))
+    most = int(np.clip(MOST_SQUARES / squares * n, 1, MOST_FRAMES))
     taken = np.zeros(n, np.bool_)
     taken[np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))] = True
     return taken
