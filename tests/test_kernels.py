@@ -133,3 +133,16 @@ def test_inflation_refactors_P_plus_Q_and_stays_triangular(n, seed):
 
     np.testing.assert_allclose(S @ S.T, P + np.diag(q**2), rtol=1e-10, atol=1e-12 * np.abs(P).max())
     assert not np.tril(S, -1).any()
+
+
+@pytest.mark.parametrize("x", [GROUND, TRUTH], ids=["ground", "truth"])
+def test_the_compiled_rays_and_their_derivatives_equal_the_plain_ones(x):
+    row, col = np.random.default_rng(10).uniform(0, 1900, (2, 50))
+    s, D = np.empty((50, 3)), np.empty((50, 3, 8))
+
+    kernels.rays_and_jacobians(INVERTED_WANG.kernel, x, PITCH, row, col, s, D)
+
+    expected_s, expected_D = INVERTED_WANG.directions_and_jacobian(x, row, col, PITCH)
+    np.testing.assert_allclose(s, expected_s, rtol=1e-13, atol=1e-15)
+    size = np.abs(expected_D).max(axis=(0, 1))
+    np.testing.assert_allclose(D / size, expected_D / size, atol=1e-13)

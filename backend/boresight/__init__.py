@@ -59,7 +59,16 @@ Q, M           `Q`               process noise
 K, alpha       `K alpha`         gain, innovation variance
 =============  ================  =============================================================================
 
-Wu et al. 2019 ("W"): `s f u0 v0 k1 k2`, u = column, v = row.
+Wu et al. 2019 ("W"), and the array names that carry them; u = column, v = row, and the pitch is D_u:
+
+=============  ================  =============================================================================
+s              `s`               aspect: height of a pixel over its width, D_v = s D_u
+f              `f_m`             focal length, metres
+u_0, v_0       `u0_px v0_px`     principal point: column, row
+k_1, k_2       `k1 k2`           radial coefficients of the tangent r, applied from ray to detector
+R, T           `reach T`         distorted radius r B over the focal length, and its slope dR/dr
+x              `x`               state, the parameters in the order s f u0 v0 k1 k2
+=============  ================  =============================================================================
 
 Arrays are structures of arrays, float64, and their docstrings name each dimension: `(n_stars,)`, `(n_arcs, 8)`.
 An *exposure* is one image; a *frame* is one telemetry reading (two exposures on the ST-16); a *set* is a series of frames.

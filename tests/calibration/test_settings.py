@@ -7,10 +7,13 @@ import pytest
 from boresight.calibration.settings import CHOICES, CalibrationSettings
 from boresight.errors import RefusedInputError
 
+#: A choice that only some methods have is tried with one of them.
+METHOD_WITH = {"gain_form": {"method": "angular"}}
+
 
 @pytest.mark.parametrize(("name", "word"), [(name, word) for name, words in CHOICES.items() for word in words])
 def test_every_word_of_every_choice_is_accepted_and_kept(name, word):
-    assert CalibrationSettings.parse({name: word}).document()[name] == word
+    assert CalibrationSettings.parse(METHOD_WITH.get(name, {}) | {name: word}).document()[name] == word
 
 
 @pytest.mark.parametrize("name", CHOICES)
@@ -27,10 +30,21 @@ def test_every_setting_survives_its_document():
 
     assert CalibrationSettings.parse(json.loads(json.dumps(chosen.document()))) == chosen
 
+    reference = CalibrationSettings(method="svd", star_model=2, singular_values=(1, 2), gain_form="gain")
+    assert CalibrationSettings.parse(json.loads(json.dumps(reference.document()))) == reference
+
 
 @pytest.mark.parametrize(
     ("document", "sentence"),
     [
+        ({"method": "svd", "star_model": 5}, "give a whole number from 1 to 4"),
+        ({"method": "svd", "singular_values": [0]}, r"give some of 1, 2, 3, as \[2, 3\]"),
+        ({"method": "svd", "singular_values": [2, 2]}, "give some of 1, 2, 3"),
+        ({"method": "svd", "singular_values": []}, "give some of 1, 2, 3"),
+        ({"method": "svd", "singular_values": "23"}, "give some of 1, 2, 3"),
+        ({"method": "sqrf", "star_model": 3}, "Star model and singular values are of method 'svd'"),
+        ({"singular_values": [3]}, "Star model and singular values are of method 'svd'"),
+        ({"method": "ekf", "gain_form": "gain"}, "The gain form is of methods svd and angular"),
         ({"forgetting_factor": 0.4, "method": "sqrf"}, "give a number from 0.5 to 1"),
         ({"forgetting_factor": float("nan"), "method": "sqrf"}, "give a number from 0.5 to 1"),
         ({"huber_threshold": 0}, "give a number from 0.1 to 10"),

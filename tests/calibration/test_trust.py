@@ -34,7 +34,8 @@ def test_every_method_is_judged_from_every_side_and_a_clean_set_calls_for_nothin
     assert trust["nis_over_time"]["consistent"]
     assert trust["suspects"] == []
     assert all(trust["residual_against"][name]["even"] for name in ("radius", "magnitude", "temperature", "time"))
-    assert 0.97 < trust["efficiency"]["overall_ratio"] < 1.03
+    # singular values leave out a number or two of each exposure, and say so by wider sigmas
+    assert 0.97 < trust["efficiency"]["overall_ratio"] < (1.06 if method == "svd" else 1.03)
     assert [sentence for sentence in trust_advice(trust) if "do not ask for" not in sentence] == []
 
 

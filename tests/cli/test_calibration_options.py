@@ -26,8 +26,8 @@ def test_the_help_names_every_word_and_every_default_by_group(boresight):
     text = boresight("calibrate", "--help").stdout
     flat = " ".join(text.replace("-\n", "-").split())
 
-    assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "][-5:] == [
-        "Files and output:", "Method:", "Matching:", "Of the batch:", "Of the filters:"
+    assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "][-6:] == [
+        "Files and output:", "Method:", "Matching:", "Of the batch:", "Of the filters:", "Of svd and angular:"
     ]  # fmt: skip
     for name, words in CHOICES.items():
         listed = f"Choose from {', '.join(words)}. [default: {getattr(CalibrationSettings(), name)}]"
@@ -50,6 +50,11 @@ def test_what_is_not_given_keeps_the_default_of_the_settings(boresight, simulate
             ("--method", "ukf", "--variant", "q", "--process-noise", "0.1", "--forgetting-factor", "0.99"),
             {"method": "ukf", "process_noise_sigma": 0.1, "forgetting_factor": 0.99},
         ),
+        (
+            ("--method", "svd", "--star-model", "1", "--singular-values", "3,2,1", "--gain-form", "gain"),
+            {"method": "svd", "star_model": 1, "singular_values": [1, 2, 3], "gain_form": "gain"},
+        ),
+        (("--method", "angular"), {"method": "angular"}),
     ],
 )
 def test_a_choice_reaches_the_estimator(boresight, simulated, words, kept):

@@ -48,6 +48,7 @@ def arranged(starts, frame_start, row_px, col_px, s_i, noise_px):
     star_start = np.array(starts)
     places, _ = arcsets.order(star_start, s_i)
     return ArcSet(
+        model=INVERTED_WANG.kernel,
         pitch=PITCH,
         frame=np.arange(len(frame_start) - 1),
         frame_start=np.array(frame_start),

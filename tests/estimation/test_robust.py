@@ -19,7 +19,7 @@ def _whitened(arcs, x):
     """Whitened residuals and rows of a set, by the loop that the filters use."""
     e, H = np.empty(arcs.n_arcs), np.empty((arcs.n_arcs, 8))
     kernels.whitened_rows(
-        x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, FREE, SCALE, e, H
+        arcs.model, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, FREE, SCALE, e, H
     )
     return e, H
 

@@ -194,3 +194,35 @@ def shadow(n_frames=40, lost=(7,), gained=(1, 2, 3)):
     sentence = "The candidate solves 3 frames that the baseline loses, and loses 1."
     summary = {"baseline_only": len(lost), "candidate_only": len(gained), "sentence": sentence}
     return {"calibration": None, "validation": {"frames": frames, "frames_in_set": n_frames, "summary": summary}}
+
+
+def frame_observability(n_frames=120):
+    """Judge single frames and references; every tenth frame has too few stars."""
+    rng = np.random.default_rng(8)
+    levels = {
+        "model_1": 1.5e-5, "model_2": 1.3e-5, "model_3": 6.6e-6, "model_4": 6.3e-6,
+        "sigma_1": 2.5e-7, "sigma_2": 2.2e-6, "sigma_3": 1.9e-6,
+    }  # fmt: skip
+    shares = {
+        "arcs": 0.99, "angular": 0.99, "model_1": 0.98, "model_2": 0.98, "model_3": 0.97, "model_4": 0.91,
+        "sigma_1": None, "sigma_2": 0.59, "sigma_3": 0.31, "sigma_123": 0.91,
+    }  # fmt: skip
+    return {
+        "frame": list(range(n_frames)),
+        "frames_used": n_frames,
+        "frames": 200,
+        "minimum_singular_value": {
+            name: [None if k % 10 == 7 else float(level * rng.uniform(0.5, 2)) for k in range(n_frames)]
+            for name, level in levels.items()
+        },
+        "information": [
+            {
+                "reference": name,
+                "share": share,
+                "least_share": share and share - 0.02,
+                "least": share and "m0_px",
+            }
+            for name, share in shares.items()
+        ],
+        "sentence": "Of the information in these centroids arcs keep 99 %; σ1 adds nothing to them.",
+    }

@@ -11,7 +11,7 @@ import pytest
 
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, UI_REVISION
-from tests.figures.examined import matching, shadow, trust
+from tests.figures.examined import frame_observability, matching, shadow, trust
 
 EVERY_FIGURE = pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())
 LIMIT_BYTES = 500_000
@@ -96,6 +96,7 @@ def long_result(n_frames):
             "nis_dof": [19] * n_frames,
         },
         "trust": trust(dict(zip(names, np.abs(walk[-1]), strict=True)), n_frames),
+        "frame_observability": frame_observability(),
         "matching": matching(),
         "shadow": shadow(n_frames, range(100), range(200, 300)),
     }

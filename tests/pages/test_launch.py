@@ -211,6 +211,23 @@ def test_choices_of_a_filter_reach_the_run_and_those_of_the_batch_do_not(house):
     assert settings["robust"] == "none"
 
 
+def test_the_choices_of_singular_values_reach_the_run_and_its_clone(house):
+    ada = house.visitor("ada")
+    form = {**FORM, "method": "svd", "star_model": "2", "singular_values": "1,3", "gain_form": "gain"}
+    location = ada.post("/runs/new", **form, intent="queue").headers["location"]
+    with reading(house.engine) as session:
+        settings = runs.get_run(session, int(location.removeprefix("/runs/"))).settings
+    assert (settings["star_model"], settings["singular_values"], settings["gain_form"]) == (2, [1, 3], "gain")
+    page = ada.get(f"/runs/new?clone={location.removeprefix('/runs/')}")
+    for place in ('value="2" selected', 'value="1,3" selected', 'value="gain" selected'):
+        assert place in page
+
+
+def test_the_form_says_why_the_first_singular_value_adds_nothing(house, read):
+    text = read(house.visitor("ada").get("/runs/new"))
+    assert "σ1 adds nothing: the squares of the three add up to the number of stars" in text
+
+
 def test_a_check_names_the_choices_that_differ_from_the_usual(house, read):
     text = read(house.visitor("ada").post("/runs/new", **BATCH_FORM, intent="check").text)
     assert "minimum_stars 6" in text

@@ -16,7 +16,7 @@ from boresight.studies.enright import printed, report
 from boresight.studies.enright.estimators import ESTIMATORS, estimators_for
 from boresight.studies.enright.pooled import Pooled
 from boresight.studies.enright.trials import _thinned
-from boresight.studies.enright.verdicts import CAUSES, VERDICTS, Cell, Conclusion, judge
+from boresight.studies.verdicts import CAUSES, VERDICTS, Cell, Conclusion, judge
 from boresight.telemetry.schema import Telemetry
 
 HOLDS, FAILS = Conclusion(True, "it does."), Conclusion(False, "it does not.", "erratum", "the text is wrong")

@@ -130,6 +130,20 @@ def test_a_wrong_field_is_named_with_what_to_do(document, path, value, words):
     assert words in refusal(changed(document, path, value))
 
 
+def test_a_distortion_that_turns_back_on_the_detector_is_named_with_the_blind_corner(document):
+    document["camera_model"] = "pinhole_radial"
+    rows, columns = document["detector"]["rows"], document["detector"]["columns"]
+    middle = {"u0_px": columns / 2, "v0_px": rows / 2}
+    document["initial"] = {"s": 1.0, "f_m": document["initial"]["f_m"], **middle, "k1": 0.0, "k2": 0.0}
+    document["typical_sigma"] = {"s": 1e-3, "f_m": 1e-4, "u0_px": 10.0, "v0_px": 10.0, "k1": 0.1, "k2": 0.5}
+    document.pop("free", None)
+    assert parse_sensor(document).camera_model == "pinhole_radial"
+
+    document["initial"]["k1"] = -1e3
+
+    assert "turns back before the corner at row -0.5, column -0.5" in refusal(document)
+
+
 def test_every_wrong_field_is_listed(document):
     document["parity"], document["initial"]["f_m"] = 3, "x"
     with pytest.raises(RefusedInputError) as caught:

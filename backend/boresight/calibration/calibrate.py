@@ -146,10 +146,11 @@ def _parameters(sensor: Sensor, settings: CalibrationSettings) -> Parameters:
 
 
 def _checked(problem: Problem, estimate: Estimate) -> Estimate:
-    """Call an estimate diverged when a parameter left the range of what can be."""
+    """Call an estimate diverged when a parameter left the range of what can be, or part of the detector has no direction."""
     low, high = np.array(problem.camera.plausible).T
     inside = np.isfinite(estimate.x).all() and bool(np.all((low <= estimate.x) & (estimate.x <= high)))
-    if inside:
+    sensor = problem.sensor
+    if inside and problem.camera.blind_corner(estimate.x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is None:
         return estimate
     return replace(estimate, status="diverged")
 

@@ -60,7 +60,7 @@ def measured_directions(
         row, col = telemetry.row_px[whole], telemetry.col_px[whole]
         directions, jacobian = camera.directions_and_jacobian(x, row, col, pitch)
         s[part] = triad(directions, sensor.parity)
-        G[part] = (jacobian.reshape(-1, len(root)) @ root).reshape(-1, 3, root.shape[1]) * sign
+        G[part] = jacobian @ root * sign
         sigma[part] *= np.sqrt(camera.solid_angle(x, row, col, pitch))
     return s, G, sigma
 

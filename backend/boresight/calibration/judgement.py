@@ -17,6 +17,7 @@ from boresight.calibration.alignment import alignment_view
 from boresight.calibration.cycles import Ended
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluate import evaluate_sightings
+from boresight.calibration.frame_observability import frame_observability
 from boresight.calibration.match_report import names_advice
 from boresight.calibration.matched import Matched, MatchedSet
 from boresight.calibration.matching_view import matching_view
@@ -58,6 +59,7 @@ def judge(
     P[np.ix_(parameters.free, parameters.free)] = estimate.P * np.outer(parameters.scale, parameters.scale)
     document["alignment"] = alignment_view(ended.matched.problem, sensor.initial, estimate.x, P)
     problem, matched = ended.matched.problem, ended.matched.telemetry
+    document["frame_observability"] = frame_observability(problem, parameters, estimate)
     document["trust"] = trust_view(problem, parameters, settings, estimate, matched, sets.catalogue)
     document["advice"] += trust_advice(document["trust"])
     if document["robust"] is not None:

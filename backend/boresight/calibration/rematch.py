@@ -172,14 +172,20 @@ class Rematcher:
         )  # fmt: skip
         return self._matches(answer, detections, exposures)
 
-    def _identifier(self, detections: Detections, x: FloatArray, rows: slice) -> matching.Identify:
-        """Lost-in-space identification of one exposure of these detections, which are in the triad already."""
+    def _identifier(self, detections: Detections, x: FloatArray, rows: slice) -> matching.Identify | None:
+        """Lost-in-space identification of one exposure of these detections, which are in the triad already.
+
+        None where a corner of the detector has no direction under x: such a field of view matches no pattern.
+        """
         magnitude = None if self._telemetry.magnitude is None else self._telemetry.magnitude[rows]
         sensor, camera = self._sensor, CAMERA_MODELS[self._sensor.camera_model]
+        if camera.blind_corner(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is not None:
+            return None
         field_deg = identification.field_of_view_deg(camera, x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
 
         def identify(exposure: int) -> FloatArray | None:
-            of = slice(*detections.row_start[exposure : exposure + 2])
+            of = np.arange(*detections.row_start[exposure : exposure + 2])
+            of = of[np.isfinite(detections.s[of, 0])]  # a false star far off the detector may have no direction
             bright = None if magnitude is None else magnitude[of]
             return identification.identify(detections.s[of], bright, 1, field_deg, self._cache_folder)
 

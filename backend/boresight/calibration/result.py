@@ -106,6 +106,7 @@ def _not_yet() -> dict[str, Any]:
         "evaluation": None,
         "matching": None,
         "alignment": None,
+        "frame_observability": None,
         "trust": None,
         "shadow": {"calibration": None, "validation": None},
     }

@@ -71,7 +71,10 @@ def run_sequential(
 ) -> tuple[FilterHistory, IntArray]:
     """Run a filter over frames; returns its history and the frame number of each update, both empty where no frame has stars."""
     run_filter, n_frames = FILTERS[settings.method], len(frames.frame)
-    tuning = Tuning(settings.linearisations, settings.process_noise, settings.forgetting_factor)
+    tuning = Tuning(
+        settings.linearisations, settings.process_noise, settings.forgetting_factor,
+        selection=settings.selection, gain_form=settings.gain_form,
+    )  # fmt: skip
     state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
     # the filter as printed takes one frame at a time from the first
     wanted = START_ARCS_PER_PARAMETER * len(parameters.free) if tuning.linearisations > 1 else 1

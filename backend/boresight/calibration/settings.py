@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from boresight.errors import RefusedInputError
-from boresight.estimation.filters import FILTERS
+from boresight.estimation.filters import FILTERS, GAIN_FORMS, IN_EITHER_FORM
+from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
 
 METHODS = ("batch", *FILTERS)
 VARIANTS = ("no-q", "q", "no-refit")
@@ -24,6 +25,7 @@ CHOICES = {
     "match_rule": MATCH_RULES,
     "error": ERRORS,
     "robust": ROBUST,
+    "gain_form": GAIN_FORMS,
 }
 
 
@@ -69,6 +71,12 @@ class CalibrationSettings:
         Of a filter: the share of its information that it carries from frame to frame; 1 forgets nothing.
     initial_sigma_scale
         Standard deviation of a filter's start, in typical sigmas.
+    star_model
+        Of `svd`: which star combinations are measured, 1 to 4; see `estimation.singular_values`.
+    singular_values
+        Of `svd`: which singular values of each, some of 1, 2, 3; the first adds nothing to the other two.
+    gain_form
+        Of `svd` and `angular`: `information`, or `gain` for the update as W prints it, slower and with the same result.
     replay_frames_per_s
         Pace at which a filter takes frames in, to watch a downlink as it would come; 0 is as fast as the machine can.
     """
@@ -90,6 +98,9 @@ class CalibrationSettings:
     process_noise_sigma: float = 0.02
     forgetting_factor: float = 1.0
     initial_sigma_scale: float = 10.0
+    star_model: int = 4
+    singular_values: tuple[int, ...] = (2, 3)
+    gain_form: str = "information"
     replay_frames_per_s: float = 0.0
 
     @property
@@ -107,6 +118,11 @@ class CalibrationSettings:
         """Standard deviation that a filter adds a frame, in typical sigmas; 0 where the parameters are constant."""
         return 0.0 if self.variant == "no-q" else self.process_noise_sigma
 
+    @property
+    def selection(self) -> Selection:
+        """Which singular values of which combinations `svd` measures."""
+        return Selection(self.star_model, self.singular_values)
+
     @classmethod
     def parse(cls, document: Mapping[str, Any]) -> CalibrationSettings:
         """Read settings from a JSON document, absent keys taking their defaults.
@@ -123,6 +139,8 @@ class CalibrationSettings:
         values = dict(document)
         if values.get("free") is not None:
             values["free"] = _names(values["free"])
+        if "singular_values" in values:
+            values["singular_values"] = _singular_values(values["singular_values"])
         settings = cls(**values)
         settings.check()
         return settings
@@ -133,6 +151,8 @@ class CalibrationSettings:
             _choice(name, getattr(self, name), allowed)
         _yes_or_no("leave_out_doubles", self.leave_out_doubles)
         _whole("minimum_stars", self.minimum_stars, 4, 1000)
+        _whole("star_model", self.star_model, STAR_MODELS[0], STAR_MODELS[-1])
+        _singular_values(self.singular_values)
         _whole("max_iterations", self.max_iterations, 1, 10_000)
         _whole("linearisations", self.linearisations, 1, 100)
         _number("process_noise_sigma", self.process_noise_sigma, 0.0, 10.0)
@@ -156,11 +176,22 @@ class CalibrationSettings:
             raise RefusedInputError(
                 f"A forgetting factor is a filter's: choose from {', '.join(FILTERS)}, or leave 'forgetting_factor' at 1."
             )
+        self._check_reference()
+
+    def _check_reference(self) -> None:
+        """Refuse choices of the filters of W for any other method."""
+        if self.method != "svd" and self.selection != CHOSEN:
+            raise RefusedInputError("Star model and singular values are of method 'svd': choose it, or leave them out.")
+        if self.method not in IN_EITHER_FORM and self.gain_form != "information":
+            raise RefusedInputError(
+                f"The gain form is of methods {' and '.join(IN_EITHER_FORM)}: choose one, or leave 'gain_form' out."
+            )
 
     def document(self) -> dict[str, Any]:
         """Return the settings as JSON values, every key present."""
         values = asdict(self)
         values["free"] = None if self.free is None else list(self.free)
+        values["singular_values"] = list(self.singular_values)
         return values
 
 
@@ -169,6 +200,14 @@ def _names(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list | tuple) or not value or not all(isinstance(name, str) for name in value):
         raise RefusedInputError("Setting 'free' must be a list of at least one parameter name, or left out.")
     return tuple(value)
+
+
+def _singular_values(value: Any) -> tuple[int, ...]:
+    """Read some of the three singular values, in ascending order."""
+    listed = isinstance(value, list | tuple) and all(type(k) is int and k in VALUES for k in value)
+    if not listed or not value or len(set(value)) < len(value):
+        raise RefusedInputError(f"Setting 'singular_values' is {value!r}; give some of 1, 2, 3, as [2, 3].")
+    return tuple(sorted(value))
 
 
 def _choice(name: str, value: Any, allowed: tuple[str, ...]) -> None:

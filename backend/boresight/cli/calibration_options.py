@@ -16,6 +16,7 @@ METHOD = "Method"
 MATCHING = "Matching"
 BATCH = "Of the batch"
 FILTER = "Of the filters"
+REFERENCE = "Of svd and angular"
 OTHERS = "Files and output"
 
 
@@ -38,7 +39,8 @@ def _words_and_default(name: str) -> str:
 
     words = f" Choose from {', '.join(CHOICES[name])}." if name in CHOICES else ""
     default = getattr(CalibrationSettings(), name)
-    return words if default is None or default is False else f"{words}  [default: {default}]"
+    shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
+    return words if default is None or default is False else f"{words}  [default: {shown}]"
 
 
 class GroupedCommand(click.Command):
@@ -50,7 +52,7 @@ class GroupedCommand(click.Command):
         for option in self.get_params(ctx):
             if isinstance(option, click.Option) and (record := option.get_help_record(ctx)) is not None:
                 groups[option.group if isinstance(option, Choice) else OTHERS].append(record)
-        for group in (OTHERS, METHOD, MATCHING, BATCH, FILTER):
+        for group in (OTHERS, METHOD, MATCHING, BATCH, FILTER, REFERENCE):
             with formatter.section(group):
                 formatter.write_dl(groups[group])
 
@@ -101,6 +103,18 @@ CHOICES_OF_A_CALIBRATION = (
     ),
     _choice("--forgetting-factor", type=float, group=FILTER, help="Share of the information kept from frame to frame."),
     _choice("--initial-sigma-scale", type=float, group=FILTER, help="Sigma of the start, in typical sigmas."),
+    _choice(
+        "--star-model", type=int, group=REFERENCE, help="Of svd: star combinations, 1 to 4; 4 is the paper's choice."
+    ),
+    _choice(
+        "--singular-values",
+        group=REFERENCE,
+        metavar="NUMBERS",
+        help="Of svd: some of 1,2,3; the first adds nothing to the others, for their squares add up to the number of stars.",
+    ),
+    _choice(
+        "--gain-form", group=REFERENCE, help="How the update is computed; gain is as printed, slower, the same result."
+    ),
 )
 
 
@@ -116,4 +130,11 @@ def chosen(choices: dict[str, Any]) -> dict[str, Any]:
     document = {name: value for name, value in choices.items() if value is not None}
     if "free" in document:
         document["free"] = [name.strip() for name in document["free"].split(",") if name.strip()]
+    if "singular_values" in document:
+        document["singular_values"] = [_number(text.strip()) for text in document["singular_values"].split(",")]
     return document
+
+
+def _number(text: str) -> int | str:
+    """Read a whole number; what is none stays as it is, for the settings to refuse."""
+    return int(text) if text.isdecimal() else text

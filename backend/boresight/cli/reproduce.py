@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +13,21 @@ from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings, use_kernel_folder
 
-PAPERS = ("enright",)
-#: Frames of a calibration and of a validation set, and sets a sensor, of the full and of the quick study.
-FULL, QUICK = (200, 80, 12), (100, 40, 2)
+Report = Callable[[str, float], None]
+
+PAPERS = ("enright", "wu")
+#: Frames of a calibration and of a validation set, and sets (of enright: a sensor), of the full and of the quick study.
+FULL = {"enright": (200, 80, 12), "wu": (2400, 100, 20)}
+QUICK = {"enright": (100, 40, 2), "wu": (1200, 100, 4)}
 
 
 @click.command()
 @click.argument("paper", type=click.Choice(PAPERS))
 @click.option("--quick", is_flag=True, help="Fewer frames and sets: under two minutes.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for report, JSON and CSV.")
-@click.option("--sensors", metavar="LIST", help="Sensors to run, as 3,4; all when left out.")
+@click.option("--sensors", metavar="LIST", help="Of enright: sensors to run, as 3,4; all when left out.")
 @click.option("--frames", type=click.IntRange(10, 10_000), help="Frames of a calibration set.")
-@click.option("--sets", type=click.IntRange(1, 1000), help="Sets a sensor, for NEES and the ratio to the bound.")
+@click.option("--sets", type=click.IntRange(1, 1000), help="Simulated sets, of enright a sensor, for the statistics.")
 @click.option("--processes", type=click.IntRange(1, 64), default=2, show_default=True, help="Sets run at a time.")
 def reproduce(
     paper: str, quick: bool, out: Path, sensors: str | None, frames: int | None, sets: int | None, processes: int
@@ -31,22 +35,36 @@ def reproduce(
     """Make the tables and figures of PAPER again: report, JSON and CSV, each row judged with its reason."""
     settings = read_settings()
     use_kernel_folder(settings)
+    size = (QUICK if quick else FULL)[paper]
+    sizes = {"quick": quick, "frames": frames or size[0], "sets": sets or size[2], "processes": processes}
     with progress(f"reproducing {paper}") as report:
-        from boresight.studies import enright
-
-        sizes = QUICK if quick else FULL
-        plan = enright.Plan(
-            quick=quick,
-            sensors=_numbers(sensors) if sensors is not None else enright.Plan.sensors,
-            frames=frames or sizes[0],
-            validation_frames=sizes[1],
-            sets=sets or sizes[2],
-            processes=processes,
-        )
-        document = enright.run(plan, settings.catalogue_folder, report)
-        written = enright.write(document, out)
+        make = _enright if paper == "enright" else _wu
+        document, written = make(sizes, size[1], sensors, settings.catalogue_folder, out, report)
     click.echo(aligned([("table or figure", "row", "verdict"), *_verdicts(document)], left=(0, 1, 2)))
     click.echo("\n".join(f"Wrote {path}" for path in written))
+
+
+def _enright(
+    sizes: dict[str, Any], validation: int, sensors: str | None, catalogue: Path | None, out: Path, report: Report
+) -> tuple[dict[str, Any], list[Path]]:
+    """Run the study of Enright 2018 and write it down."""
+    from boresight.studies import enright
+
+    numbers = _numbers(sensors) if sensors is not None else enright.Plan.sensors
+    document = enright.run(enright.Plan(sensors=numbers, validation_frames=validation, **sizes), catalogue, report)
+    return document, enright.write(document, out)
+
+
+def _wu(
+    sizes: dict[str, Any], judges: int, sensors: str | None, catalogue: Path | None, out: Path, report: Report
+) -> tuple[dict[str, Any], list[Path]]:
+    """Run the study of Wu 2019 and write it down."""
+    from boresight.studies import wu
+
+    if sensors is not None:
+        raise RefusedInputError("Wu 2019 has one sensor: leave out --sensors.")
+    document = wu.run(wu.Plan(judges=judges, **sizes), catalogue, report)
+    return document, wu.write(document, out)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -61,7 +79,7 @@ def _verdicts(document: dict[str, Any]) -> list[tuple[str, str, str]]:
     """List every verdict."""
     rows = [
         (f"Table {table['number']}", str(row["label"]), str(row["verdict"]))
-        for table in document["tables"]
+        for table in (*document["tables"], *document["timing"].get("tables", ()))
         for row in table["rows"]
     ]
     return rows + [(f"Figure {figure['number']}", "", str(figure["verdict"])) for figure in document["figures"]]

@@ -53,6 +53,8 @@ class ArcSet:
 
     Parameters
     ----------
+    model
+        Number of the camera model in the compiled loops, see `CameraModel.kernel`.
     pitch
         Pixel pitch, metres.
     frame
@@ -73,6 +75,7 @@ class ArcSet:
         (n_arcs, 5) banded Cholesky factor of R, see `boresight.kernels`.
     """
 
+    model: int
     pitch: float
     frame: IntArray
     frame_start: IntArray

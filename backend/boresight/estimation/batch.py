@@ -131,8 +131,9 @@ def normal_equations(
     """
     A, b = np.empty((len(free), len(free))), np.empty(len(free))
     chi2, total = kernels.normal_equations(
-        x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, free, scale, threshold, A, b
-    )
+        arcs.model, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band,
+        free, scale, threshold, A, b,
+    )  # fmt: skip
     return NormalEquations(A, b, float(chi2), float(total))
 
 

@@ -65,7 +65,7 @@ def worth(arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArra
         part, L = flat.frames(first, last), arcs.frames(first, last).band
         e, H = np.empty(part.n_arcs), np.empty((part.n_arcs, len(free)))
         kernels.whitened_rows(
-            x, part.pitch, part.star_start, part.row_px, part.col_px, part.phi, part.band, free, scale, e, H
+            part.model, x, part.pitch, part.star_start, part.row_px, part.col_px, part.phi, part.band, free, scale, e, H
         )
         A += H.T @ H
         root = _transposed_product(L, H / part.band[:, -1:])

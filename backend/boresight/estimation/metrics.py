@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 def arc_errors(arcs: ArcSet, x: FloatArray) -> FloatArray:
     """Measured minus catalogue arclength of every arc, (n_arcs,) rad, at state x (n_parameters,)."""
     e = np.empty(arcs.n_arcs)
-    kernels.residuals(x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, e)
+    kernels.residuals(arcs.model, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, e)
     return e
 
 
@@ -32,7 +32,14 @@ def tail_rms(arcs: ArcSet, states: FloatArray) -> FloatArray:
     """RMS of the whole set at each of several states (n_states, n_parameters), rad (E Eq 32)."""
     totals = np.empty(len(states))
     kernels.sums_of_squares(
-        np.ascontiguousarray(states), arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, totals
+        arcs.model,
+        np.ascontiguousarray(states),
+        arcs.pitch,
+        arcs.star_start,
+        arcs.row_px,
+        arcs.col_px,
+        arcs.phi,
+        totals,
     )
     return np.asarray(np.sqrt(totals / arcs.n_arcs))
 

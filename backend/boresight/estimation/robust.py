@@ -47,7 +47,7 @@ class Insurance:
 def insurance(arcs: ArcSet, x: NDArray[np.float64], n_free: int, threshold: float) -> Insurance:
     """Judge the loss at state x; a share of zero where every arc is beyond the threshold or none is left over."""
     beyond, squares = kernels.count_beyond(
-        x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, threshold
+        arcs.model, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, threshold
     )
     n = arcs.n_arcs
     inside = 1 - beyond / n

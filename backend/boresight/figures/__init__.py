@@ -6,12 +6,15 @@ from boresight.figures.convergence import CONVERGENCE
 from boresight.figures.coverage import COVERAGE
 from boresight.figures.drop_one import DROP_ONE
 from boresight.figures.efficiency import EFFICIENCY
+from boresight.figures.frame_observability import FRAME_OBSERVABILITY
 from boresight.figures.innovations import INNOVATIONS
 from boresight.figures.matching import MATCHING
+from boresight.figures.methods import METHODS
 from boresight.figures.more_data import MORE_DATA
 from boresight.figures.observability import OBSERVABILITY
 from boresight.figures.parameters import PARAMETERS
 from boresight.figures.radial import RADIAL
+from boresight.figures.reference_information import REFERENCE_INFORMATION
 from boresight.figures.residual_against import RESIDUAL_AGAINST
 from boresight.figures.residual_map import RESIDUAL_MAP
 from boresight.figures.rms import RMS
@@ -23,7 +26,9 @@ from boresight.figures.whiteness import WHITENESS
 __all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Result", "Table", "Trace", "figure_json"]
 
 CHAPTERS: dict[str, tuple[Figure, ...]] = {
-    "estimate": (CONVERGENCE, RMS, RADIAL, OBSERVABILITY, COVERAGE, PARAMETERS),
+    "estimate": (
+        CONVERGENCE, RMS, RADIAL, OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION, METHODS, COVERAGE, PARAMETERS,
+    ),
     "trust": (
         TWO_HALVES, ARC_UNCERTAINTY, EFFICIENCY, MORE_DATA, DROP_ONE, INNOVATIONS, WHITENESS, RESIDUAL_AGAINST,
         RESIDUAL_MAP, STARS,
@@ -32,5 +37,8 @@ CHAPTERS: dict[str, tuple[Figure, ...]] = {
 }  # fmt: skip
 FIGURES: dict[str, Figure] = {figure.name: figure for chapter in CHAPTERS.values() for figure in chapter}
 WIDE = frozenset(
-    {"convergence", "observability", "two-halves", "more-data", "residual-map", "stars", "matching", "shadow"}
-)
+    {
+        "convergence", "observability", "frame-observability", "two-halves", "more-data", "residual-map", "stars",
+        "matching", "shadow",
+    }
+)  # fmt: skip

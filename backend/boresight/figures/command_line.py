@@ -43,6 +43,12 @@ def _choices(settings: Mapping[str, Any]) -> list[str]:
         if name in NEVER or value is None or (value == default and name not in ALWAYS):
             continue
         option = OPTIONS.get(name, "--" + name.replace("_", "-"))
-        text = ",".join(value) if isinstance(value, list) else f"{value:g}" if isinstance(value, float) else str(value)
+        text = (
+            ",".join(map(str, value))
+            if isinstance(value, list)
+            else f"{value:g}"
+            if isinstance(value, float)
+            else str(value)
+        )
         words.append(option if value is True else f"{option} {quote(text)}")
     return words

@@ -57,8 +57,8 @@ QUANTITIES = {
     "a1_rad": Quantity("a1", "mrad", 1e3, "mrad", 1e3),
     "a2_rad": Quantity("a2", "mrad", 1e3, "mrad", 1e3),
     "g_y": Quantity("g_y", "", 1.0, "ppm", 1e6),
-    "k1": Quantity("k1", "m⁻²", 1.0, "m⁻²", 1.0),
-    "k2": Quantity("k2", "m⁻⁴", 1.0, "m⁻⁴", 1.0),
+    "k1": Quantity("k1", "", 1.0, "", 1.0),
+    "k2": Quantity("k2", "", 1.0, "", 1.0),
     "s": Quantity("s", "", 1.0, "ppm", 1e6),
 }
 

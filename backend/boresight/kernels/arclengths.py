@@ -6,12 +6,13 @@ begin at arc `2 star_start[k] - 3 k`. Arcs are interleaved: number 2i joins star
 the covariance R of an exposure (E Eqs 16-18) has half-bandwidth 4 and its lower factor is kept as five numbers an arc,
 `band[a, 4 - d] = L[a, a - d]`.
 
-The derivative of an arc is taken backwards. With c = s_i.s_j and g = (s_j - c s_i) / (|r_i| sin phi),
+The derivative of an arc is taken backwards. With c = s_i.s_j and g = (s_j - c s_i) s_z,i / sin phi, the z component of s_i,
 
-    d phi / d x = -(g_i . dr_i/dx) - (g_j . dr_j/dx)        (E Eq 38 with both errata)
+    d phi / d x = -(g_i . dt_i/dx) - (g_j . dt_j/dx)        (E Eq 38 with both errata)
 
-and g.dr/dx collapses to a few products, because r = (B U, B V, f) depends on the pixel through (U, V) alone:
-dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what E Eq 43 means, without its 0/0 on the principal point.
+where t = (s_x / s_z, s_y / s_z, 1) are the tangents of a star: g is at right angles to the ray, so that whatever changes the ray's
+length alone drops out. A model is what fills t and the 2 by 8 derivatives of its first two components; all else is the same for
+every model. The loops take the number of the model (`CameraModel.kernel`) before its state x.
 `tests/test_kernels.py` holds every loop against plain NumPy.
 """
 
@@ -27,7 +28,11 @@ HALF_BANDWIDTH = 4
 _BAND = HALF_BANDWIDTH + 1
 _HALVINGS = 6  # of a filter step that raises its frame's cost
 _THIN = 0.1  # sine of an angle: orders with a thinner triangle are mended
-_STAR = 20  # numbers kept a star: s(3), 1/|r|, M(3), U_u U_v V_u V_v, U_f V_f, u v, f/D^2, rho2, U V, column offset
+_STAR = 20  # numbers kept a star: s (3), 1 / |t| = s_z, d t_x / dx (8), d t_y / dx (8)
+_T_X, _T_Y = 4, 12  # where those derivatives begin
+_INVERTED_WANG = 0
+_STEPS = 60  # of a bracketed Newton search, which takes about five
+_SETTLED = 1e-11  # share of the root that the last step may be: its error is the square of that
 
 # Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
 _FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
@@ -35,47 +40,143 @@ _jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 
 
 @_jit
-def _star(x, pitch, row_px, col_px, w):
-    """Fill `w` (20,) with one star's ray and what its derivatives need (E Eqs 1-7, 44-77)."""
-    f, m0, n0, b4, b2, a1, a2, g_y = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
-    dn = pitch * (col_px - n0)
-    u = pitch * (row_px - m0)
-    v = g_y * dn
-    tilt = a1 * v + a2 * u
-    inverse = 1.0 / (tilt + f)
-    U = u * f * inverse
-    V = v * f * inverse
-    rho2 = U * U + V * V
-    B = 1.0 + rho2 * (b2 + rho2 * b4)
-    slope = 2.0 * b2 + 4.0 * b4 * rho2
-    rx, ry = B * U, B * V
-    norm = 1.0 / math.sqrt(rx * rx + ry * ry + f * f)
-    fd2 = f * inverse * inverse
-    w[0], w[1], w[2], w[3] = rx * norm, ry * norm, f * norm, norm
-    w[4], w[5], w[6] = B + slope * U * U, slope * U * V, B + slope * V * V
-    w[7], w[8] = fd2 * (a1 * v + f), -fd2 * a1 * u
-    w[9], w[10] = -fd2 * a2 * v, fd2 * (a2 * u + f)
-    w[11], w[12] = u * tilt * inverse * inverse, v * tilt * inverse * inverse
-    w[13], w[14], w[15], w[16], w[17], w[18], w[19] = u, v, fd2, rho2, U, V, dn
+def _undistorted_radius(reach, k1, k2):
+    """Solve r (1 + k1 r^2 + k2 r^4) = reach on the branch that rises from zero; NaN where it turns back before reach.
+
+    Newton's method, halving a bracket where a step would leave it: [0, r_turn], r_turn the first zero of the slope.
+    """
+    turn2 = _turn_squared(k1, k2)
+    low, high = 0.0, math.sqrt(turn2)
+    if math.isfinite(high) and not high * (1.0 + turn2 * (k1 + k2 * turn2)) > reach:
+        return math.nan
+    r = min(reach, 0.99 * high)
+    for _ in range(_STEPS):
+        r2 = r * r
+        excess = r * (1.0 + r2 * (k1 + k2 * r2)) - reach
+        if excess > 0.0:
+            high = r
+        else:
+            low = r
+        step = excess / (1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2))
+        r -= step
+        if not low <= r <= high:
+            r = 0.5 * (low + high)
+        elif abs(step) <= _SETTLED * r:
+            break
+    return r
 
 
 @_jit
-def _subtract_end(w, gx, gy, gz, pitch, g_y, h):
-    """Subtract g . dr/dx of one end of an arc from its row `h` (8,)."""
-    radial = gx * w[17] + gy * w[18]
-    h1 = gx * w[4] + gy * w[5]
-    h2 = gx * w[5] + gy * w[6]
-    ku = h1 * w[7] + h2 * w[9]
-    kv = h1 * w[8] + h2 * w[10]
-    tilt = w[15] * (h1 * w[13] + h2 * w[14])
-    h[0] -= h1 * w[11] + h2 * w[12] + gz
-    h[1] += pitch * ku
-    h[2] += g_y * pitch * kv
-    h[3] -= w[16] * w[16] * radial
-    h[4] -= w[16] * radial
-    h[5] += w[14] * tilt
-    h[6] += w[13] * tilt
-    h[7] -= w[19] * kv
+def _turn_squared(k1, k2):
+    """Smallest positive zero of the slope 1 + 3 k1 r^2 + 5 k2 r^4 in r^2; infinite where it does not below 1e12."""
+    half = 1.5 * k1
+    inside = half * half - 5.0 * k2
+    if inside < 0.0:
+        return math.inf
+    root = math.sqrt(inside)
+    if root - half > 1e-12:  # both forms of the quadratic's zeros without cancellation: 1 / (sqrt - 3 k1 / 2)
+        return 1.0 / (root - half)
+    return math.inf
+
+
+@_jit
+def _pinhole_tangents(x, pitch, row_px, col_px):
+    """Tangents t_x and t_y of one star of `pinhole_radial`, whose module derives it, with its r^2 and B: t = (p, q) / B."""
+    scale = pitch / x[1]
+    p, q = x[0] * scale * (row_px - x[3]), scale * (col_px - x[2])
+    r = _undistorted_radius(math.sqrt(p * p + q * q), x[4], x[5])
+    r2 = r * r
+    B = 1.0 + r2 * (x[4] + x[5] * r2)
+    return p / B, q / B, r2, B
+
+
+@_jit
+def _pinhole_star(x, pitch, row_px, col_px, w):
+    """Fill `w` (20,) with one star of `pinhole_radial`; d(t_x, t_y) / d(p, q) is ((xx, xy), (xy, yy))."""
+    s, f, u0, v0, k1, k2 = x[0], x[1], x[2], x[3], x[4], x[5]
+    tx, ty, r2, B = _pinhole_tangents(x, pitch, row_px, col_px)
+    T = 1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2)
+    slope = (2.0 * k1 + 4.0 * k2 * r2) / T
+    inverse, scale, over_f = 1.0 / B, pitch / f, 1.0 / f
+    xx, xy, yy = inverse * (1.0 - slope * tx * tx), -inverse * slope * tx * ty, inverse * (1.0 - slope * ty * ty)
+    across = scale * (row_px - v0)
+    p, q = s * across, scale * (col_px - u0)
+    norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+    w[0], w[1], w[2], w[3] = tx * norm, ty * norm, norm, norm
+    w[4], w[12] = xx * across, xy * across
+    w[5], w[13] = -(xx * p + xy * q) * over_f, -(xy * p + yy * q) * over_f
+    w[6], w[14] = -scale * xy, -scale * yy
+    w[7], w[15] = -s * scale * xx, -s * scale * xy
+    w[8], w[16] = -tx * r2 / T, -ty * r2 / T
+    w[9], w[17] = -tx * r2 * r2 / T, -ty * r2 * r2 / T
+    w[10], w[11], w[18], w[19] = 0.0, 0.0, 0.0, 0.0
+
+
+@_jit
+def _wang_tangents(x, pitch, row_px, col_px):
+    """Tangents t_x and t_y of one star of `inverted_wang` (E Eqs 1-7), with its U, V, u, v and 1 / (a_1 v + a_2 u + f)."""
+    f = x[0]
+    u, v = pitch * (row_px - x[1]), x[7] * pitch * (col_px - x[2])
+    inverse = 1.0 / (x[5] * v + x[6] * u + f)
+    U, V = u * f * inverse, v * f * inverse
+    rho2 = U * U + V * V
+    B_over_f = (1.0 + rho2 * (x[4] + rho2 * x[3])) / f
+    return B_over_f * U, B_over_f * V, U, V, u, v, inverse
+
+
+@_jit
+def _wang_star(x, pitch, row_px, col_px, w):
+    """Fill `w` (20,) with one star of `inverted_wang` (E Eqs 44-77).
+
+    t = (B U, B V) / f depends on the pixel through (U, V) alone, and dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what
+    E Eq 43 means, without its 0/0 on the principal point. The slope of t over (U, V) is ((xx, xy), (xy, yy)).
+    """
+    f, b4, b2, a1, a2, g_y = x[0], x[3], x[4], x[5], x[6], x[7]
+    tx, ty, U, V, u, v, inverse = _wang_tangents(x, pitch, row_px, col_px)
+    over_f = 1.0 / f
+    rho2 = U * U + V * V
+    B, slope = over_f * (1.0 + rho2 * (b2 + rho2 * b4)), over_f * (2.0 * b2 + 4.0 * b4 * rho2)
+    xx, xy, yy = B + slope * U * U, slope * U * V, B + slope * V * V
+    fd2 = f * inverse * inverse
+    u_u, u_v, v_u, v_v = fd2 * (a1 * v + f), -fd2 * a1 * u, -fd2 * a2 * v, fd2 * (a2 * u + f)
+    along_x, along_y = xx * u + xy * v, xy * u + yy * v
+    tilted = (a1 * v + a2 * u) * inverse * inverse
+    col_x, col_y = pitch * (xx * u_v + xy * v_v), pitch * (xy * u_v + yy * v_v)
+    radial_x, radial_y = rho2 * U * over_f, rho2 * V * over_f
+    dn = col_px - x[2]
+    norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+    w[0], w[1], w[2], w[3] = tx * norm, ty * norm, norm, norm
+    w[4], w[12] = tilted * along_x - tx * over_f, tilted * along_y - ty * over_f
+    w[5], w[13] = -pitch * (xx * u_u + xy * v_u), -pitch * (xy * u_u + yy * v_u)
+    w[6], w[14] = -g_y * col_x, -g_y * col_y
+    w[7], w[15] = rho2 * radial_x, rho2 * radial_y
+    w[8], w[16] = radial_x, radial_y
+    w[9], w[17] = -fd2 * v * along_x, -fd2 * v * along_y
+    w[10], w[18] = -fd2 * u * along_x, -fd2 * u * along_y
+    w[11], w[19] = dn * col_x, dn * col_y
+
+
+@_jit
+def _stars(model, x, pitch, row_px, col_px, w):
+    """Fill the first rows of `w` (at least n_stars, 20) with the stars of one exposure; asking the model once keeps this fast."""
+    if model == _INVERTED_WANG:
+        for i in range(row_px.shape[0]):
+            _wang_star(x, pitch, row_px[i], col_px[i], w[i])
+    else:
+        for i in range(row_px.shape[0]):
+            _pinhole_star(x, pitch, row_px[i], col_px[i], w[i])
+
+
+@_jit
+def _directions(model, x, pitch, row_px, col_px, w):
+    """Fill the directions alone, the first three numbers of each row of `w`, where no derivative is asked for."""
+    for i in range(row_px.shape[0]):
+        if model == _INVERTED_WANG:
+            tx, ty, _, _, _, _, _ = _wang_tangents(x, pitch, row_px[i], col_px[i])
+        else:
+            tx, ty, _, _ = _pinhole_tangents(x, pitch, row_px[i], col_px[i])
+        norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+        w[i, 0], w[i, 1], w[i, 2] = tx * norm, ty * norm, norm
 
 
 @_jit
@@ -90,34 +191,30 @@ def _arclength(w, i, j):
 
 
 @_jit
-def _arc(w, i, j, pitch, g_y, h):
+def _arc(w, i, j, h):
     """Return the measured arc between stars i and j and fill its derivative row `h` (8,)."""
     phi, c, s = _arclength(w, i, j)
     ki, kj = w[i, 3] / s, w[j, 3] / s
-    h[:] = 0.0
-    _subtract_end(
-        w[i], ki * (w[j, 0] - c * w[i, 0]), ki * (w[j, 1] - c * w[i, 1]), ki * (w[j, 2] - c * w[i, 2]), pitch, g_y, h
-    )
-    _subtract_end(
-        w[j], kj * (w[i, 0] - c * w[j, 0]), kj * (w[i, 1] - c * w[j, 1]), kj * (w[i, 2] - c * w[j, 2]), pitch, g_y, h
-    )
+    ix, iy = ki * (c * w[i, 0] - w[j, 0]), ki * (c * w[i, 1] - w[j, 1])
+    jx, jy = kj * (c * w[j, 0] - w[i, 0]), kj * (c * w[j, 1] - w[i, 1])
+    for p in range(N_PARAMETERS):
+        h[p] = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
     return phi
 
 
 @_jit
-def _exposure_rows(x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H):
+def _exposure_rows(model, x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H):
     """Whitened residuals `e` and scaled Jacobian `H` of one exposure; returns its unweighted sum of squares.
 
-    The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82).
+    The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82). `free` ascends.
     """
     n = row_px.shape[0]
     n_free = free.shape[0]
-    for i in range(n):
-        _star(x, pitch, row_px[i], col_px[i], w[i])
+    _stars(model, x, pitch, row_px, col_px, w)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
-        residual = _arc(w, i, i + 1 + a % 2, pitch, x[7], h) - phi[a]
+        residual = _arc(w, i, i + 1 + a % 2, h) - phi[a]
         total += residual * residual
         inverse = 1.0 / band[a, 4]
         first = max(0, a - HALF_BANDWIDTH)
@@ -125,19 +222,21 @@ def _exposure_rows(x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H)
             residual -= band[a, 4 - a + b] * e[b]
         e[a] = residual * inverse
         for p in range(n_free):
-            value = h[free[p]] * scale[p]
-            for b in range(first, a):
-                value -= band[a, 4 - a + b] * H[b, p]
-            H[a, p] = value * inverse
+            h[p] = h[free[p]] * scale[p]  # free ascends, so nothing is overwritten before it is read
+        for b in range(first, a):
+            share = band[a, 4 - a + b]
+            for p in range(n_free):
+                h[p] -= share * H[b, p]
+        for p in range(n_free):
+            H[a, p] = h[p] * inverse
     return total
 
 
 @_jit
-def _exposure_residuals(x, pitch, row_px, col_px, phi, band, w, e):
+def _exposure_residuals(model, x, pitch, row_px, col_px, phi, band, w, e):
     """Whitened residuals `e` of one exposure without derivatives; returns its unweighted sum of squares."""
     n = row_px.shape[0]
-    for i in range(n):
-        _star(x, pitch, row_px[i], col_px[i], w[i])
+    _directions(model, x, pitch, row_px, col_px, w)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
@@ -159,22 +258,41 @@ def _largest_exposure(star_start):
 
 
 @_jit
-def solid_angles(x, pitch, row_px, col_px, omega):
+def solid_angles(model, x, pitch, row_px, col_px, omega):
     """Fill `omega` (n_stars,) with the solid angle of one pixel at each star, steradian.
 
-    Called by `estimation.cameras.inverted_wang`. With r = (B U, B V, f): omega = |det[r, dr/dm, dr/dn]| / |r|^3, and as dr has no
-    third component the determinant is f det M det d(U, V)/d(u, v) times the pixel's area g_y Delta^2.
+    Called by `estimation.cameras`: |det d(t_x, t_y) / d(m, n)| / |t|^3, where moving the pixel is moving the principal point back.
     """
     w = np.empty(_STAR)
-    area = x[0] * x[7] * pitch * pitch
-    for i in range(row_px.shape[0]):
-        _star(x, pitch, row_px[i], col_px[i], w)
-        stretch = (w[4] * w[6] - w[5] * w[5]) * (w[7] * w[10] - w[8] * w[9])
-        omega[i] = abs(area * stretch) * w[3] * w[3] * w[3]
+    if model == _INVERTED_WANG:
+        for i in range(row_px.shape[0]):
+            _wang_star(x, pitch, row_px[i], col_px[i], w)
+            omega[i] = abs(w[5] * w[14] - w[6] * w[13]) * w[3] * w[3] * w[3]
+    else:
+        for i in range(row_px.shape[0]):
+            _pinhole_star(x, pitch, row_px[i], col_px[i], w)
+            omega[i] = abs(w[6] * w[15] - w[7] * w[14]) * w[3] * w[3] * w[3]
 
 
 @_jit
-def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scale, threshold, A, b):
+def rays_and_jacobians(model, x, pitch, row_px, col_px, s, D):
+    """Fill `s` (n_stars, 3) with unit directions in D and `D` (n_stars, 3, n_parameters) with ds/dx per parameter in SI.
+
+    Called by the filters on stars: ds = (I - s s^T) dt / |t|.
+    """
+    one = np.empty((1, _STAR))
+    w = one[0]
+    for i in range(row_px.shape[0]):
+        _stars(model, x, pitch, row_px[i : i + 1], col_px[i : i + 1], one)
+        s[i, 0], s[i, 1], s[i, 2] = w[0], w[1], w[2]
+        for p in range(D.shape[2]):
+            x_p, y_p = w[3] * w[_T_X + p], w[3] * w[_T_Y + p]
+            along = w[0] * x_p + w[1] * y_p
+            D[i, 0, p], D[i, 1, p], D[i, 2, p] = x_p - w[0] * along, y_p - w[1] * along, -w[2] * along
+
+
+@_jit
+def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, free, scale, threshold, A, b):
     """Accumulate A = H'^T W H' (n_free, n_free) and b = H'^T W e' (n_free,); return (cost, unweighted sum of squares).
 
     Called by `estimation.batch`. H' is whitened and in units of `scale` (the typical sigmas of the free parameters). W holds
@@ -192,7 +310,7 @@ def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scal
         s0, s1 = star_start[k], star_start[k + 1]
         a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
         total += _exposure_rows(
-            x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e, H
+            model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e, H
         )
         for a in range(a1 - a0):
             size = abs(e[a])
@@ -217,7 +335,7 @@ def normal_equations(x, pitch, star_start, row_px, col_px, phi, band, free, scal
 
 
 @_jit
-def count_beyond(x, pitch, star_start, row_px, col_px, phi, band, threshold):
+def count_beyond(model, x, pitch, star_start, row_px, col_px, phi, band, threshold):
     """Return (arcs whose whitened residual is beyond `threshold`, sum of squares of all, each cut off at it).
 
     Called by `estimation.robust`.
@@ -228,7 +346,7 @@ def count_beyond(x, pitch, star_start, row_px, col_px, phi, band, threshold):
     for k in range(star_start.shape[0] - 1):
         s0, s1 = star_start[k], star_start[k + 1]
         a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
-        _exposure_residuals(x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e)
+        _exposure_residuals(model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e)
         for a in range(a1 - a0):
             size = abs(e[a])
             beyond += size > threshold
@@ -237,20 +355,19 @@ def count_beyond(x, pitch, star_start, row_px, col_px, phi, band, threshold):
 
 
 @_jit
-def residuals(x, pitch, star_start, row_px, col_px, phi, e):
+def residuals(model, x, pitch, star_start, row_px, col_px, phi, e):
     """Fill `e` (n_arcs,) with measured minus catalogue arclength, radians. Called by `estimation.metrics`."""
     w = np.empty((_largest_exposure(star_start), _STAR))
     for k in range(star_start.shape[0] - 1):
         s0, s1 = star_start[k], star_start[k + 1]
         a0 = 2 * s0 - 3 * k
-        for i in range(s1 - s0):
-            _star(x, pitch, row_px[s0 + i], col_px[s0 + i], w[i])
+        _directions(model, x, pitch, row_px[s0:s1], col_px[s0:s1], w)
         for a in range(2 * (s1 - s0) - 3):
             e[a0 + a] = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
 
 
 @_jit
-def sums_of_squares(states, pitch, star_start, row_px, col_px, phi, totals):
+def sums_of_squares(model, states, pitch, star_start, row_px, col_px, phi, totals):
     """Fill `totals` (n_states,) with the unweighted sum of squares of the whole set at each state (n_states, 8).
 
     Called by `estimation.metrics.tail_rms` (E Eq 32).
@@ -261,8 +378,7 @@ def sums_of_squares(states, pitch, star_start, row_px, col_px, phi, totals):
         for k in range(star_start.shape[0] - 1):
             s0, s1 = star_start[k], star_start[k + 1]
             a0 = 2 * s0 - 3 * k
-            for i in range(s1 - s0):
-                _star(states[m], pitch, row_px[s0 + i], col_px[s0 + i], w[i])
+            _directions(model, states[m], pitch, row_px[s0:s1], col_px[s0:s1], w)
             for a in range(2 * (s1 - s0) - 3):
                 residual = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
                 total += residual * residual
@@ -270,7 +386,7 @@ def sums_of_squares(states, pitch, star_start, row_px, col_px, phi, totals):
 
 
 @_jit
-def whitened_rows(x, pitch, star_start, row_px, col_px, phi, band, free, scale, e, H):
+def whitened_rows(model, x, pitch, star_start, row_px, col_px, phi, band, free, scale, e, H):
     """Fill whitened `e` (n_arcs,) and `H` (n_arcs, n_free) of several exposures. Called by `estimation.filters.extended`."""
     w, h = np.empty((_largest_exposure(star_start), _STAR)), np.empty(N_PARAMETERS)
     total = 0.0
@@ -278,7 +394,19 @@ def whitened_rows(x, pitch, star_start, row_px, col_px, phi, band, free, scale, 
         s0, s1 = star_start[k], star_start[k + 1]
         a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
         total += _exposure_rows(
-            x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e[a0:a1], H[a0:a1]
+            model,
+            x,
+            pitch,
+            row_px[s0:s1],
+            col_px[s0:s1],
+            phi[a0:a1],
+            band[a0:a1],
+            free,
+            scale,
+            w,
+            h,
+            e[a0:a1],
+            H[a0:a1],
         )
     return total
 
@@ -359,14 +487,16 @@ def _prior_cost(S, z, z_prior, n_free, y):
 
 
 @_jit
-def _frame_residuals(x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
+def _frame_residuals(model, x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
     """Whitened residuals `e` of the exposures first <= m < last, one after another; returns their unweighted sum of squares."""
     total = 0.0
     n_arcs = 0
     for m in range(first, last):
         s0, s1 = star_start[m], star_start[m + 1]
         a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
-        total += _exposure_residuals(x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e[n_arcs:])
+        total += _exposure_residuals(
+            model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e[n_arcs:]
+        )
         n_arcs += a1 - a0
     return total
 
@@ -383,7 +513,7 @@ def _largest_frame(frame_start, star_start):
 
 @_jit
 def square_root_filter(
-    x, z, S, q, widening, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    x, z, S, q, widening, model, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
     """Run the Carlson filter over frames; x (8,), z (8,) and S (8, 8) change in place, zero beyond the free parameters.
@@ -424,7 +554,7 @@ def square_root_filter(
                 s0, s1 = star_start[m], star_start[m + 1]
                 a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
                 _exposure_rows(
-                    x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h,
+                    model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h,
                     e[n_arcs:], H[n_arcs:],
                 )  # fmt: skip
                 n_arcs += a1 - a0
@@ -443,7 +573,7 @@ def square_root_filter(
                 before += e[a] * e[a]
             for _ in range(_HALVINGS):
                 total = _frame_residuals(
-                    x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
+                    model, x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
                 )
                 after = _prior_cost(S_prior, z, z_prior, n_free, f)
                 for a in range(n_arcs):
@@ -476,7 +606,7 @@ def square_root_filter(
 
 @_jit
 def unscented_filter(
-    x, z, S, q, widening, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    x, z, S, q, widening, model, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     shrunk, straight, states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
     """Run the square-root unscented filter over frames; arguments and result as in `square_root_filter`.
@@ -491,7 +621,7 @@ def unscented_filter(
     w = np.empty((_largest_exposure(star_start), _STAR))
     e, H, C = np.empty(most), np.zeros((most, N_PARAMETERS)), np.empty((most, N_PARAMETERS))
     plus, minus = np.empty((N_PARAMETERS, most)), np.empty((N_PARAMETERS, most))
-    z_prior, z_at, point = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty(N_PARAMETERS)
+    z_prior, z_at, point = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty(x.shape[0])
     S_prior, S_at = np.empty((N_PARAMETERS, N_PARAMETERS)).T, np.empty((N_PARAMETERS, N_PARAMETERS)).T
     f, gain, M, x0 = (
         np.empty(N_PARAMETERS),
@@ -520,7 +650,7 @@ def unscented_filter(
                     for p in range(n_free):
                         point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
                     _frame_residuals(
-                        point, pitch, k0, k1, star_start, row_px, col_px, phi, band, w,
+                        model, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, w,
                         plus[i] if side == 0 else minus[i],
                     )  # fmt: skip
             _regress(plus, minus, S_at, n_free, n_arcs, e, H, C)
@@ -546,7 +676,7 @@ def unscented_filter(
             for j in range(p, n_free):
                 variance += S[p, j] * S[p, j]
             sigmas[k, p] = math.sqrt(variance)
-        total = _frame_residuals(x, pitch, k0, k1, star_start, row_px, col_px, phi, band, w, e)
+        total = _frame_residuals(model, x, pitch, k0, k1, star_start, row_px, col_px, phi, band, w, e)
         nis[k], dof[k], squares[k], passes[k] = frame_nis, n_arcs, total, done
         if not math.isfinite(total):
             return k

@@ -19,6 +19,7 @@ from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE
 from boresight.figures.numbers import number, urad
 from boresight.figures.parameter_table import contrasts
+from boresight.pages.method_panel import method_panel
 from boresight.pages.methods import title_of
 from boresight.pages.rendering import render
 from boresight.pages.runs import Names, read_names
@@ -173,6 +174,7 @@ def compare_page(
         ordered=[run_ids[place], *(run_id for run_id in run_ids if run_id != run_ids[place])],
         everything=bool(everything),
         crowded=len(compared) > CROWDED_RUNS,
+        methods=method_panel(compared),
         rows=[row for row in rows if everything or row.differs],
         alike=sum(not row.differs for row in rows),
         parameters=[row for row in parameters if everything or row.differs],

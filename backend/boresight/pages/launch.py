@@ -22,7 +22,7 @@ from boresight.figures.numbers import count
 from boresight.pages.attempts import Outcome, Refusal, attempt
 from boresight.pages.formats import duration
 from boresight.pages.launch_form import Typed, typed_form, typed_settings, whole
-from boresight.pages.methods import METHODS, WORDS, title_of
+from boresight.pages.methods import METHODS, NUMBERS, WORDS, title_of
 from boresight.pages.rendering import redirect, render
 from boresight.services import runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
@@ -187,7 +187,7 @@ def _page(
         parameter_names={sensor.id: _names_of(sensor) for sensor in fleet},
         sets=telemetry_sets.list_telemetry_sets(session),
         methods=METHODS,
-        words=WORDS,
+        words={**WORDS, **NUMBERS},
         typed=typed,
         clone=clone,
         refusal=refusal,

@@ -13,6 +13,7 @@ from starlette.datastructures import FormData
 
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
+from boresight.estimation.filters import IN_EITHER_FORM
 from boresight.pages.methods import is_sequential
 from boresight.store.tables import Sensor
 
@@ -21,6 +22,8 @@ def _text(value: Any) -> str:
     """Write a setting as its field shows it."""
     if isinstance(value, bool):
         return "on" if value else ""
+    if isinstance(value, list):
+        return ",".join(map(str, value))
     return f"{value:.15g}" if isinstance(value, int | float) else str(value or "")
 
 
@@ -34,7 +37,7 @@ DEFAULTS = typed_settings(CalibrationSettings().document())
 #: Fields behind "More options"; one that differs from the usual opens them.
 ADVANCED = (
     "match_parameters", "match_rule", "flight_tolerance_urad", "leave_out_doubles", "minimum_stars", "max_iterations", "error",
-    "robust", "huber_threshold", "forgetting_factor", "initial_sigma_scale",
+    "robust", "huber_threshold", "forgetting_factor", "initial_sigma_scale", "gain_form",
 )  # fmt: skip
 
 
@@ -61,6 +64,9 @@ class Typed:
     process_noise_sigma: str = DEFAULTS["process_noise_sigma"]
     forgetting_factor: str = DEFAULTS["forgetting_factor"]
     initial_sigma_scale: str = DEFAULTS["initial_sigma_scale"]
+    star_model: str = DEFAULTS["star_model"]
+    singular_values: str = DEFAULTS["singular_values"]
+    gain_form: str = DEFAULTS["gain_form"]
     replay_frames_per_s: str = DEFAULTS["replay_frames_per_s"]
     label: str = ""
     free: Mapping[int, Sequence[str]] = field(default_factory=dict)
@@ -119,6 +125,14 @@ class Typed:
         }
         if self.variant != "no-q":
             document["process_noise_sigma"] = decimal(self.process_noise_sigma, "drift a frame")
+        return document | self._of_reference()
+
+    def _of_reference(self) -> dict[str, Any]:
+        """Return the choices that only the filters on singular values and on all pairs have."""
+        document: dict[str, Any] = {"gain_form": self.gain_form} if self.method in IN_EITHER_FORM else {}
+        if self.method == "svd":
+            document["star_model"] = whole(self.star_model, "star model")
+            document["singular_values"] = [whole(k, "singular value") for k in self.singular_values.split(",")]
         return document
 
 

@@ -43,6 +43,20 @@ METHODS = (
         " check of the square-root filter; it takes longer and is not more accurate.",
         sequential=True,
     ),
+    Method(
+        "svd",
+        "Singular values",
+        "Singular values of star combinations in place of arcs: use it to reproduce or compare with the method of Wu et al.;"
+        " with honest weights it holds a little less than the arcs do, and costs more.",
+        sequential=True,
+    ),
+    Method(
+        "angular",
+        "All angular distances",
+        "Every pair of stars, the baseline that singular values are usually measured against: use it beside them; it says"
+        " exactly what the arcs of the square-root filter say, at a higher price.",
+        sequential=True,
+    ),
 )
 
 #: What the words of the other choices mean, by setting and word.
@@ -62,7 +76,30 @@ WORDS: Mapping[str, Mapping[str, str]] = {
         "arclength": "Arclength, with its full covariance",
         "cosine": "Cosine of the arc, unweighted: worse, for comparison",
     },
+    "gain_form": {
+        "information": "Information form",
+        "gain": "Gain form, as printed: slower, the same result",
+    },
     "robust": {"none": "Least squares", "huber": "Huber: bounds what a false star may say"},
+}
+
+#: What the numbers mean that are chosen like words.
+NUMBERS: Mapping[str, Mapping[str, str]] = {
+    "star_model": {
+        "1": "1: three neighbours at a time",
+        "2": "2: half of the stars at a time",
+        "3": "3: all stars but one at a time",
+        "4": "4: the first three, four, five … all stars",
+    },
+    "singular_values": {
+        "2,3": "σ2 and σ3: all that a combination says",
+        "1,2,3": "σ1, σ2 and σ3: the same, for σ1 follows from the others",
+        "1,2": "σ1 and σ2: the same by another name",
+        "1,3": "σ1 and σ3: the same by another name",
+        "1": "σ1 alone",
+        "2": "σ2 alone",
+        "3": "σ3 alone",
+    },
 }
 
 _BY_NAME = {method.name: method for method in METHODS}

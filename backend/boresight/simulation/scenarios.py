@@ -216,12 +216,21 @@ def _parse_truth(truth: Any, base: Scenario) -> FloatArray:
     if not isinstance(truth, Mapping) or set(truth) - set(names):
         raise RefusedInputError(f"A scenario's `truth` must be an object of parameters out of {', '.join(names)}.")
     plausible = dict(zip(names, CAMERA_MODELS[base.sensor.camera_model].plausible, strict=True))
-    return np.array(
+    x = np.array(
         [
             _measure(truth, name, plausible) if name in truth else default
             for name, default in zip(names, base.truth.tolist(), strict=True)
         ]
     )
+    sensor = base.sensor
+    if (
+        CAMERA_MODELS[sensor.camera_model].blind_corner(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+        is not None
+    ):
+        raise RefusedInputError(
+            "A scenario's `truth` must give all of the detector a direction; its distortion turns back short of a corner."
+        )
+    return x
 
 
 def _parse_orbit(document: Mapping[str, Any], base: Orbit) -> Orbit:

@@ -1,4 +1,4 @@
-"""The Sinclair ST-16 as published, and six of them as the demo fleet.
+"""The Sinclair ST-16 as published, six of them as the demo fleet, and the sensor of Wu et al. 2019.
 
 Detector: 1944 rows by 2592 columns of 2.2 um behind a 16 mm lens, so 20.2 by 15.2 deg. E Table II gives the fleet's
 mean and unit-to-unit spread of each parameter; its principal point (972, 1296) is half the detector: row, column.
@@ -27,6 +27,12 @@ The error of an arc has the variance of its two ends (Eq 16), sigma_phi^2 = 2 si
     sigma_phi = sqrt(2) * 0.437 px * 2.2 um / 16.095 mm = 84.5 urad,
 
 the middle of the final RMS column of E Table IV (62 to 123 urad); so 0.437 px one-axis is the default.
+
+Wu's sensor
+-----------
+1080 rows by 1920 columns of 2.9 um behind 16 mm, `pinhole_radial`; W Table 1 is the truth and the typical sigma, W 4.1 Test 1 the
+start. The start is 5,000 typical sigmas of f away: a filter from there needs a covariance of its own. 0.5 px is the stated
+centroid noise, 0.2 px what its tables imply (erratum). Its frame is right-handed as W draws it, so D is left-handed.
 """
 
 from __future__ import annotations
@@ -66,6 +72,17 @@ CHANGES = np.array(
     ]
 )
 
+WU_ROWS, WU_COLUMNS = 1080, 1920
+WU_PIXEL_PITCH_M = 2.9e-6
+WU_MAGNITUDE_LIMIT = 5.5
+WU_STATED_SIGMA_PX, WU_IMPLIED_SIGMA_PX = 0.5, 0.2
+WU_CAMERA_MODEL = "pinhole_radial"
+
+# W Table 1 and W 4.1, in the order s f u0 v0 k1 k2
+WU_TRUTH = np.array([1.0, 0.016, 970.0, 550.0, -0.5, 0.5])
+WU_TYPICAL_SIGMA = np.array([1e-5, 1e-7, 1.0, 1.0, 1e-2, 1e-1])
+WU_START = np.array([1.0, 0.0155, 960.0, 540.0, 0.0, 0.0])
+
 SENSOR_NUMBERS = tuple(range(1, len(CHANGES) + 1))
 
 
@@ -90,6 +107,23 @@ def st16_sensor(number: int) -> Sensor:
         typical_sigma=TYPICAL_SIGMA.copy(),
         free=CAMERA_MODELS[CAMERA_MODEL].parameter_names,
         magnitude_limit=ST16_MAGNITUDE_LIMIT,
+    )
+
+
+def wu_sensor(centroid_sigma_px: float = WU_IMPLIED_SIGMA_PX) -> Sensor:
+    """Describe the sensor of W 4.1 as its printed start does; all six parameters free."""
+    return Sensor(
+        name="Wu 2019",
+        rows=WU_ROWS,
+        columns=WU_COLUMNS,
+        pixel_pitch_m=WU_PIXEL_PITCH_M,
+        camera_model=WU_CAMERA_MODEL,
+        parity=-1,
+        centroid_sigma_px=centroid_sigma_px,
+        initial=WU_START.copy(),
+        typical_sigma=WU_TYPICAL_SIGMA.copy(),
+        free=CAMERA_MODELS[WU_CAMERA_MODEL].parameter_names,
+        magnitude_limit=WU_MAGNITUDE_LIMIT,
     )
 
 

@@ -263,10 +263,17 @@ def _magnitude_limit(value: Any, faults: Faults) -> float | None:
 
 
 def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults) -> None:
-    """Note in `faults` a camera that no star tracker is: principal point far off the detector, or an absurd field of view."""
+    """Note in `faults` a camera that no star tracker is: principal point far off the detector, blind corners, an absurd field."""
     row, col = model.principal_point(sensor.initial)
     if not (-sensor.rows < row < 2 * sensor.rows and -sensor.columns < col < 2 * sensor.columns):
         faults.add(f"initial puts the principal point at row {row:g}, column {col:g}, far off the detector: correct it")
+        return
+    corner = model.blind_corner(sensor.initial, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+    if corner is not None:
+        faults.add(
+            f"initial has a distortion that turns back before the corner at row {corner[0]:g}, column {corner[1]:g}, "
+            "where a star would have no direction: correct its distortion coefficients"
+        )
         return
     rows, columns = np.array([0.0, sensor.rows - 1.0]), np.array([0.0, sensor.columns - 1.0])
     with np.errstate(all="ignore"):

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.cameras.model import CameraModel
+from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 
 CAMERA_MODELS: dict[str, CameraModel] = {
     INVERTED_WANG.name: INVERTED_WANG,
+    PINHOLE_RADIAL.name: PINHOLE_RADIAL,
 }
 
 __all__ = ["CAMERA_MODELS", "CameraModel"]

@@ -32,6 +32,7 @@ from boresight.estimation.cameras.model import CameraModel
 
 FloatArray = NDArray[np.float64]
 
+KERNEL = 0
 NEWTON_STEPS = 30
 
 
@@ -157,7 +158,7 @@ def principal_point(x: FloatArray) -> tuple[float, float]:
 def solid_angle(x: FloatArray, row_px: FloatArray, col_px: FloatArray, pitch: float) -> FloatArray:
     """Solid angle of one pixel at each place, (n,) steradian: |ds/dm x ds/dn|."""
     omega = np.empty(len(row_px))
-    kernels.solid_angles(x, pitch, row_px, col_px, omega)
+    kernels.solid_angles(KERNEL, x, pitch, row_px, col_px, omega)
     return omega
 
 
@@ -181,6 +182,7 @@ def radial_tangent(x: FloatArray, radius_px: ArrayLike, pitch: float) -> tuple[F
 
 INVERTED_WANG = CameraModel(
     name="inverted_wang",
+    kernel=KERNEL,
     parameter_names=("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y"),
     symbols=("f", "m0", "n0", "b4", "b2", "a1", "a2", "g_y"),
     units=("m", "px", "px", "m⁻⁴", "m⁻²", "rad", "rad", "1"),

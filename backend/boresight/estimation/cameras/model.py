@@ -19,6 +19,8 @@ class CameraModel:
     ----------
     name
         As in the sensor file.
+    kernel
+        Number of the model in the compiled loops, see `boresight.kernels.arclengths`.
     parameter_names, symbols, units
         (n_parameters,) in state order; symbols are the paper's letters for pages, units for tables.
     directions
@@ -40,6 +42,7 @@ class CameraModel:
     """
 
     name: str
+    kernel: int
     parameter_names: tuple[str, ...]
     symbols: tuple[str, ...]
     units: tuple[str, ...]
@@ -51,3 +54,14 @@ class CameraModel:
     radial_tangent: Callable[..., tuple[FloatArray, FloatArray]]
     default_typical_sigma: tuple[float, ...]
     plausible: tuple[tuple[float, float], ...]
+
+    def blind_corner(self, x: FloatArray, rows: int, columns: int, pitch: float) -> tuple[float, float] | None:
+        """Row and column of a corner of the detector that has no direction at state x; None where all of it has.
+
+        Distortion that turns back does so beyond a radius about the principal point, so the corners are the first to go blind.
+        """
+        row = np.array([-0.5, -0.5, rows - 0.5, rows - 0.5])
+        col = np.array([-0.5, columns - 0.5, -0.5, columns - 0.5])
+        with np.errstate(all="ignore"):
+            blind = np.flatnonzero(~np.isfinite(self.directions(x, row, col, pitch)).all(axis=-1))
+        return (float(row[blind[0]]), float(col[blind[0]])) if len(blind) else None

@@ -69,7 +69,18 @@ def _rows(
     """Whitened residual (n_arcs,), scaled Jacobian (n_arcs, n_free) and unweighted sum of squares of one frame."""
     e, H = np.empty(frame.n_arcs), np.empty((frame.n_arcs, len(free)))
     total = kernels.whitened_rows(
-        x, frame.pitch, frame.star_start, frame.row_px, frame.col_px, frame.phi, frame.band, free, scale, e, H
+        frame.model,
+        x,
+        frame.pitch,
+        frame.star_start,
+        frame.row_px,
+        frame.col_px,
+        frame.phi,
+        frame.band,
+        free,
+        scale,
+        e,
+        H,
     )
     return e, H, float(total)
 

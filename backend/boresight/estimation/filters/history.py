@@ -13,9 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.estimation.singular_values import CHOSEN, Selection
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+#: How an update is computed where it can be in two ways, see `information`.
+GAIN_FORMS = ("information", "gain")
 #: Largest departure of a whitened residual from its linear prediction at which a frame is not linearised again.
 REST = 1e-3
 
@@ -34,12 +38,18 @@ class Tuning:
         lambda, the share of its information that the filter carries from frame to frame; 1 forgets nothing.
     rest
         See `REST`.
+    selection
+        Of the filter on singular values: which of them are measured.
+    gain_form
+        Of the filters in `information`: `information`, or `gain` for the printed update, which is slower and gives the same.
     """
 
     linearisations: int = 6
     process_noise: float = 0.0
     forgetting: float = 1.0
     rest: float = REST
+    selection: Selection = CHOSEN
+    gain_form: str = "information"
 
     @property
     def widening(self) -> float:

@@ -5,23 +5,20 @@ Everything but `timing` is a function of the plan alone: the same plan gives the
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from boresight.studies.documents import SCHEMA, table_document, verdict_counts
 from boresight.studies.enright.drawings import drawings
 from boresight.studies.enright.estimators import ESTIMATORS
 from boresight.studies.enright.findings import findings
 from boresight.studies.enright.pooled import Pooled, Record
 from boresight.studies.enright.questions import questions
-from boresight.studies.enright.tables import Table, tables
+from boresight.studies.enright.tables import tables
 from boresight.studies.enright.trials import DRAWN
-from boresight.studies.enright.verdicts import VERDICTS, Row
 
-SCHEMA = "boresight.reproduction/1"
 PAPER = "Enright, Jovanovic, Vaz, “Autonomous Recalibration of Star Trackers”, IEEE Sensors Journal, 2018"
 
 
@@ -36,14 +33,13 @@ def document(plan: dict[str, Any], records: Sequence[Record]) -> dict[str, Any]:
         One a sensor, set and estimator, in order.
     """
     pooled = Pooled(records)
-    made, drawn = [_table(table) for table in tables(pooled)], drawings(pooled)
-    verdicts = Counter(item["verdict"] for item in (*(row for table in made for row in table["rows"]), *drawn))
+    made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
     return {
         "schema": SCHEMA,
         "paper": PAPER,
         "plan": plan,
         "flight_tolerance_rad": next(record["validation"]["flight_tolerance_rad"] for record in records),
-        "verdicts": {verdict: verdicts[verdict] for verdict in VERDICTS},
+        "verdicts": verdict_counts(made, drawn),
         "tables": made,
         "figures": drawn,
         "estimators": pooled.statistics(),
@@ -53,21 +49,6 @@ def document(plan: dict[str, Any], records: Sequence[Record]) -> dict[str, Any]:
         "records": [_kept(record) for record in records],
         "timing": _timing(pooled),
     }
-
-
-def _table(table: Table) -> dict[str, Any]:
-    return {
-        "number": table.number,
-        "title": table.title,
-        "conclusion": table.conclusion,
-        "head": table.head,
-        "rows": [_row(row) for row in table.rows],
-    }
-
-
-def _row(row: Row) -> dict[str, Any]:
-    cells = [{**asdict(cell), "verdict": cell.verdict} for cell in row.cells]
-    return {"label": row.label, "verdict": row.verdict, "reason": row.reason, "cells": cells}
 
 
 def _kept(record: Record) -> Record:

@@ -19,7 +19,7 @@ from boresight.simulation.sensors import ST16_COLUMNS, ST16_PIXEL_PITCH_M, ST16_
 from boresight.studies.enright.estimators import ESTIMATORS
 from boresight.studies.enright.pooled import Pooled, Record
 from boresight.studies.enright.tables import TOLERANCE, TUNING
-from boresight.studies.enright.verdicts import Conclusion, judge
+from boresight.studies.verdicts import Conclusion, judge
 
 FloatArray = NDArray[np.float64]
 Drawing = dict[str, Any]

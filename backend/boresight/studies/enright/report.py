@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from math import log10
 from pathlib import Path
 from typing import Any
 
-import orjson
 import plotly.graph_objects as go
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
-from boresight import __version__
-from boresight.errors import RefusedInputError
 from boresight.figures import enright_convergence, enright_radial, enright_rms
-from boresight.figures.chart import figure_json
-from boresight.figures.theme import LIGHT_TEMPLATE
-from boresight.resources import folder
 from boresight.studies.enright.estimators import ESTIMATORS, SPARSE_EVERY
 from boresight.studies.enright.printed import TABLE_I, TABLE_II
+from boresight.studies.reports import (
+    csv_bytes,
+    figure_lines,
+    json_bytes,
+    number,
+    rendered,
+    table_lines,
+    write_files,
+)  # fmt: skip
 
 Document = Mapping[str, Any]
 
@@ -32,7 +29,6 @@ DRAW: dict[str, Callable[[Mapping[str, Any]], go.Figure]] = {
     "4": enright_rms.draw,
     "5": enright_radial.draw,
 }
-CELL_COLUMNS = ("column", "unit", "printed", "ours", "low", "high", "verdict", "cause", "because")
 
 
 def write(document: Document, out: Path) -> list[Path]:
@@ -45,46 +41,25 @@ def write(document: Document, out: Path) -> list[Path]:
     """
     files = {
         "enright.html": render(document).encode(),
-        "enright.json": orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE),
-        "enright-tables.csv": _csv(_table_lines(document)),
-        "enright-estimators.csv": _csv(_estimator_lines(document)),
-        "enright-figures.csv": _csv(_figure_lines(document)),
+        "enright.json": json_bytes(document),
+        "enright-tables.csv": csv_bytes(table_lines(document)),
+        "enright-estimators.csv": csv_bytes(_estimator_lines(document)),
+        "enright-figures.csv": csv_bytes(figure_lines(document, ("frame", "radius_px"), ("estimator", "label"))),
     }
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name, data in files.items():
-            (out / name).write_bytes(data)
-    except OSError as error:
-        raise RefusedInputError(f"{out} cannot be written: {error.strerror}; choose another place.") from error
-    return [out / name for name in files]
+    return write_files(files, out)
 
 
 def render(document: Document) -> str:
     """Render the report as HTML text."""
-    loader = FileSystemLoader(folder("frontend") / "templates")
-    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-    environment.filters |= {"number": number, "as_printed": printed_digits}
-    return environment.get_template("reproduction.html").render(
-        document=document,
-        plan=document["plan"],
+    return rendered(
+        "enright.html",
+        document,
+        DRAW,
         table_i=TABLE_I,
         table_ii=TABLE_II,
         ukf_cost=ukf_cost(document),
         lines=list(_record_lines(document)),
-        figures_json=_inline(document["figures"]),
-        plotly=Markup(get_plotlyjs()),  # noqa: S704 - the library's own file, as its writer inlines it
-        version=__version__,
     )
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """Write a number with so many significant digits, a dash where there is none."""
-    return "–" if value is None else f"{value:.{digits}g}".replace("-", "−")
-
-
-def printed_digits(value: float | None, resolution: float) -> str:
-    """Write a number with as many decimals as the paper prints."""
-    return "–" if value is None else f"{value:.{round(-log10(resolution))}f}".replace("-", "−")
 
 
 def _record_lines(document: Document) -> Iterator[dict[str, Any]]:
@@ -125,33 +100,6 @@ def ukf_cost(document: Document) -> str:
     )
 
 
-def _inline(drawings: Sequence[Mapping[str, Any]]) -> Markup:
-    """Encode the figures, in the light template, so that no text in them can end the script element."""
-    parts = []
-    for drawing in drawings:
-        figure = DRAW[drawing["number"]](drawing)
-        figure.update_layout(template=LIGHT_TEMPLATE, meta=None)
-        parts.append(f'"{drawing["number"]}":{figure_json(figure).decode()}')
-    text = "{" + ",".join(parts) + "}"
-    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped here
-
-
-def _csv(lines: Iterable[Sequence[Any]]) -> bytes:
-    """Encode lines, None as an empty cell."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(lines)
-    return text.getvalue().encode()
-
-
-def _table_lines(document: Document) -> Iterable[Sequence[Any]]:
-    yield "table", "row", *CELL_COLUMNS, "row_verdict", "row_reason"
-    for table in document["tables"]:
-        for row in table["rows"]:
-            for cell in row["cells"]:
-                values = [cell[column] for column in CELL_COLUMNS]
-                yield table["number"], row["label"], *values, row["verdict"], row["reason"]
-
-
 def _estimator_lines(document: Document) -> Iterable[Sequence[Any]]:
     yield (
         "estimator",
@@ -168,13 +116,3 @@ def _estimator_lines(document: Document) -> Iterable[Sequence[Any]]:
 
 _NEES = ("mean", "median", "expected", "lower", "upper")
 _RATIO = ("value", "lower", "upper", "median")
-
-
-def _figure_lines(document: Document) -> Iterable[Sequence[Any]]:
-    yield "figure", "curve", "axis", "x", "quantity", "y"
-    for drawing in document["figures"]:
-        for curve in drawing["curves"]:
-            axis = "frame" if "frame" in curve else "radius_px"
-            for quantity in sorted(set(curve) - {"estimator", "label", axis}):
-                for x, y in zip(curve[axis], curve[quantity], strict=True):
-                    yield drawing["number"], curve["estimator"], axis, x, quantity, y

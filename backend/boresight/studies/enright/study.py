@@ -6,20 +6,17 @@ stands under `timing` does.
 
 from __future__ import annotations
 
-import multiprocessing
-import platform
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from boresight import __version__
 from boresight.errors import RefusedInputError
 from boresight.simulation.sensors import SENSOR_NUMBERS
+from boresight.studies.documents import versions
 from boresight.studies.enright.document import document
 from boresight.studies.enright.trials import Record, Trial, run_trial
+from boresight.studies.processes import run_all
 
 Report = Callable[[str, float], None]
 
@@ -89,26 +86,12 @@ def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None)
     """
     plan.check()
     trials, records = plan.trials(), dict[Trial, list[Record]]()
-    for trial, found in _run_all(trials, catalogue_folder, plan.processes):
+    for trial, found in run_all(run_trial, trials, catalogue_folder, plan.processes):
         records[trial] = found
         if report is not None:
             report(f"sensor {trial.sensor}, set {trial.index + 1} of {plan.sets}", len(records) / len(trials))
     ordered = [record for trial in trials for record in records[trial]]
     return document(_described(plan), ordered)
-
-
-def _run_all(trials: list[Trial], catalogue_folder: Path | None, processes: int) -> Any:
-    """Yield trials with their records as they end."""
-    if processes == 1:
-        for trial in trials:
-            yield trial, run_trial(trial, catalogue_folder)
-        return
-    # a forked child would inherit the locks of our threads
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(processes, len(trials)), mp_context=context) as pool:
-        waiting = {pool.submit(run_trial, trial, catalogue_folder): trial for trial in trials}
-        for done in as_completed(waiting):
-            yield waiting[done], done.result()
 
 
 def _described(plan: Plan) -> dict[str, Any]:
@@ -119,6 +102,5 @@ def _described(plan: Plan) -> dict[str, Any]:
         "frames": plan.frames,
         "validation_frames": plan.validation_frames,
         "sets": plan.sets,
-        "versions": {name: version(name) for name in ("numpy", "numba", "scipy", "pyerfa")}
-        | {"boresight": __version__, "python": platform.python_version()},
+        "versions": versions(),
     }

@@ -6,13 +6,13 @@ Each table states the conclusion its rows are judged by, besides their numbers (
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from boresight.simulation.sensors import GROUND, TYPICAL_SIGMA
+from boresight.studies.documents import Table
 from boresight.studies.enright import printed
 from boresight.studies.enright.pooled import Pooled, Record
-from boresight.studies.enright.verdicts import Cell, Conclusion, Row, judge
+from boresight.studies.verdicts import Cell, Conclusion, Row, judge
 
 URAD_PER_RAD = 1e6
 NAMES = tuple(printed.TABLE_II)
@@ -32,17 +32,6 @@ NO_TUNING = "Q and P_0 are not given"
 TOLERANCE, TUNING = ("unstated setting", NO_TOLERANCE), ("unstated setting", NO_TUNING)
 REDUCED = ("erratum", "the text's 5 to 13 % contradicts its own row 1R, +72 % for the batch")
 PRINTED_FILTER = "equations 25 to 88 as printed do not make a filter that converges; ours are corrected"
-
-
-@dataclass(frozen=True)
-class Table:
-    """One table: number and title of the paper, what its rows are judged by, and the rows."""
-
-    number: str
-    title: str
-    conclusion: str
-    head: str
-    rows: tuple[Row, ...]
 
 
 def tables(pooled: Pooled) -> list[Table]:

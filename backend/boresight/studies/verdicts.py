@@ -1,7 +1,7 @@
 """The rule that judges a row: reproduced, in kind, or not reproduced.
 
-A cell holds the printed number p, ours o, and the interval [low, high] that our number has (95 % by bootstrap over frames,
-or three standard deviations of an estimated parameter), widened by half of the last printed digit; both
+A cell holds the printed number p, ours o, and the interval [low, high] that our number has (95 % by bootstrap over frames, three
+standard deviations of an estimated parameter, or the spread over simulated sets), widened by half of the last printed digit; both
 count from an origin, 0 but for a focal length. Then
 
     reproduced        p lies in the interval, or |o - p| <= 10 % of |p|
@@ -18,8 +18,9 @@ The conclusion is the statement that the paper's text draws from such a row, as 
 own. A figure has no printed numbers, so it is at best in kind: its conclusion decides.
 
 Why a cell is not reproduced is never guessed from the number: each column carries beforehand the cause that can move it:
-`no orbital data` (the paper's telemetry, noise and skies are not public), `erratum` (a printed equation or sentence is wrong), or
-`unstated setting` (Q, P_0, the matching tolerance are not given). A conclusion carries the cause that can make it fail likewise.
+`no orbital data` (the paper's telemetry, noise and skies are not public), `no field data` (nor are its images), `erratum` (a
+printed equation or sentence is wrong), or `unstated setting` (Q, P_0, the matching tolerance are not given). A conclusion carries
+the cause that can make it fail likewise.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ VERDICTS = (REPRODUCED, IN_KIND, NOT_REPRODUCED)
 
 RELATIVE_TOLERANCE = 0.10
 SAME_ORDER = 10**0.5
-CAUSES = ("no orbital data", "erratum", "unstated setting")
+CAUSES = ("no orbital data", "no field data", "erratum", "unstated setting")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,61 @@
+"""The angular distances of all pairs: with their covariance in full they say what 2 N - 3 arcs say."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
+from boresight.errors import RefusedInputError
+from boresight.estimation import angular
+from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation.filters import FILTERS, Tuning
+from boresight.estimation.filters.history import start
+from tests.estimation.fields import FREE, PITCH, SCALE, TRUTH, star_field, weighed
+
+
+def _stars(rng, n):
+    return INVERTED_WANG.directions(TRUTH, rng.uniform(0, 1943, n), rng.uniform(0, 2591, n), PITCH)
+
+
+@given(st.integers(0, 10_000), st.integers(2, 12))
+def test_slopes_are_right_to_central_differences(seed, n):
+    rng = np.random.default_rng(seed)
+    s = _stars(rng, n)
+    step = 1e-6 * rng.normal(size=s.shape)
+    step -= np.sum(step * s, axis=1, keepdims=True) * s
+
+    phi, g = angular.angles(s)
+    ahead, behind = (angular.angles(s + sign * step)[0] for sign in (1, -1))
+
+    np.testing.assert_allclose(np.einsum("rnj,nj->r", g, step), (ahead - behind) / 2, atol=1e-10 / phi.min())
+
+
+@given(st.integers(0, 10_000), st.integers(4, 12))
+def test_all_pairs_hold_two_numbers_a_star_less_three(seed, n):
+    R = angular.covariance(_stars(np.random.default_rng(seed), n), np.full(n, 1e-4))
+
+    values = np.linalg.eigvalsh(R / R.max())
+    assert len(R) == n * (n - 1) // 2
+    assert (np.abs(values[: len(R) - 2 * n + 3]) < 1e-12).all()
+
+
+def test_the_filter_on_all_pairs_ends_where_the_filter_on_arcs_does():
+    field = weighed(star_field(np.random.default_rng(3), frames=40), TRUTH)
+    field = pool_start(field, START_ARCS_PER_PARAMETER * 8)
+
+    pairs, arcs = (
+        FILTERS[method](field, start(TRUTH, 8, 10.0), FREE, SCALE, Tuning()) for method in ("angular", "sqrf")
+    )
+
+    np.testing.assert_allclose((pairs.last.x - arcs.last.x) / SCALE / arcs.sigmas[-1], 0, atol=0.02)
+    np.testing.assert_allclose(pairs.sigmas[-1], arcs.sigmas[-1], rtol=1e-3)
+    np.testing.assert_array_equal(pairs.dof, arcs.dof)
+    np.testing.assert_allclose(pairs.nis.sum(), arcs.nis.sum(), rtol=1e-3)
+
+
+def test_the_gain_form_is_refused_where_it_would_take_seconds_a_frame():
+    field = weighed(star_field(np.random.default_rng(4), frames=1, mean_stars=90), TRUTH)
+
+    with pytest.raises(RefusedInputError, match="choose the information form, which gives the same"):
+        FILTERS["angular"](field, start(TRUTH, 8, 1.0), FREE, SCALE, Tuning(gain_form="gain"))

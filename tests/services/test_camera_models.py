@@ -1,0 +1,50 @@
+"""Parameters of every camera model go the whole way to the baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pytest
+
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.services import approvals, parameter_sets, sensors
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, writing
+from boresight.store.tables import Run
+from tests.services.conftest import PASSWORD, SENSOR
+
+MIDDLE = {"m0_px": 971.5, "n0_px": 1295.5, "u0_px": 1295.5, "v0_px": 971.5, "f_m": 0.016, "g_y": 1.0, "s": 1.0}
+
+
+@pytest.mark.parametrize("model", sorted(CAMERA_MODELS))
+def test_a_set_of_every_model_is_approved_and_becomes_baseline(
+    engine: Engine,
+    blobs: BlobStore,
+    people: Mapping[str, Actor],
+    finished_run: Callable[..., Run],
+    model: str,
+) -> None:
+    camera = CAMERA_MODELS[model]
+    names = camera.parameter_names
+    initial = {name: MIDDLE.get(name, 0.0) for name in names}
+    typical = dict(zip(names, camera.default_typical_sigma, strict=True))
+    estimate = initial | {"f_m": 0.0161}
+    matrix = [[1e-12 if row == column else 0.0 for column in range(len(names))] for row in range(len(names))]
+    with writing(engine) as session:
+        document = SENSOR | {"name": "T-2", "camera_model": model, "initial": initial, "typical_sigma": typical}
+        sensor = sensors.register_sensor(session, COMMAND_LINE, document)
+        run = finished_run(
+            session, people["ana"].user_id, camera_model=model, free=list(names), parameters=estimate,
+            sigma=dict.fromkeys(names, 1e-6), covariance={"names": list(names), "matrix": matrix},
+        )  # fmt: skip
+        run.sensor_id, run.sensor_document = sensor.id, sensor.document
+        row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
+        parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+        approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+        approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+        promoted = parameter_sets.promote(session, people["dee"], row.id, row.version)
+
+    assert promoted.ground_state == "BASELINE"
+    assert promoted.document["parameters"] == estimate
+    assert promoted.document["camera_model"] == model

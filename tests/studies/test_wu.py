@@ -1,0 +1,189 @@
+"""The study of Wu 2019: printed numbers, what is run, the criteria, and what the report of a small run holds."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from boresight.errors import RefusedInputError
+from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
+from boresight.estimation.filters.history import start
+from boresight.estimation.singular_values import Selection
+from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH
+from boresight.studies import wu
+from boresight.studies.verdicts import CAUSES, VERDICTS
+from boresight.studies.wu import printed, report
+from boresight.studies.wu.criteria import ARCSEC_PER_RAD, Judges
+from boresight.studies.wu.estimators import FREE, START_SIGMA, Estimator, estimators, gain_filter
+from boresight.studies.wu.trials import Trial, fields_of, noisy, run_trial
+
+# The printed numbers.
+
+
+def test_the_papers_time_ratios_are_18_4_and_2():
+    assert [round(ratio, 1) for ratio in printed.time_ratios()] == [18.1, 4.5, 1.7]
+
+
+def test_the_saving_of_the_abstract_is_that_of_group_1():
+    assert round(100 * (1 - 1 / printed.time_ratios()[0]), 2) == 94.48
+
+
+def test_model_4_with_the_second_and_third_value_is_one_number_in_all_three_tables():
+    assert printed.TABLE_2_A["mean"][3] == printed.TABLE_3_A["mean"][1] == printed.TABLE_4["A", "mean"][3] == 0.465
+
+
+def test_the_printed_width_of_the_field_is_a_misprint_and_its_height_is_not():
+    assert printed.stated_angle_deg(1920, 2.9e-6, 16e-3) == pytest.approx(19.74, abs=0.005)
+    assert printed.stated_angle_deg(1080, 2.9e-6, 16e-3) == pytest.approx(11.18, abs=0.005)
+
+
+# What is run.
+
+
+@pytest.fixture(scope="module")
+def star_fields():
+    return fields_of(5.5, 150, np.random.default_rng(3), None)
+
+
+@pytest.fixture(scope="module")
+def arcs(star_fields):
+    return noisy(star_fields, 0.2, np.random.default_rng(4))
+
+
+def test_group_2_runs_four_models_seven_subsets_and_the_baseline_in_both_weights():
+    keys = {(one.key, one.weights) for one in estimators(5.5)}
+
+    assert len(keys) == len(estimators(5.5)) == 2 * (4 + 6 + 1)
+    assert {(one.key) for one in estimators(6.0)} == {"svd-4-23", "angular"}
+
+
+@pytest.mark.parametrize("method", ["svd", "angular"])
+def test_the_printed_gain_form_gives_what_the_information_form_gives(arcs, method):
+    estimator = Estimator(method, "diagonal")
+    part = arcs.frames(0, 30)
+    by_gain = gain_filter(estimator, part, start(WU_START, len(FREE), 1.0))
+
+    assert np.abs((by_gain - estimator.run(part).states[-1]) / START_SIGMA).max() < 1e-4
+
+
+@pytest.mark.parametrize("method", ["svd", "angular"])
+def test_a_full_r_claims_what_it_knows_and_a_diagonal_one_far_more(arcs, method):
+    claimed = {}
+    for weights in ("full", "diagonal"):
+        run = Estimator(method, weights).run(arcs)
+        error = (run.states[-1] - WU_TRUTH) / START_SIGMA
+        claimed[weights] = error @ np.linalg.solve(run.P, error)
+
+    assert claimed["full"] < 20
+    assert claimed["diagonal"] > claimed["full"]
+
+
+def test_the_first_value_changes_nothing_with_the_full_r(arcs):
+    ends = [Estimator("svd", "full", Selection(4, values)).run(arcs).states[-1] for values in ((1, 2, 3), (2, 3))]
+
+    assert np.abs((ends[0] - ends[1]) / START_SIGMA).max() < 1e-3
+
+
+# The criteria.
+
+
+def test_at_the_truth_criterion_a_is_zero_and_b_is_the_noise_of_two_ends(star_fields):
+    judges = Judges.of(star_fields, 0.2, np.random.default_rng(5))
+    noise = np.sqrt(2) * 0.2 * WU_PIXEL_PITCH_M / 16e-3 * ARCSEC_PER_RAD
+
+    assert judges.criterion_a(WU_TRUTH)[0] < 1e-4
+    assert judges.criterion_b(WU_TRUTH)[0] == pytest.approx(noise, rel=0.03)
+
+
+def test_criterion_a_is_the_mean_over_images_of_the_rms_over_all_pairs(star_fields):
+    judges = Judges.of(star_fields, 0.2, np.random.default_rng(5))
+    s = PINHOLE_RADIAL.directions(WU_START, star_fields.row_px, star_fields.col_px, WU_PIXEL_PITCH_M)
+    found = []
+    for first, last in zip(star_fields.star_start[:-1], star_fields.star_start[1:], strict=True):
+        errors = [
+            np.arccos(s[i] @ s[j]) - np.arccos(star_fields.s_i[i] @ star_fields.s_i[j])
+            for i in range(first, last)
+            for j in range(i + 1, last)
+        ]
+        found.append(np.sqrt(np.mean(np.square(errors))) * ARCSEC_PER_RAD)
+
+    assert judges.criterion_a(WU_START) == pytest.approx((np.mean(found), np.std(found)), rel=1e-6)
+
+
+def test_images_near_the_milky_way_hold_about_as_many_stars_as_the_papers():
+    for limit, stars in printed.GROUPS.items():
+        assert fields_of(limit, 600, np.random.default_rng(1), None).stars_per_field == pytest.approx(stars, rel=0.1)
+
+
+# A small study.
+
+
+@pytest.fixture(scope="module")
+def study():
+    return wu.run(wu.Plan(quick=True, frames=120, judges=30, sets=2, processes=1), None)
+
+
+def test_the_document_follows_its_schema(study):
+    assert study["schema"] == "boresight.reproduction/1"
+    assert [table["number"] for table in study["tables"]] == ["2", "3", "4"]
+    assert [figure["number"] for figure in study["figures"]] == ["3", "4", "6a", "6b", "8"]
+    assert [table["number"] for table in study["timing"]["tables"]] == ["4 (time)", "3 (time)"]
+    rows = [row for table in (*study["tables"], *study["timing"]["tables"]) for row in table["rows"]]
+    causes = [cause.capitalize() for cause in CAUSES]
+    judged = [*rows, *study["figures"]]
+    assert all(row["verdict"] in VERDICTS and row["reason"] for row in judged)
+    assert all(any(cause in row["reason"] for cause in causes) for row in judged if row["verdict"] == "not reproduced")
+
+
+def test_criterion_b_tells_the_noise_that_the_text_does_not(study):
+    rows = {row["label"]: row for row in study["tables"][2]["rows"]}
+
+    for noise, agrees in (("0.2", True), ("0.5", False)):
+        cells = rows[f"B mean, full R, {noise} px"]["cells"]
+        assert all((cell["verdict"] == "reproduced") is agrees for cell in cells)
+
+
+def test_every_estimator_is_judged_on_every_set_at_both_noises(study):
+    places = {(r["set"], r["magnitude_limit"], r["noise_px"], r["estimator"], r["weights"]) for r in study["records"]}
+
+    assert len(places) == len(study["records"]) == 2 * 2 * (22 + 4 + 4 + 3)
+    assert {line["expected"] for line in study["consistency"]} == {6}
+
+
+def test_the_report_holds_every_table_figure_and_finding(study):
+    html = report.render(study)
+
+    assert re.findall(r'data-table="([^"]+)"', html) == ["2", "3", "4", "4 (time)", "3 (time)"]
+    assert re.findall(r'data-figure="(\w+)"', html) == ["3", "4", "6a", "6b", "8"]
+    assert html.count("<blockquote>") == len(study["findings"]) == 8
+    assert "A quick run" in html
+    assert not re.search(r'(src|href)="', html.partition("<script>")[0])
+
+
+def test_a_set_is_the_same_whenever_it_is_run():
+    once, again = (run_trial(Trial(7, 40, 10), None) for _ in range(2))
+
+    assert once == again
+
+
+def test_too_few_images_are_refused():
+    with pytest.raises(RefusedInputError, match="more than 20"):
+        wu.run(wu.Plan(frames=20, sets=1, processes=1), None)
+
+
+@pytest.mark.full
+def test_the_paper_is_bettered_at_the_noise_that_its_tables_imply():
+    records = [record for index in range(20) for record in run_trial(Trial(index, 2400, 100), None)]
+    found = [
+        record
+        for record in records
+        if (record["estimator"], record["weights"], record["noise_px"], record["magnitude_limit"])
+        == ("svd-4-23", "full", 0.2, 5.5)
+    ]
+
+    assert len(found) == 20
+    assert np.mean([record["A"][0] for record in found]) <= 0.15
+    assert np.mean([record["B"][0] for record in found]) == pytest.approx(10.6, rel=0.02)
+    assert 6 * 0.77 < np.mean([record["nees"] for record in found]) < 6 * 1.27  # chi-square of 120, 95 %
