@@ -40,9 +40,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from boresight.estimation.rotations import quaternion_of
+from boresight.estimation.rotations import matrix_of, quaternion_of
 from boresight.kernels import matching as loops
 from boresight.sky.detections import Detections
 from boresight.sky.guide_stars import GuideStars, ObserverMotion
@@ -216,7 +215,7 @@ class _Matcher:
         radius = np.array([START_RADIUS.get(place, 0.0) for place in range(len(STARTS))])[kind]
         loops.match_frames(
             part.frame_start, part.row_start, part.s, part.G, part.sigma_rad, part.star_id, part.given_s, part.own,
-            bool(part.own.any()), believe, _matrices(hint[exposures]), radius, kind, self._motion.years[exposures],
+            bool(part.own.any()), believe, matrix_of(hint[exposures]), radius, kind, self._motion.years[exposures],
             self._motion.earth_au[exposures], self._motion.beta[exposures], stars.hip, stars.place, stars.motion,
             stars.parallax_rad, stars.density, self._cone, GATE, self._minimum_stars,
             star_id, direction, reason, tolerance, start, valid, C, covariance,
@@ -232,15 +231,6 @@ class _Matcher:
         self.answer.start[exposures] = start[new]
         self.answer.reason[exposures] = np.where(valid, 0, np.where(start == 0, 1, 2))[new]
         self.answer.C[exposures], self.answer.covariance[exposures] = C[new], covariance[new]
-
-
-def _matrices(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrices (n, 3, 3) of quaternions (n, 4), x y z w, ICRS to D; NaN stays NaN."""
-    C = np.full((len(quaternion), 3, 3), np.nan)
-    known = np.isfinite(quaternion).all(axis=1)
-    if known.any():
-        C[known] = Rotation.from_quat(quaternion[known]).as_matrix()
-    return C
 
 
 def _fill_from_exposures(run: _Matcher) -> None:

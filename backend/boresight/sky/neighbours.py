@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+
+from boresight.estimation.rotations import conjugate, product, quaternion_of, quaternion_of_vector, rotation_vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -67,5 +68,6 @@ def carried_on(
 
 def _turned(C_a: FloatArray, C_b: FloatArray, share: float) -> FloatArray:
     """Quaternion of C_a turned on by a share of the turn from C_a to C_b."""
-    turn = Rotation.from_matrix(C_b @ C_a.T).as_rotvec()
-    return np.asarray((Rotation.from_rotvec(share * turn) * Rotation.from_matrix(C_a)).as_quat())
+    q_a, q_b = quaternion_of(C_a), quaternion_of(C_b)
+    turn = rotation_vector(product(q_b, conjugate(q_a)))
+    return product(quaternion_of_vector(share * turn), q_a)
