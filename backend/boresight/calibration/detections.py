@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: Stars move by proper motion and aberration while the catalogue stands still: margin of the field.
-CONE_MARGIN_RAD = np.radians(0.3)
+CONE_MARGIN_RAD = float(np.radians(0.3))
 #: Where a sensor file gives no limit: this much fainter than the faintest star named in the set.
 FAINTER_MAG = 0.5
 #: Rows whose derivatives are taken at a time.
@@ -93,10 +93,8 @@ def pixel_rad(sensor: Sensor, x: FloatArray) -> float:
 
 def cone_rad(sensor: Sensor, x: FloatArray) -> float:
     """Angle from the z axis of D to the farthest corner of the detector, with a margin, rad."""
-    row = np.array([-0.5, -0.5, sensor.rows - 0.5, sensor.rows - 0.5])
-    col = np.array([-0.5, sensor.columns - 0.5, -0.5, sensor.columns - 0.5])
-    corners = CAMERA_MODELS[sensor.camera_model].directions(x, row, col, sensor.pixel_pitch_m)
-    return float(np.arccos(np.clip(corners[:, 2].min(), -1.0, 1.0)) + CONE_MARGIN_RAD)
+    camera = CAMERA_MODELS[sensor.camera_model]
+    return camera.cone_rad(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) + CONE_MARGIN_RAD
 
 
 def magnitude_limit(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, given: IntArray) -> float:

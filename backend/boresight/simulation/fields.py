@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.estimation.cameras.model import corners
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import Sensor
 
@@ -116,9 +117,7 @@ def _block(
     """Draw `BLOCK` fields; returns the field, star, row and column of every star on the detector."""
     C = _attitudes(latitude_deg, rng)
     camera = CAMERA_MODELS[sensor.camera_model]
-    rows = np.array([-0.5, -0.5, sensor.rows - 0.5, sensor.rows - 0.5])
-    columns = np.array([-0.5, sensor.columns - 0.5, -0.5, sensor.columns - 0.5])
-    nearest = camera.directions(truth, rows, columns, sensor.pixel_pitch_m)[:, 2].min()
+    nearest = camera.directions(truth, *corners(sensor.rows, sensor.columns), sensor.pixel_pitch_m)[:, 2].min()
     field, star = np.nonzero(C[:, 2] @ s_i.T >= nearest)
     s_d = np.einsum("nij,nj->ni", C[field], s_i[star])
     s_d[:, 1] *= sensor.parity

@@ -195,10 +195,8 @@ def _catalogue_directions(catalogue: Catalogue, star: IntArray) -> FloatArray:
 def _cone_rad(scenario: Scenario) -> float:
     """Return the angle between the boresight and the farthest corner of the detector under the truth."""
     sensor = scenario.sensor
-    row_px = np.array([-0.5, -0.5, sensor.rows - 0.5, sensor.rows - 0.5])
-    col_px = np.array([-0.5, sensor.columns - 0.5, -0.5, sensor.columns - 0.5])
-    corners = CAMERA_MODELS[sensor.camera_model].directions(scenario.truth, row_px, col_px, sensor.pixel_pitch_m)
-    return float(np.arccos(corners[:, 2].min()))
+    camera = CAMERA_MODELS[sensor.camera_model]
+    return camera.cone_rad(scenario.truth, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
 
 
 def _project(

@@ -27,7 +27,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from boresight import kernels
 from boresight.estimation.cameras.model import CameraModel
 
 FloatArray = NDArray[np.float64]
@@ -155,13 +154,6 @@ def principal_point(x: FloatArray) -> tuple[float, float]:
     return float(x[1]), float(x[2])
 
 
-def solid_angle(x: FloatArray, row_px: FloatArray, col_px: FloatArray, pitch: float) -> FloatArray:
-    """Solid angle of one pixel at each place, (n,) steradian: |ds/dm x ds/dn|."""
-    omega = np.empty(len(row_px))
-    kernels.solid_angles(KERNEL, x, pitch, row_px, col_px, omega)
-    return omega
-
-
 def radial_tangent(x: FloatArray, radius_px: ArrayLike, pitch: float) -> tuple[FloatArray, FloatArray]:
     """Tangent of the off-axis angle at a radius, with f, b4 and b2 acting together as in E Figure 5.
 
@@ -190,7 +182,6 @@ INVERTED_WANG = CameraModel(
     directions_and_jacobian=directions_and_jacobian,
     project=project,
     principal_point=principal_point,
-    solid_angle=solid_angle,
     radial_tangent=radial_tangent,
     default_typical_sigma=(8e-6, 30.0, 30.0, 1e8, 1e3, 0.01, 0.01, 2e-4),
     plausible=(

@@ -8,12 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight import kernels
+
 FloatArray = NDArray[np.float64]
+
+
+def corners(rows: int, columns: int) -> tuple[FloatArray, FloatArray]:
+    """Rows and columns of the four outer corners of a detector, (4,) each, pixels."""
+    return np.array([-0.5, -0.5, rows - 0.5, rows - 0.5]), np.array([-0.5, columns - 0.5, -0.5, columns - 0.5])
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A camera model as data: names, units and three functions.
+    """A camera model as data: names, units and functions.
 
     Parameters
     ----------
@@ -31,8 +38,6 @@ class CameraModel:
         `(x, s_d (n, 3), pitch) -> (row_px, col_px)`, NaN where the direction meets no detector point.
     principal_point
         `(x) -> (row_px, col_px)`.
-    solid_angle
-        `(x, row_px, col_px, pitch) -> (n,)` of one pixel at each place, steradian.
     radial_tangent
         `(x, radius_px, pitch) -> (tan theta (n,), gradient (n, n_parameters))`, the symmetric part of the model.
     default_typical_sigma
@@ -50,18 +55,27 @@ class CameraModel:
     directions_and_jacobian: Callable[..., tuple[FloatArray, FloatArray]]
     project: Callable[..., tuple[FloatArray, FloatArray]]
     principal_point: Callable[..., tuple[float, float]]
-    solid_angle: Callable[..., FloatArray]
     radial_tangent: Callable[..., tuple[FloatArray, FloatArray]]
     default_typical_sigma: tuple[float, ...]
     plausible: tuple[tuple[float, float], ...]
+
+    def solid_angle(self, x: FloatArray, row_px: FloatArray, col_px: FloatArray, pitch: float) -> FloatArray:
+        """Solid angle of one pixel at each place, (n,) steradian: |ds/dm x ds/dn|."""
+        omega = np.empty(len(row_px))
+        kernels.solid_angles(self.kernel, x, pitch, row_px, col_px, omega)
+        return omega
+
+    def cone_rad(self, x: FloatArray, rows: int, columns: int, pitch: float) -> float:
+        """Angle from the z axis of D to the farthest corner of the detector, rad."""
+        s = self.directions(x, *corners(rows, columns), pitch)
+        return float(np.arccos(np.clip(s[:, 2].min(), -1.0, 1.0)))
 
     def blind_corner(self, x: FloatArray, rows: int, columns: int, pitch: float) -> tuple[float, float] | None:
         """Row and column of a corner of the detector that has no direction at state x; None where all of it has.
 
         Distortion that turns back does so beyond a radius about the principal point, so the corners are the first to go blind.
         """
-        row = np.array([-0.5, -0.5, rows - 0.5, rows - 0.5])
-        col = np.array([-0.5, columns - 0.5, -0.5, columns - 0.5])
+        row, col = corners(rows, columns)
         with np.errstate(all="ignore"):
             blind = np.flatnonzero(~np.isfinite(self.directions(x, row, col, pitch)).all(axis=-1))
         return (float(row[blind[0]]), float(col[blind[0]])) if len(blind) else None

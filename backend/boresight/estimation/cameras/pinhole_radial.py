@@ -39,7 +39,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from boresight import kernels
 from boresight.estimation.cameras.model import CameraModel
 
 FloatArray = NDArray[np.float64]
@@ -186,13 +185,6 @@ def principal_point(x: FloatArray) -> tuple[float, float]:
     return float(x[3]), float(x[2])
 
 
-def solid_angle(x: FloatArray, row_px: FloatArray, col_px: FloatArray, pitch: float) -> FloatArray:
-    """Solid angle of one pixel at each place, (n,) steradian: |ds/dm x ds/dn|."""
-    omega = np.empty(len(row_px))
-    kernels.solid_angles(KERNEL, x, pitch, row_px, col_px, omega)
-    return omega
-
-
 def radial_tangent(x: FloatArray, radius_px: ArrayLike, pitch: float) -> tuple[FloatArray, FloatArray]:
     """Tangent of the off-axis angle at a radius in widths of a pixel, with f, k1 and k2 acting together.
 
@@ -222,7 +214,6 @@ PINHOLE_RADIAL = CameraModel(
     directions_and_jacobian=directions_and_jacobian,
     project=project,
     principal_point=principal_point,
-    solid_angle=solid_angle,
     radial_tangent=radial_tangent,
     default_typical_sigma=(1e-5, 1e-7, 1.0, 1.0, 1e-2, 1e-1),
     plausible=((0.5, 2.0), (1e-4, 100.0), (-1e5, 1e5), (-1e5, 1e5), (-1e4, 1e4), (-1e7, 1e7)),
