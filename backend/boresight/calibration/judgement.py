@@ -23,7 +23,7 @@ from boresight.calibration.matched import Matched, MatchedSet
 from boresight.calibration.matching_view import matching_view
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.shadow import shadow_view
-from boresight.calibration.sighting import Sighting, sighting_of
+from boresight.calibration.sighting import sighting_of
 from boresight.calibration.trust import trust_advice, trust_view
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.detector import check_against_sensor
@@ -45,13 +45,8 @@ def judge(
     telemetry, sensor, estimate = sets.telemetry, sets.sensor, ended.estimate
     if estimate.status == "diverged":
         return
-    seen = [
-        sighting_of(telemetry, sensor, matched.matches, x, settings)
-        for matched, x in ((first, sensor.initial), (ended.matched, estimate.x))
-    ]
-    evaluation = _scores(telemetry, sensor, sets.catalogue, seen, settings)
+    evaluation, document["shadow"]["calibration"] = _flown(sets, first, ended.matched, estimate.x, settings)
     document["evaluation"] = evaluation
-    document["shadow"]["calibration"] = shadow_view(telemetry, seen[0], seen[1])
     document["matching"] = matching_view(telemetry, sensor, ended, evaluation)
     if document["matching"] is not None:
         document["advice"] += names_advice(document["matching"]["given"], document["matching"]["kept"])
@@ -85,22 +80,21 @@ def validate(
             f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it."
         )
         return
-    seen = [
-        sighting_of(telemetry, sensor, matched.matches, x, settings)
-        for matched, x in ((first, sensor.initial), (last, estimate.x))
-    ]
-    verdict = _scores(telemetry, sensor, catalogue, seen, settings)
+    verdict, document["shadow"]["validation"] = _flown(held_out, first, last, estimate.x, settings)
     document["validation"] = verdict
-    document["shadow"]["validation"] = shadow_view(telemetry, seen[0], seen[1])
     document["advice"] += _of_validation(verdict)
 
 
-def _scores(
-    telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, seen: list[Sighting], settings: CalibrationSettings
-) -> dict[str, Any]:
-    """Flight scores of two sightings, with intervals."""
+def _flown(
+    sets: MatchedSet, first: Matched, last: Matched, x: FloatArray, settings: CalibrationSettings
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Flight scores of a set with intervals, and its shadow: as matched first under the sensor's parameters, and last under x."""
+    telemetry, sensor = sets.telemetry, sets.sensor
+    initial = sighting_of(telemetry, sensor, first.matches, sensor.initial, settings)
+    final = sighting_of(telemetry, sensor, last.matches, x, settings)
     rng = np.random.default_rng(bootstrap.SEED)
-    return evaluate_sightings(telemetry, sensor, catalogue, seen[0], seen[1], settings, rng)
+    scores = evaluate_sightings(telemetry, sensor, sets.catalogue, initial, final, settings, rng)
+    return scores, shadow_view(telemetry, initial, final)
 
 
 def _of_validation(verdict: dict[str, Any]) -> list[str]:
