@@ -142,6 +142,10 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_parameter_sets": lambda _: ("victor", {}),
     "create_parameter_set": lambda house: ("ada", {"json": {"run_id": house.finished()}}),
     "get_parameter_set": lambda house: ("victor", {"parameter_set_id": house.candidate()["id"]}),
+    "convert_parameter_set": lambda house: (
+        "victor",
+        {"parameter_set_id": house.candidate()["id"], "params": {"to": "pinhole_radial", "allow_px": 100}},
+    ),
     "submit_parameter_set": _submit,
     "withdraw_parameter_set": _withdraw,
     "promote_parameter_set": _promote,

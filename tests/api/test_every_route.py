@@ -117,6 +117,7 @@ def test_a_number_that_no_row_can_have_is_refused(name: str, house: House) -> No
 
 ABLE = {"approve": "alan", "refuse": "alan", "promote_parameter_set": "olga"}  # who may do it, where not the analyst
 BODIES: dict[str, dict[str, Any]] = {
+    "convert_parameter_set": {"params": {"to": "pinhole_radial"}},
     "edit_sensor": {"json": {"name": "x"}},
     "submit_parameter_set": {"json": {"reason": "x"}},
     "approve": {"json": {"meaning": "x", "password": PASSWORD}},

@@ -50,6 +50,17 @@ def read_parameters(path: Path, sensor: Sensor) -> tuple[FloatArray, FloatArray 
     RefusedInputError
         When the file cannot be read, is of another camera model, failed, or its parameters are not all given and plausible.
     """
+    return parse_parameters(read_document(path), sensor, path.name)
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read a file of parameters as JSON.
+
+    Raises
+    ------
+    RefusedInputError
+        When it cannot be read, or is no JSON object.
+    """
     try:
         document = json.loads(text_of(path.name, read_bytes(path, path.name)))
     except (json.JSONDecodeError, RecursionError) as error:
@@ -60,7 +71,7 @@ def read_parameters(path: Path, sensor: Sensor) -> tuple[FloatArray, FloatArray 
         raise RefusedInputError(
             f"{path.name} is not a JSON object: give a calibration JSON or an object of parameters."
         )
-    return parse_parameters(document, sensor, path.name)
+    return document
 
 
 def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> tuple[FloatArray, FloatArray | None]:

@@ -13,6 +13,7 @@ from boresight.cli.audit import audit
 from boresight.cli.bench import bench
 from boresight.cli.calibrate import calibrate
 from boresight.cli.check import check
+from boresight.cli.convert import convert
 from boresight.cli.evaluate import evaluate
 from boresight.cli.match import match
 from boresight.cli.migrate import migrate
@@ -39,6 +40,7 @@ for command in (
     calibrate,
     match,
     evaluate,
+    convert,
     check,
     simulate,
     report,

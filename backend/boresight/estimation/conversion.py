@@ -12,8 +12,8 @@ and neither series ends where the other does. Exact is only the lens without dis
     s = 1 / g_y     f_pinhole = f / g_y     u_0 = n_0     v_0 = m_0.
 
 So the start is that of the series, and where it is not exact the target is fitted to the source's directions over a grid of the
-detector by Gauss and Newton. What is left is the misfit, and a conversion is refused when that is more than allowed. Directions in
-D are kept as they are: a rotation, which arcs cannot see, would be a change of C_SD.
+detector by Gauss and Newton. What is left is the misfit, which comes with the answer; how much of it may be is for
+`calibration.conversion` to say. Directions in D are kept as they are: a rotation, which arcs cannot see, would be a change of C_SD.
 
 The covariance follows by the derivative of the fit, with J the derivatives of all directions: dx' = (J'^T J')^-1 J'^T J dx. What
 the target cannot express, (J - J' dx'/dx) dx, is lost; its largest size over the detector comes with the answer.
@@ -27,18 +27,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.cameras.model import CameraModel
 
 FloatArray = NDArray[np.float64]
 
-#: Misfit that counts as rounding, pixels.
+#: Misfit of the start that counts as rounding, pixels.
 EXACT_PX = 1e-6
 GRID = 21
 ITERATIONS = 12
 
-_REASON = (
+#: Why the two models do not always say the same.
+REASON = (
     "the one model's radial polynomial runs from the detector to the sky, the other's from the sky to the detector, and only "
     "inverted_wang has decentring"
 )
@@ -55,7 +55,10 @@ class Conversion:
     P
         (n_parameters, n_parameters) their covariance, or None where none was given.
     misfit_px, rms_px
-        Largest, and root mean square, distance over the detector between where the two models see a star.
+        Largest, and root mean square, distance over the detector between where the two models see a star; infinite where the
+        target sees none.
+    misfit_rad, rms_rad
+        The same as angles between the two directions of a pixel.
     lost_sigma_px
         Largest one-sigma over the detector of that part of the given covariance which the target cannot express; 0 without one.
     """
@@ -64,19 +67,15 @@ class Conversion:
     P: FloatArray | None
     misfit_px: float
     rms_px: float
+    misfit_rad: float
+    rms_rad: float
     lost_sigma_px: float
 
 
 def convert(
-    x: FloatArray,
-    source: str,
-    target: str,
-    detector: tuple[int, int, float],
-    *,
-    P: FloatArray | None = None,
-    allowed_px: float = EXACT_PX,
+    x: FloatArray, source: str, target: str, detector: tuple[int, int, float], *, P: FloatArray | None = None
 ) -> Conversion:
-    """Write parameters of one camera model in another.
+    """Write parameters of one camera model in another, as closely as that can say them.
 
     Parameters
     ----------
@@ -88,47 +87,21 @@ def convert(
         Rows, columns, and pixel pitch in metres.
     P
         (n_parameters, n_parameters) covariance of x.
-    allowed_px
-        Largest misfit that is accepted.
-
-    Raises
-    ------
-    RefusedInputError
-        When the target cannot follow the source that closely; says by how much, and why.
     """
     if source == target:
-        return Conversion(x.copy(), None if P is None else P.copy(), 0.0, 0.0, 0.0)
+        return Conversion(x.copy(), None if P is None else P.copy(), 0.0, 0.0, 0.0, 0.0, 0.0)
     seen, meant = CAMERA_MODELS[source], CAMERA_MODELS[target]
     places, pitch = _grid(detector), detector[2]
     s, J = seen.directions_and_jacobian(x, *places, pitch)
     pixel = np.sqrt(seen.solid_angle(x, *places, pitch))
-    start = _SERIES[source, target](x)
-    y = (
-        start
-        if _misfit(meant, start, places, pitch, s, pixel).max() <= EXACT_PX
-        else _fit(meant, start, places, pitch, s)
-    )
-    misfit = _misfit(meant, y, places, pitch, s, pixel)
-    worst, rms = float(misfit.max()), float(np.sqrt(np.mean(misfit**2)))
-    if not worst <= allowed_px:
-        raise RefusedInputError(_refusal(source, target, worst, rms, allowed_px))
-    if P is None:
-        return Conversion(y, None, worst, rms, 0.0)
-    carried, lost = _carried(meant.directions_and_jacobian(y, *places, pitch)[1], J, P, pixel)
-    return Conversion(y, carried, worst, rms, lost)
-
-
-def _refusal(source: str, target: str, worst: float, rms: float, allowed_px: float) -> str:
-    """One sentence that says by how much, why, and what to do instead."""
-    size = (
-        f"differ by up to {worst:.2g} px over the detector ({rms:.2g} px RMS)"
-        if np.isfinite(worst)
-        else "do not even meet over the whole detector"
-    )
-    return (
-        f"These parameters of {source} cannot be written in {target}: at best the two {size}, where {allowed_px:g} px is allowed, "
-        f"because {_REASON}; calibrate the telemetry under {target} instead."
-    )
+    y = _SERIES[source, target](x)
+    if not np.max(_angles(meant, y, places, pitch, s) / pixel) <= EXACT_PX:
+        y = _fit(meant, y, places, pitch, s)
+    away = _angles(meant, y, places, pitch, s)
+    carried, lost = None, 0.0
+    if P is not None and np.isfinite(away).all():
+        carried, lost = _carried(meant.directions_and_jacobian(y, *places, pitch)[1], J, P, pixel)
+    return Conversion(y, carried, *_sizes(away / pixel), *_sizes(away), lost)
 
 
 def _grid(detector: tuple[int, int, float]) -> tuple[FloatArray, FloatArray]:
@@ -138,17 +111,17 @@ def _grid(detector: tuple[int, int, float]) -> tuple[FloatArray, FloatArray]:
     return row.ravel(), col.ravel()
 
 
-def _misfit(
-    camera: CameraModel,
-    y: FloatArray,
-    places: tuple[FloatArray, FloatArray],
-    pitch: float,
-    s: FloatArray,
-    pixel: FloatArray,
+def _angles(
+    camera: CameraModel, y: FloatArray, places: tuple[FloatArray, FloatArray], pitch: float, s: FloatArray
 ) -> FloatArray:
-    """Distance of the camera's directions from s, (n,) pixels; infinite where it has none."""
-    away = np.linalg.norm(camera.directions(y, *places, pitch) - s, axis=-1) / pixel
+    """Angle between the camera's directions and s, (n,) rad; infinite where it has none."""
+    away = np.linalg.norm(camera.directions(y, *places, pitch) - s, axis=-1)
     return np.asarray(np.where(np.isfinite(away), away, np.inf))
+
+
+def _sizes(away: FloatArray) -> tuple[float, float]:
+    """Largest and root mean square of distances."""
+    return float(away.max()), float(np.sqrt(np.mean(away**2)))
 
 
 def _fit(

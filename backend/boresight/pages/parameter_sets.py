@@ -19,6 +19,7 @@ from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import RefusedInputError
 from boresight.figures.parameter_table import set_rows
 from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.conversions import conversions_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import approvals, parameter_sets, runs, sensors, telemetry_sets, uplinks
@@ -176,6 +177,7 @@ def _page(
         requests=requests,
         signatures=[signature for known in requests for signature in approvals.signatures_of(session, known.id)],
         uplinks=uplinks.list_uplinks(session, parameter_set_id=set_id),
+        conversions=conversions_of(session, row),
         lineage=lineage_of(session, row, requests),
         actions=actions_of(row, actor, requests[0] if requests else None),
         refusal=refusal,

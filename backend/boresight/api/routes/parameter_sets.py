@@ -15,7 +15,7 @@ from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
-from boresight.services import parameter_sets
+from boresight.services import conversions, parameter_sets
 
 router = APIRouter(prefix="/parameter-sets", tags=["parameter sets"])
 
@@ -92,6 +92,27 @@ def get_parameter_set(
 ) -> Response:
     """Read a parameter set; the ETag is for its transitions."""
     return _answer(parameter_sets.get_parameter_set(session, parameter_set_id)).response()
+
+
+@router.get(
+    "/{parameter_set_id}/conversion",
+    name="convert_parameter_set",
+    summary="Read it in another camera model",
+    response_model=dict[str, Any],
+    responses=refusals(404),
+)
+def convert_parameter_set(
+    parameter_set_id: Id,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    to: Annotated[str, Query(examples=["pinhole_radial"], description="The other camera model.")],
+    allow_px: Annotated[
+        float | None,
+        Query(ge=0, allow_inf_nan=False, description="Largest misfit; 1 % of centroid_sigma_px when left out."),
+    ] = None,
+) -> Response:
+    """Write this set in another camera model: values, covariance and misfit, or the reason why it cannot be. Nothing is kept."""
+    return json_response(conversions.conversion_of(session, parameter_set_id, to, allow_px))
 
 
 @router.post(
