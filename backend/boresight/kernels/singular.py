@@ -163,25 +163,24 @@ def _spread(s, sigma, P, value, row, first, size, G):
 
 
 @_jit
-def _factor(G, ends, determined, L, pivot, full, left):
+def _factor(G, ends, determined, L, pivot, full, variance, left):
     """Cholesky factor L (rank, rank) of G G^T over the rows that determine the others, in the order `pivot`; returns the rank.
 
-    The row of largest remaining variance comes next. Row r of G is zero from column `ends[r]` on.
+    The row with the largest share of its own variance left comes next. Row r of G is zero from column `ends[r]` on.
     """
     m = G.shape[0]
-    largest = 0.0
     for r in range(m):
-        left[r] = 0.0
+        variance[r] = 0.0
         for t in range(ends[r]):
-            left[r] += G[r, t] * G[r, t]
-        largest = max(largest, left[r])
+            variance[r] += G[r, t] * G[r, t]
+        left[r] = variance[r]
     rank = 0
     while rank < m:
         best = 0
         for r in range(1, m):
-            if left[r] > left[best]:
+            if left[r] * variance[best] > left[best] * variance[r]:
                 best = r
-        if not left[best] > determined * largest:
+        if not left[best] > determined * variance[best]:
             break
         root = math.sqrt(left[best])
         pivot[rank] = best
@@ -215,7 +214,8 @@ def weigh_values(star_start, s_i, sigma, model, chosen, apart, determined, rows,
     most = rows.shape[1]
     prefix, sums = np.empty((most + 1, _SIX)), np.empty(_SIX)
     A, P, value = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    full, left, ends = np.empty((3 * most, 3 * most)), np.empty(3 * most), np.empty(3 * most, np.int64)
+    full, ends = np.empty((3 * most, 3 * most)), np.empty(3 * most, np.int64)
+    variance, left = np.empty(3 * most), np.empty(3 * most)
     for e in range(star_start.shape[0] - 1):
         s, noise = s_i[star_start[e] : star_start[e + 1]], sigma[star_start[e] : star_start[e + 1]]
         n = s.shape[0]
@@ -239,7 +239,7 @@ def weigh_values(star_start, s_i, sigma, model, chosen, apart, determined, rows,
                     z[e, rows[e, c, k]] += value[k]
             _spread(s, noise, P, value, rows[e, c], first, size, G)
         sizes[e, 0] = m
-        sizes[e, 1] = _factor(G[:m], ends, determined, L[e], pivot[e], full, left)
+        sizes[e, 1] = _factor(G[:m], ends, determined, L[e], pivot[e], full, variance, left)
 
 
 @_jit
