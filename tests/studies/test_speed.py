@@ -7,7 +7,7 @@ from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.sensors import ST16_MAGNITUDE_LIMIT, st16_sensor, st16_truth
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import load_catalogue
-from boresight.studies import speed
+from boresight.studies import singular_speed, speed
 from boresight.studies.matching_peer import scipy_match
 from boresight.studies.star_frames import STARS, TIME, star_frames
 
@@ -40,6 +40,28 @@ def test_every_ratio_is_a_peer_over_the_loop_that_does_its_work(measured):
     assert measured["match_per_batch_evaluation"] == pytest.approx(
         ours / measured["match_batch_evaluation_us_per_frame"]
     )
+
+
+@pytest.mark.parametrize("stars", singular_speed.STARS)
+def test_the_compiled_svd_update_is_set_beside_the_same_update_in_numpy_at_the_paper_s_numbers_of_stars(
+    measured, stars
+):
+    name = f"svd_update_{stars}_stars"
+    plain, lean = (measured["peers"][f"{peer}_{name}_us_per_frame"] for peer in ("numpy", "numpy_lean"))
+
+    assert measured["ratios"][f"numpy_{name}"] == pytest.approx(plain / measured[f"{name}_us_per_frame"])
+    assert plain > lean > measured[f"{name}_us_per_frame"]
+
+
+@pytest.mark.parametrize("stars", [31, 19, 8, 4])
+@pytest.mark.parametrize("peer", ["plain", "lean"])
+def test_the_peers_of_the_svd_update_end_where_it_does(stars, peer):
+    ways = singular_speed.updates(singular_speed.star_field(stars, 30, np.random.default_rng(stars)))
+
+    for ours, theirs in zip(ways["compiled"], ways[peer], strict=True):
+        (z, information), (z_peer, information_peer) = ours(), theirs()
+        np.testing.assert_allclose(z_peer, z, atol=1e-6)
+        np.testing.assert_allclose(information_peer, information, atol=1e-7 * np.abs(information).max())
 
 
 def test_frames_for_matching_hold_twelve_real_stars_in_each_of_two_exposures(catalogue):

@@ -15,7 +15,9 @@ LEGEND = """
 match_us_per_frame: real stars, half of them unnamed, matched from a ground calibration.
 match_per_batch_evaluation: that, over one batch evaluation of the same frames; at most 20 is promised.
 ratios: how many times longer each peer takes than the loop that does its work; the matching peer does less (one
-exposure at a time, one fixed tolerance, no doubt between two stars)."""
+exposure at a time, one fixed tolerance, no doubt between two stars).
+svd_update: singular values of one exposure of so many stars taken in, from given rays on, on one thread. numpy decomposes
+one combination at a time by numpy.linalg.svd; numpy_lean all at once, by eigh of prefix sums and LAPACK's pivoted Cholesky."""
 
 
 @click.command()

@@ -5,6 +5,7 @@ Each figure is the fastest of several repeats, kernels already compiled; a peer 
 and its figure is still per frame. Quote ratios: they hold when the machine's speed drifts.
 
 Matching needs a real sky: `studies.matching_speed` times it on frames of its own and says what a batch evaluation of those costs.
+The update by singular values alone is timed by `studies.singular_speed`, with as many stars as W has.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.studies import matching_speed, peers
+from boresight.studies import matching_speed, peers, singular_speed
+from boresight.studies.processes import run_on_one_thread
 from boresight.studies.repeats import fastest
 
 FloatArray = NDArray[np.float64]
@@ -38,6 +40,7 @@ START_SIGMA = 10.0
 SLOW_PEER_FRAMES = 200
 SLOWEST_PEER_FRAMES = 50
 BATCH_PEER_FRAMES = 4000
+UPDATE = "svd_update"
 
 
 def measure(frames: int = 2000, report: Callable[[float, str], None] | None = None, seed: int = 1) -> dict[str, Any]:
@@ -78,6 +81,10 @@ def measure(frames: int = 2000, report: Callable[[float, str], None] | None = No
     matching, beside = matching_speed.measure(frames, np.random.default_rng(seed))
     ours |= matching
     beside |= _peers(arcs, x_0, scale, tell)
+    tell(0.95, "update by singular values")
+    updates, peers_of_updates = _singular_updates()
+    ours |= updates
+    beside |= peers_of_updates
     tell(1.0, "done")
     return {
         "frames": frames,
@@ -95,8 +102,24 @@ def measure(frames: int = 2000, report: Callable[[float, str], None] | None = No
 def _ratios(ours: dict[str, float], beside: dict[str, float]) -> dict[str, float]:
     """How many times longer each peer takes than the product's loop that does its work."""
     loop = {"evaluation": "batch_evaluation", "fit": "batch_fit", "sqrf": "sqrf", "ekf": "sqrf", "match": "match"}
-    work = {name: loop[name.removesuffix("_us_per_frame").rsplit("_", 1)[-1]] for name in beside}
-    return {name.removesuffix("_us_per_frame"): beside[name] / ours[f"{work[name]}_us_per_frame"] for name in beside}
+    ratios = {}
+    for name, time in beside.items():
+        peer = name.removesuffix("_us_per_frame")
+        work = peer[peer.index(UPDATE) :] if UPDATE in peer else loop[peer.rsplit("_", 1)[-1]]
+        ratios[peer] = time / ours[f"{work}_us_per_frame"]
+    return ratios
+
+
+def _singular_updates() -> tuple[dict[str, float], dict[str, float]]:
+    """Time the update by singular values, and its peers, on one thread: of an exposure of so many stars, one a frame."""
+    times = run_on_one_thread(singular_speed.measure, None)
+    ours = {f"{UPDATE}_{stars}_stars_us_per_frame": found["compiled"] for stars, found in times.items()}
+    beside = {
+        f"{peer}_{UPDATE}_{stars}_stars_us_per_frame": found[way]
+        for peer, way in (("numpy", "plain"), ("numpy_lean", "lean"))
+        for stars, found in times.items()
+    }
+    return ours, beside
 
 
 def _peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray, tell: Callable[[float, str], None]) -> dict[str, float]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from boresight.studies.documents import SCHEMA, table_document, verdict_counts
 from boresight.studies.wu.drawings import drawings
+from boresight.studies.wu.errata import cited, errata
 from boresight.studies.wu.estimators import START_SIGMA
 from boresight.studies.wu.findings import findings
 from boresight.studies.wu.pooled import Pooled
@@ -32,6 +33,10 @@ def document(plan: dict[str, Any], records: Sequence[Record], timing: dict[str, 
     """
     pooled = Pooled(records)
     made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
+    wrong = errata(pooled)
+    for kind, several in (("Table", (*made, *timing["tables"])), ("Figure", drawn)):
+        for one in several:
+            one["errata"] = cited(f"{kind} {one['number']}", wrong)
     return {
         "schema": SCHEMA,
         "paper": PAPER,
@@ -42,6 +47,7 @@ def document(plan: dict[str, Any], records: Sequence[Record], timing: dict[str, 
         "figures": drawn,
         "consistency": [_consistency(pooled, *place) for place in CONSISTENT],
         "findings": findings(pooled),
+        "errata": wrong,
         "records": [{key: value for key, value in record.items() if key not in DRAWN} for record in records],
         "timing": timing,
     }

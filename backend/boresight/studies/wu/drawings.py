@@ -133,6 +133,6 @@ def _figure_8(pooled: Pooled) -> Drawing:
     ours = sorted(settled, key=lambda symbol: settled[symbol])
     said = ", ".join(f"{symbol} {settled[symbol]}" for symbol in ours)
     return _drawing(
-        "8", "Estimation results of the parameters", f"They converge in the order {', '.join(ORDER)}.",
+        "8", "Estimation results of the parameters", f"They converge in the order {', '.join(ORDER)} (printed: u0 twice).",
         Conclusion(tuple(ours) == ORDER, f"each stays within three of Table 1's precisions from frame: {said}.", *FIELD), curves,
     )  # fmt: skip

@@ -31,7 +31,7 @@ class Plan:
     sets
         Simulated sets of each group.
     processes
-        Sets at a time; 1 runs them in this process, and the clock too, whose process otherwise has one thread.
+        Sets at a time; 1 runs them in this process. The clock has a process of its own, with one thread.
     """
 
     quick: bool = False
@@ -68,7 +68,7 @@ def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None)
         records[trial] = found
         if report is not None:
             report(f"set {trial.index + 1} of {plan.sets}", 0.9 * len(records) / len(trials))
-    measured = run_on_one_thread(timing, catalogue_folder) if plan.processes > 1 else timing(catalogue_folder)
+    measured = run_on_one_thread(timing, catalogue_folder)
     if report is not None:
         report("times", 1.0)
     return document(_described(plan), [record for trial in trials for record in records[trial]], measured)

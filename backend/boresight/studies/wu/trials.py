@@ -17,7 +17,14 @@ from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.consistency import nees
-from boresight.estimation.references import View, observability_of_models, observability_of_values
+from boresight.estimation.references import (
+    View,
+    observability_of_models,
+    observability_of_values,
+    weighted_information,
+    whitened_information,
+)
+from boresight.estimation.singular_values import CHOSEN
 from boresight.simulation.fields import StarFields, directions, random_fields
 from boresight.simulation.sensors import (
     WU_IMPLIED_SIGMA_PX,
@@ -153,4 +160,16 @@ def _observability(arcs: ArcSet, n_frames: int) -> Record:
         "frame": (few.frame + 1).tolist(),
         "models": [[one or None for one in column] for column in models.T.tolist()],
         "values": [[one or None for one in column] for column in values.T.tolist()],
+        "information": _information_held(view, few),
     }
+
+
+def _information_held(view: View, arcs: ArcSet) -> Record:
+    """Variance of each parameter by SVD over that by AD, (6,), by what the weights are."""
+    full = [whitened_information(view, arcs, selection) for selection in (None, CHOSEN)]
+    diagonal = [weighted_information(view, arcs, selection)[0] for selection in (None, CHOSEN)]
+    found = {}
+    for weights, (angular, svd) in (("full", full), ("diagonal", diagonal)):
+        ratio = np.diag(np.linalg.inv(svd)) / np.diag(np.linalg.inv(angular))
+        found[weights] = ratio.tolist()
+    return found
