@@ -1,17 +1,15 @@
 """The angular distances of all pairs: with their covariance in full they say what 2 N - 3 arcs say."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
-from boresight.errors import RefusedInputError
 from boresight.estimation import angular
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
-from tests.estimation.fields import FREE, PITCH, SCALE, TRUTH, star_field, weighed
+from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, star_field, weighed
 
 
 def _stars(rng, n):
@@ -54,8 +52,27 @@ def test_the_filter_on_all_pairs_ends_where_the_filter_on_arcs_does():
     np.testing.assert_allclose(pairs.nis.sum(), arcs.nis.sum(), rtol=1e-3)
 
 
-def test_the_gain_form_is_refused_where_it_would_take_seconds_a_frame():
-    field = weighed(star_field(np.random.default_rng(4), frames=1, mean_stars=90), TRUTH)
+def _gain(field, x, form="gain"):
+    return FILTERS["angular"](field, start(x, 8, 3.0), FREE, SCALE, Tuning(gain_form=form))
 
-    with pytest.raises(RefusedInputError, match="choose the information form, which gives the same"):
-        FILTERS["angular"](field, start(TRUTH, 8, 1.0), FREE, SCALE, Tuning(gain_form="gain"))
+
+def test_the_gain_of_turned_rows_is_that_of_all_pairs(monkeypatch):
+    field = weighed(star_field(np.random.default_rng(5), frames=6, mean_stars=12), GROUND)
+
+    printed = _gain(field, GROUND)
+    monkeypatch.setattr("boresight.estimation.filters.angular.MOST_PAIRS", 0)
+    turned = _gain(field, GROUND)
+
+    assert np.abs((turned.states - printed.states) / SCALE / printed.sigmas).max() < 1e-8
+    np.testing.assert_allclose(turned.sigmas, printed.sigmas, rtol=1e-8)
+    np.testing.assert_allclose(turned.nis, printed.nis, rtol=1e-7)
+
+
+def test_the_gain_form_runs_on_hundreds_of_stars_an_exposure():
+    field = weighed(star_field(np.random.default_rng(4), frames=2, mean_stars=200), TRUTH)
+
+    gain, information = (_gain(field, TRUTH, form) for form in ("gain", "information"))
+
+    assert np.diff(field.star_start).max() > 200  # 20,000 pairs
+    assert np.abs((gain.states - information.states) / SCALE / information.sigmas).max() < 1e-8
+    np.testing.assert_allclose(gain.sigmas, information.sigmas, rtol=1e-8)

@@ -10,6 +10,7 @@ from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.problem import Problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.consistency import ChiSquare
+from boresight.estimation.filters.angular import MOST_PAIRS
 from boresight.estimation.observability import Observability
 
 #: Shift from the start, in typical sigmas, beyond which a parameter deserves a second look; E Table III stays within 10.
@@ -47,6 +48,7 @@ def advice(
         *_of_consistency(fit, nis, problem, settings, estimate),
         *estimate.remarks,
         *_of_data(problem),
+        *_of_gain_form(problem, settings),
     ]
 
 
@@ -146,3 +148,14 @@ def _of_data(problem: Problem) -> Iterator[str]:
     """Sentences on what the data lack."""
     if problem.arcs.n_frames < 20:
         yield f"Only {problem.arcs.n_frames} frames took part: the result follows these few fields closely."
+
+
+def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[str]:
+    """Say where the printed inverse of all pairs gave way to a smaller one."""
+    stars = np.diff(problem.arcs.star_start)
+    pairs = stars * (stars - 1) // 2
+    if settings.method == "angular" and settings.gain_form == "gain" and pairs.max() > MOST_PAIRS:
+        yield (
+            f"{np.sum(pairs > MOST_PAIRS)} of {len(pairs)} exposures have more than {MOST_PAIRS:,} pairs (up to {pairs.max():,}): "
+            "their gain was taken over two numbers a star, which gives the same but takes less time than the printed inverse."
+        )
