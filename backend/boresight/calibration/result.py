@@ -183,7 +183,8 @@ def _unjudged(estimate: Estimate, dof: int) -> list[str]:
         return []
     if dof <= 0:
         return ["There are no more arcs than free parameters, so nothing can be checked: add frames or free fewer."]
-    return ["The fit diverged: do not use these numbers; free fewer parameters, or start closer to the truth."]
+    diverged = "The fit diverged: do not use these numbers; free fewer parameters, or start closer to the truth."
+    return [*estimate.remarks, diverged]
 
 
 def _bounds(test: ChiSquare) -> dict[str, Any]:

@@ -106,6 +106,8 @@ class FilterHistory:
         State after the last frame.
     finite
         False when the state ran away; the arrays then end at the frame before.
+    blind
+        Places among the free parameters whose spread took it away: see `unscented.blind_parameters`.
     """
 
     states: FloatArray
@@ -116,3 +118,4 @@ class FilterHistory:
     linearisations: IntArray
     last: FilterState
     finite: bool
+    blind: tuple[int, ...] = ()

@@ -21,6 +21,10 @@ points lie 28 typical sigmas out, and where the residual is that bent no one lin
 regression is made again about the posterior, until that rests or Omega vanishes (iterated posterior linearisation; the iterated
 extended filter is its limit for a narrow spread). The curvature that is left over the posterior's spread stays counted as noise.
 
+A lens whose distortion turns back has no ray beyond the turn. Points there have no residual, and the frame's mean has none: the
+filter ends, and says which parameters' spread reached so far. A narrower spread that is scaled up again (Julier's scaled transform)
+would only ask elsewhere: what the residuals do over a spread that the lens does not have is not to be known by it.
+
 References
 ----------
 van der Merwe, Wan, "The square-root unscented Kalman filter", ICASSP 2001. Garcia-Fernandez, Svensson, Morelande, Sarkka,
@@ -29,12 +33,15 @@ van der Merwe, Wan, "The square-root unscented Kalman filter", ICASSP 2001. Garc
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
+from boresight.estimation.filters.information import upper_factor
 from boresight.estimation.filters.square_root import padded
 
 FloatArray = NDArray[np.float64]
@@ -60,7 +67,29 @@ def unscented_filter(
         arcs.band, free, scale, tuning.linearisations, REST_SIGMA, SHRUNK, STRAIGHT,
         states, sigmas, nis, dof, squares, passes,
     )  # fmt: skip
-    return FilterHistory(
+    history = FilterHistory(
         states[:done], sigmas[:done], nis[:done], dof[:done], squares[:done], passes[:done],
         FilterState(x, z[:n_free], S[:n_free, :n_free]), done == n,
     )  # fmt: skip
+    if history.finite:
+        return history
+    before = unscented_filter(arcs.frames(0, done), state, free, scale, tuning).last if done else state
+    return replace(history, blind=blind_parameters(arcs.frames(done, done + 1), before, free, scale, tuning))
+
+
+def blind_parameters(
+    frame: ArcSet, state: FilterState, free: NDArray[np.int64], scale: FloatArray, tuning: Tuning
+) -> tuple[int, ...]:
+    """Places of the free parameters whose points before a frame give some of its stars no ray, ascending."""
+    n = len(free)
+    S = upper_factor(state.P / tuning.forgetting + tuning.process_noise**2 * np.eye(n))
+    s, D = np.empty((frame.n_stars, 3)), np.empty((frame.n_stars, 3, kernels.N_PARAMETERS))
+    blind = set()
+    for column in S.T:
+        for reach in (np.sqrt(n), -np.sqrt(n)):
+            x = state.x.copy()
+            x[free] += scale * reach * column
+            kernels.rays_and_jacobians(frame.model, x, frame.pitch, frame.row_px, frame.col_px, s, D)
+            if not np.isfinite(s).all():
+                blind.add(int(np.argmax(np.abs(column))))
+    return tuple(sorted(blind))
