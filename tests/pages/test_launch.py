@@ -225,7 +225,7 @@ def test_the_choices_of_singular_values_reach_the_run_and_its_clone(house):
 
 def test_the_form_says_why_the_first_singular_value_adds_nothing(house, read):
     text = read(house.visitor("ada").get("/runs/new"))
-    assert "σ1 adds nothing: the squares of the three add up to the number of stars" in text
+    assert "σ1 adds nothing to the other two: the squares of the three add up to the number of stars" in text
 
 
 def test_a_check_names_the_choices_that_differ_from_the_usual(house, read):

@@ -13,6 +13,7 @@ from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
 from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH
 from boresight.studies import wu
+from boresight.studies.reports import number, printed_digits
 from boresight.studies.verdicts import CAUSES, VERDICTS
 from boresight.studies.wu import printed, report
 from boresight.studies.wu.criteria import ARCSEC_PER_RAD, Judges
@@ -209,6 +210,31 @@ def test_the_report_holds_every_table_figure_and_finding(study):
     assert html.count("<blockquote>") == len(study["findings"]) == 8
     assert "A quick run" in html
     assert not re.search(r'(src|href)="', html.partition("<script>")[0])
+
+
+def test_every_row_of_a_table_fills_the_columns_that_its_headings_name(study):
+    html = report.render(study)
+
+    for table in re.findall(r"<table data-table.*?</table>", html, re.DOTALL):
+        columns = len(re.findall("<th[ >]", table))
+        widths = [
+            sum(
+                int(re.search(r'colspan="(\d+)"', cell)[1]) if "colspan" in cell else 1
+                for cell in re.findall("<td[^>]*>", row)
+            )
+            for row in re.findall("<tr class=.*?</tr>", table, re.DOTALL)
+        ]
+        assert set(widths) == {columns}, table[:60]
+
+
+def test_nought_is_printed_without_a_sign():
+    assert [printed_digits(value, 1e-3) for value in (-0.0002, 0.0, -0.0006)] == ["0.000", "0.000", "−0.001"]
+
+
+def test_powers_of_ten_are_raised():
+    assert [number(value) for value in (1e-5, -2.5e-12, 1e8, 0.016, None)] == [
+        "1·10⁻⁵", "−2.5·10⁻¹²", "1·10⁸", "0.016", "–",
+    ]  # fmt: skip
 
 
 def test_a_set_is_the_same_whenever_it_is_run():

@@ -24,6 +24,7 @@ from boresight.resources import folder
 Document = Mapping[str, Any]
 Draw = Mapping[str, Callable[[Mapping[str, Any]], go.Figure]]
 
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CELL_COLUMNS = ("column", "unit", "printed", "ours", "low", "high", "verdict", "cause", "because")
 
 
@@ -72,13 +73,16 @@ def rendered(template: str, document: Document, draw: Draw, **more: Any) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Write a number with so many significant digits, a dash where there is none."""
-    return "–" if value is None else f"{value:.{digits}g}".replace("-", "−")
+    """Write a number with so many significant digits, powers of ten raised; a dash where there is none."""
+    if value is None:
+        return "–"
+    mantissa, _, exponent = f"{value:.{digits}g}".replace("-", "−").partition("e")
+    return f"{mantissa}·10{str(int(exponent.replace('−', '-'))).translate(RAISED)}" if exponent else mantissa
 
 
 def printed_digits(value: float | None, resolution: float) -> str:
-    """Write a number with as many decimals as the paper prints."""
-    return "–" if value is None else f"{value:.{round(-log10(resolution))}f}".replace("-", "−")
+    """Write a number with as many decimals as the paper prints; nought has no sign."""
+    return "–" if value is None else f"{value:z.{round(-log10(resolution))}f}".replace("-", "−")
 
 
 def _inline(drawings: Sequence[Mapping[str, Any]], draw: Draw) -> Markup:

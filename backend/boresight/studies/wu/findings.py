@@ -47,8 +47,8 @@ def _first_value(pooled: Pooled) -> Finding:
     return _finding(
         "The first singular value adds nothing",
         "4.1, Test 2: “there may be some information in σ1 and σ3 that could help”, and {1,2,3} is recommended beside {2,3}.",
-        "Of N unit vectors σ1² + σ2² + σ3² = N, whatever the camera: two of a combination's three rows are independent.",
-        f"With the full R the ends of {{1,2,3}} and {{2,3}} differ by at most {apart:.1g} of P₀'s sigmas: {full['123']:.4f}″ and "
+        "Of N unit vectors σ1² + σ2² + σ3² = N, whatever the camera: two of a combination’s three rows are independent.",
+        f"With the full R the ends of {{1,2,3}} and {{2,3}} differ by at most {apart:.1g} of P₀’s sigmas: {full['123']:.4f}″ and "
         f"{full['23']:.4f}″. A diagonal R counts σ1 as news, with little weight: {diagonal['123']:.4f}″ and "
         f"{diagonal['23']:.4f}″ (printed 0.472″ and 0.465″).",
     )
@@ -131,7 +131,7 @@ def _sky(pooled: Pooled) -> Finding:
     return _finding(
         "The star counts need a part of the sky",
         "Test 1: stars to magnitude 5.5 of Tycho-2; the path over the sky is not given.",
-        f"Here stars are Hipparcos's to the same limits in Hp, seen within {GALACTIC_LATITUDE_DEG:g}° of the Galactic plane, in "
+        f"Here stars are Hipparcos’s to the same limits in Hp, seen within {GALACTIC_LATITUDE_DEG:g}° of the Galactic plane, in "
         f"images of four stars or more: {ours} an image where the paper has {theirs}. Over the whole sky there are a quarter fewer "
         "to 5.5.",
     )

@@ -30,9 +30,9 @@ SAME_A, SAME_B = 0.10, 0.01
 NOISE = ("erratum", "the stated 0.5 px contradicts the printed criterion B, which needs 0.2 px")
 NO_R = (
     "unstated setting",
-    "R, P_0, Q and the order of the stars are not given; the full R keeps overlapping combinations from counting twice",
+    "R, P₀, Q and the order of the stars are not given; the full R keeps overlapping combinations from counting twice",
 )
-NO_Q = ("unstated setting", "R, P_0, Q, the order of the stars and the path over the sky are not given")
+NO_Q = ("unstated setting", "R, P₀, Q, the order of the stars and the path over the sky are not given")
 SIGMA_1 = ("erratum", "three squares sum to N, so the first value adds nothing that the other two do not hold")
 CAUSE = {("full", 0.2): NO_R, ("diagonal", 0.2): NO_Q, ("full", 0.5): NOISE, ("diagonal", 0.5): NOISE}
 
@@ -196,7 +196,7 @@ def _always_worse(pooled: Pooled, weights: str, noise_px: float) -> Row:
         over = spread(apart, lambda record: float(record["difference"]))
         value = round(theirs[2 * group + 1] - theirs[2 * group], 3)
         cells.append(Cell(f"group {group + 1}", "″", value, over.mean, over.low, over.high, 1e-3, 0.0, *NO_Q))
-    said = ", ".join(f"{cell.ours:+.4f}″" for cell in cells)
+    said = ", ".join(f"{cell.ours:+.4f}″" for cell in cells).replace("-", "−")
     holds = all(cell.ours is not None and cell.ours > 0 for cell in cells)
     label = labelled("B mean, SVD − AD", weights, noise_px)
     return judge(label, cells, Conclusion(holds, f"mean over the sets {said}.", *NO_Q))
