@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.estimate import Estimate, Parameters, claim
 from boresight.calibration.problem import Problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.consistency import ChiSquare
@@ -19,16 +19,6 @@ FAR = 15.0
 ANOTHER_SENSOR = 100.0
 #: Claimed over available information beyond which a filter is called over-confident.
 OVERCLAIM = 1.5
-
-
-def claim(estimate: Estimate, initial_sigma_scale: float) -> float:
-    """Largest ratio, over all directions, of the information a filter claims to what data and start together hold.
-
-    The claim is P^-1; data at the final state and start hold A + I / initial_sigma_scale^2. Linearising early frames at states
-    far away collects information that is not there, chiefly along the weak directions, and this ratio shows it without the truth.
-    """
-    held = estimate.A + np.eye(len(estimate.A)) / initial_sigma_scale**2
-    return float(1.0 / np.linalg.eigvals(estimate.P @ held).real.min())
 
 
 def advice(
@@ -116,7 +106,7 @@ def _of_consistency(
             f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
             f"{nis.upper:.3g} expected): do not rely on its sigmas; compare with a batch run."
         )
-    claimed = claim(estimate, settings.initial_sigma_scale) if settings.sequential else 1.0
+    claimed = claim(estimate.A, estimate.P, settings.initial_sigma_scale) if settings.sequential else 1.0
     if claimed > OVERCLAIM:
         yield (
             f"The filter claims {claimed:.2g} times the information that the data hold along some direction, because it took "
