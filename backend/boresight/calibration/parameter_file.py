@@ -91,7 +91,8 @@ def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> 
     _check_names(values, sensor, name)
     x = np.array([values[parameter] for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names], np.float64)
     faults = Faults(name)
-    check_geometry(replace(sensor, initial=x), CAMERA_MODELS[sensor.camera_model], faults)
+    subject = "the set under 'parameters'" if "parameters" in document else "the set of parameters"
+    check_geometry(replace(sensor, initial=x), CAMERA_MODELS[sensor.camera_model], faults, subject)
     faults.refuse()
     return x, _covariance(document.get("covariance"), sensor, name)
 

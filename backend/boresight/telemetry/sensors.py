@@ -262,16 +262,21 @@ def _magnitude_limit(value: Any, faults: Faults) -> float | None:
     return None if value is None else _number(value, "magnitude_limit", _MAGNITUDE, faults)
 
 
-def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults) -> None:
-    """Note in `faults` a camera that no star tracker is: principal point far off the detector, blind corners, an absurd field."""
+def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults, subject: str = "initial") -> None:
+    """Note in `faults` a camera that no star tracker is: principal point far off the detector, blind corners, an absurd field.
+
+    `subject` is what the sensor's `initial` is called there, for a state that comes from elsewhere.
+    """
     row, col = model.principal_point(sensor.initial)
     if not (-sensor.rows < row < 2 * sensor.rows and -sensor.columns < col < 2 * sensor.columns):
-        faults.add(f"initial puts the principal point at row {row:g}, column {col:g}, far off the detector: correct it")
+        faults.add(
+            f"{subject} puts the principal point at row {row:g}, column {col:g}, far off the detector: correct it"
+        )
         return
     corner = model.blind_corner(sensor.initial, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
     if corner is not None:
         faults.add(
-            f"initial has a distortion that turns back before the corner at row {corner[0]:g}, column {corner[1]:g}, "
+            f"{subject} has a distortion that turns back before the corner at row {corner[0]:g}, column {corner[1]:g}, "
             "where a star would have no direction: correct its distortion coefficients"
         )
         return
@@ -281,7 +286,7 @@ def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults) -> None:
         field_deg = math.degrees(2.0 * math.asin(min(1.0, float(np.linalg.norm(corners[1] - corners[0])) / 2.0)))
     if not _FIELD_DEG[0] <= field_deg <= _FIELD_DEG[1]:
         faults.add(
-            f"initial gives a field of view of {field_deg:.3g} degrees from corner to corner, expected "
+            f"{subject} gives a field of view of {field_deg:.3g} degrees from corner to corner, expected "
             f"{_FIELD_DEG[0]:g} to {_FIELD_DEG[1]:g}: check focal length, distortion and pixel_pitch_m (all in metres)"
         )
 
