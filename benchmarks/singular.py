@@ -3,18 +3,25 @@
     python benchmarks/singular.py
 
 The forms, fields and ratios are those of `boresight reproduce wu` (`studies.wu.timing` says how they are taken); the update alone,
-compiled and in NumPy, is that of `boresight bench` (`studies.singular_speed`). So the three say the same.
+compiled and in NumPy, is that of `boresight bench` (`studies.singular_speed`). So the three say the same. The last table is
+no time: what the subsets of the singular values hold, as predicted sigmas over those of {2, 3}, for Model 4 and 19 stars.
 """
 
 from __future__ import annotations
 
 import sys
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
+from boresight.estimation.references import View, whitened_information
+from boresight.estimation.singular_values import Selection
+from boresight.simulation.sensors import WU_TRUTH
 from boresight.studies.processes import run_on_one_thread
-from boresight.studies.singular_speed import measure
+from boresight.studies.singular_speed import FREE, SCALE, measure, star_field
+from boresight.studies.wu.printed import SUBSETS
 from boresight.studies.wu.timing import timing
 
 
@@ -50,11 +57,23 @@ def updates(times):
     return table
 
 
+def subsets(frames=100, stars=19):
+    """Lay out the predicted sigmas of each subset."""
+    arcs, view = star_field(stars, frames, np.random.default_rng(1)), View(PINHOLE_RADIAL, WU_TRUTH, FREE, SCALE)
+    information = {values: whitened_information(view, arcs, Selection(4, values)) for values in SUBSETS}
+    sigma = {values: np.sqrt(np.diag(np.linalg.inv(A))) for values, A in information.items()}
+    table = table_of("sigma over that of {2,3}", ["values", *PINHOLE_RADIAL.symbols])
+    for values, found in sigma.items():
+        table.add_row(",".join(map(str, values)), *(f"{ratio:.3f}" for ratio in found / sigma[2, 3]))
+    return table
+
+
 def main():
     """Measure and print."""
-    console = Console()
+    console = Console(width=110)
     console.print(forms(run_on_one_thread(timing, None)))
     console.print(updates(run_on_one_thread(measure, None)))
+    console.print(subsets())
     return 0
 
 
