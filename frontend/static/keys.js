@@ -6,7 +6,7 @@ const STORED = "boresight-keys";
 const list = document.getElementById("keys");
 const opener = document.getElementById("keys-open");
 const onSwitch = document.getElementById("keys-on");
-let goAt = 0;
+let goAt = -WAIT_MS;
 
 const isOn = () => localStorage.getItem(STORED) !== "off";
 const isTyping = (target) => target.closest("input, textarea, select, [contenteditable]") !== null;
@@ -23,8 +23,8 @@ function go(key) {
 
 function press(event) {
   if (!isOn() || event.ctrlKey || event.altKey || event.metaKey || isTyping(event.target) || list.open) return;
-  const waiting = Date.now() - goAt < WAIT_MS;
-  goAt = event.key === "g" ? Date.now() : 0;
+  const waiting = event.timeStamp - goAt < WAIT_MS; // when the keys were pressed, however busy the page was meanwhile
+  goAt = event.key === "g" ? event.timeStamp : -WAIT_MS;
   if (event.key === "?") show();
   else if (waiting && event.key !== "g") go(event.key);
 }

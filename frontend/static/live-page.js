@@ -1,23 +1,10 @@
-// Keeps a page's regions fresh: after an event of the server the page is read again, and every element with `data-live`
-// and an id is replaced by its newer self, unless the person is typing or reading inside it. No state is kept here.
+// Keeps a page's live parts fresh: after an event of the server the page is read again, and they are renewed from it.
+import { renewParts } from "./live-parts.js";
 
 const AFTER_MS = { run: 600, audit: 600, progress: 3000 };
 let timer = 0;
 let busy = false;
 let again = false;
-
-/** Whether something in the region is being used: it is then left alone until the next event. */
-const inUse = (region) => region.contains(document.activeElement) && document.activeElement !== document.body;
-
-/** Remember which foldings are open and how far a table was scrolled. */
-function replace(region, newer) {
-  const open = [...region.querySelectorAll("details")].map((details) => details.open);
-  const scrolled = region.querySelector(".scroll")?.scrollLeft ?? 0;
-  region.replaceWith(newer);
-  for (const [k, details] of newer.querySelectorAll("details").entries()) details.open = open[k] ?? details.open;
-  const scroll = newer.querySelector(".scroll");
-  if (scroll) scroll.scrollLeft = scrolled;
-}
 
 async function refresh() {
   if (busy) {
@@ -28,11 +15,8 @@ async function refresh() {
   try {
     const answer = await fetch(location.href, { headers: { Accept: "text/html" } });
     if (answer.redirected || !answer.ok) return;
-    const page = new DOMParser().parseFromString(await answer.text(), "text/html");
-    for (const region of document.querySelectorAll("[data-live][id]")) {
-      const newer = page.getElementById(region.id);
-      if (newer && !inUse(region) && newer.innerHTML !== region.innerHTML) replace(region, newer);
-    }
+    const all = renewParts(new DOMParser().parseFromString(await answer.text(), "text/html"));
+    if (!all) soon(AFTER_MS.progress);
   } catch {
     // the link light tells that the server is away; the last data stay
   } finally {

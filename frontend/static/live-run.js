@@ -5,6 +5,7 @@
  * `[data-live]` part of the page from the server when the run changes state. When the stream opens, also after a break,
  * the parts are renewed too, so nothing that happened before is lost.
  */
+import { renewParts } from "./live-parts.js";
 import { send } from "./problem.js";
 
 const TERMINAL = new Set(["SUCCEEDED", "FAILED", "CANCELLED", "LOST"]);
@@ -89,9 +90,9 @@ class LiveRun extends HTMLElement {
     try {
       const answer = await send(location.href, { headers: { Accept: "text/html" } });
       const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
-      for (const part of document.querySelectorAll("[data-live]")) replace(part, fresh.getElementById(part.id));
+      const all = renewParts(fresh);
       this.#showAge();
-      this.#settle(fresh.querySelector("live-run")?.getAttribute("state"));
+      if (all) this.#settle(fresh.querySelector("live-run")?.getAttribute("state")); // else after the next time
     } catch (error) {
       write("age", error.message);
     }
@@ -116,13 +117,6 @@ function write(name, text) {
 
 function refresh(selector) {
   for (const figure of document.querySelectorAll(selector)) figure.dispatchEvent(new CustomEvent("figure-refresh"));
-}
-
-/** Take the server's words unless the person is typing in that part. */
-function replace(part, fresh) {
-  const typing = document.activeElement?.matches("input, textarea, select") && part.contains(document.activeElement);
-  if (!fresh || typing || part.innerHTML === fresh.innerHTML) return;
-  part.replaceChildren(...fresh.childNodes);
 }
 
 customElements.define("live-run", LiveRun);

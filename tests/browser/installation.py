@@ -12,7 +12,7 @@ from pathlib import Path
 
 import httpx
 
-READY_WITHIN_S = 90
+READY_WITHIN_S = 300
 POLL_S = 0.1
 
 
@@ -82,7 +82,7 @@ class Installation:
 
     def _end(self, number: int) -> None:
         self._process.send_signal(number)
-        self._process.wait(30)
+        self._process.wait(READY_WITHIN_S)
         self._process = None
 
     def log(self) -> str:

@@ -35,14 +35,14 @@ PIXELS = """async ([address]) => {
 def desk(people, sequential_run):
     """The page of the sequential run, its figures drawn."""
     with people.seat("analyst") as window:
-        window.open(f"/runs/{sequential_run.run_id}")
+        window.open(f"/runs/{sequential_run}")
         window.figures_drawn()
         yield window
 
 
 @pytest.fixture(scope="module")
 def initial(desk, sequential_run):
-    return desk.result(sequential_run.run_id)["initial"]
+    return desk.result(sequential_run)["initial"]
 
 
 def download(window, panel, kind: str) -> Path:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import pytest
 from playwright.sync_api import expect
 
-from tests.browser.window import NARROW, WIDE
-
 pytestmark = pytest.mark.browser
 
 ADDRESSES = {
@@ -40,7 +38,7 @@ def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
         "sensor": sensor_id,
         "set": telemetry["calibration"],
         "batch": batch_run,
-        "filter": sequential_run.run_id,
+        "filter": sequential_run,
         "parameters": promoted.set_id,
         "request": promoted.request_id,
     }
@@ -60,13 +58,6 @@ def visit(window, name, numbers):
 def test_a_page_keeps_nobody_out_and_fits_its_window(people, numbers, name):
     with people.seat(VISITORS.get(name, "analyst")) as window:
         visit(window, name, numbers)
-        for theme, sizes in (("dark", (NARROW, WIDE)), ("light", (NARROW,))):
-            window.use_theme(theme)
-            for size in sizes:
-                window.page.set_viewport_size(size)
-                window.fits()
-                window.keep(f"page-{name}-{theme}-{size['width']}")
-            assert window.barriers() == [], f"{name}, {theme}"
-        window.use_theme("dark")
+        window.holds_in_every_theme_and_width(name)
         if name in {"no-such-page", "forbidden"}:
             window.forgive("40[34]")

@@ -33,6 +33,22 @@ def change(result, history, name):
     return (value - result["initial"][name]) * unit, 3 * sigma * unit
 
 
+@pytest.fixture(scope="module")
+def batch_page(people, batch_run):
+    """The page of the batch run, for tests that only look at it."""
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{batch_run}")
+        yield window
+
+
+@pytest.fixture(scope="module")
+def filter_page(people, sequential_run):
+    """The page of the filter's run, for tests that only look at it."""
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{sequential_run}")
+        yield window
+
+
 def test_the_administrator_made_on_the_command_line_gives_everybody_a_role(people):
     with people.seat("administrator") as window:
         window.open("/users")
@@ -43,12 +59,13 @@ def test_the_administrator_made_on_the_command_line_gives_everybody_a_role(peopl
 def test_an_upload_shows_how_far_it_is_and_the_same_bytes_are_the_same_set(people, sensor_id, telemetry, files):
     with people.seat("analyst") as window:
         choose_upload(window, sensor_id, files / "calibration.csv")
-        window.slow_down(200_000)
+        window.slow_down(50_000)
         window.page.get_by_role("button", name="Upload and check").click()
         progress = window.page.locator("#upload-progress")
         expect(progress).to_contain_text(re.compile(r"0\.[1-9] of 0\.\d MB sent"))
         assert 0 < progress.locator("progress").evaluate("bar => bar.value") < 1
         window.shoot("08-uploading")
+        window.slow_down(-1)
         window.page.wait_for_url(f"**/telemetry/{telemetry['calibration']}")
 
 
@@ -75,84 +92,80 @@ def test_the_launch_form_says_what_would_run_before_it_is_queued(people, batch_r
         assert window.read("/api/v1/runs?limit=200")["items"] == before
 
 
-def test_a_batch_run_shows_its_parameters_with_sigmas_and_a_verdict(people, batch_run):
+def test_a_batch_run_shows_its_parameters_with_sigmas_and_a_verdict(batch_page, batch_run):
+    result = batch_page.result(batch_run)
+    expect(batch_page.page.locator("#verdict")).to_contain_text("converged")
+    rows = batch_page.page.locator("#parameters tbody tr")
+    scales = {"f_m": 1e3, "a1_rad": 1e3, "a2_rad": 1e3}
+    for place, (name, value) in enumerate(result["parameters"].items()):
+        cells = rows.nth(place).locator("td").all_inner_texts()
+        sigma = result["sigma"][name] * scales.get(name, 1.0)
+        assert number(cells[0]) == pytest.approx(result["initial"][name] * scales.get(name, 1.0), abs=0.05 * sigma)
+        assert number(cells[1]) == pytest.approx(value * scales.get(name, 1.0), abs=0.05 * sigma)
+        assert number(cells[3]) == pytest.approx(sigma, rel=0.05)
+
+
+def test_a_filter_is_drawn_while_it_computes_and_its_curve_grows(people, watched, sequential_run):
+    lengths = watched.lengths
+    assert lengths == sorted(set(lengths))
+    assert len(lengths) == LOOKS
+    assert all("RUNNING" in said for said in watched.said)
+    assert "PARTIAL" in watched.said[-1]
+    assert "Cancel run" in watched.said[-1]
     with people.seat("analyst") as window:
-        result = window.result(batch_run)
-        window.open(f"/runs/{batch_run}")
-        expect(window.page.locator("#verdict")).to_contain_text("converged")
-        rows = window.page.locator("#parameters tbody tr")
-        scales = {"f_m": 1e3, "a1_rad": 1e3, "a2_rad": 1e3}
-        for place, (name, value) in enumerate(result["parameters"].items()):
-            cells = rows.nth(place).locator("td").all_inner_texts()
-            sigma = result["sigma"][name] * scales.get(name, 1.0)
-            assert number(cells[0]) == pytest.approx(result["initial"][name] * scales.get(name, 1.0), abs=0.05 * sigma)
-            assert number(cells[1]) == pytest.approx(value * scales.get(name, 1.0), abs=0.05 * sigma)
-            assert number(cells[3]) == pytest.approx(sigma, rel=0.05)
+        assert lengths[-1] <= len(window.result(sequential_run)["history"]["frame"])
 
 
-def test_a_filter_is_drawn_while_it_computes_and_its_curve_grows(people, sequential_run):
-    lengths = sequential_run.lengths
-    assert len(set(lengths)) == LOOKS
-    assert lengths == sorted(lengths)
-    assert "PARTIAL" in sequential_run.said[-1]
-    assert "Cancel run" in sequential_run.said[-1]
-    with people.seat("analyst") as window:
-        assert lengths[-1] <= len(window.result(sequential_run.run_id)["history"]["frame"])
+def test_convergence_shows_every_parameter_with_its_three_sigma_bounds(
+    batch_page, filter_page, batch_run, sequential_run
+):
+    for window, run_id, key, axis in (
+        (batch_page, batch_run, "trace", "iteration"),
+        (filter_page, sequential_run, "history", "frame"),
+    ):
+        result = window.result(run_id)
+        drawn = window.drawn("convergence")
+        for place, name in enumerate(result["parameters"]):
+            band, line = drawn[2 * place : 2 * place + 2]
+            value, reach = change(result, result[key], name)
+            scale = np.abs(value).max()
+            assert line["x"] == result[key][axis]
+            assert line["y"] == pytest.approx(value, rel=SINGLE, abs=SINGLE * scale)
+            bounds = np.concatenate([value + reach, (value - reach)[::-1]])
+            assert sorted(band["y"]) == pytest.approx(sorted(bounds), rel=SINGLE, abs=2 * SINGLE * scale)
 
 
-def test_convergence_shows_every_parameter_with_its_three_sigma_bounds(people, batch_run, sequential_run):
-    with people.seat("analyst") as window:
-        for run_id, key, axis in ((batch_run, "trace", "iteration"), (sequential_run.run_id, "history", "frame")):
-            result = window.result(run_id)
-            window.open(f"/runs/{run_id}")
-            drawn = window.drawn("convergence")
-            for place, name in enumerate(result["parameters"]):
-                band, line = drawn[2 * place : 2 * place + 2]
-                value, reach = change(result, result[key], name)
-                scale = np.abs(value).max()
-                assert line["x"] == result[key][axis]
-                assert line["y"] == pytest.approx(value, rel=SINGLE, abs=SINGLE * scale)
-                bounds = np.concatenate([value + reach, (value - reach)[::-1]])
-                assert sorted(band["y"]) == pytest.approx(sorted(bounds), rel=SINGLE, abs=2 * SINGLE * scale)
+def test_tail_and_aggregate_rms_are_those_of_the_result(filter_page, sequential_run):
+    history = filter_page.result(sequential_run)["history"]
+    by_word = {one["name"].rpartition(" · ")[2]: one for one in reversed(filter_page.drawn("rms"))}
+    for word in ("tail", "aggregate"):
+        assert by_word[word]["x"] == history["frame"]
+        assert by_word[word]["y"] == pytest.approx(1e6 * np.array(history[f"{word}_rms_rad"]), rel=SINGLE)
 
 
-def test_tail_and_aggregate_rms_are_those_of_the_result(people, sequential_run):
-    with people.seat("analyst") as window:
-        history = window.result(sequential_run.run_id)["history"]
-        window.open(f"/runs/{sequential_run.run_id}")
-        by_word = {one["name"].rpartition(" · ")[2]: one for one in reversed(window.drawn("rms"))}
-        for word in ("tail", "aggregate"):
-            assert by_word[word]["x"] == history["frame"]
-            assert by_word[word]["y"] == pytest.approx(1e6 * np.array(history[f"{word}_rms_rad"]), rel=SINGLE)
+def test_the_radial_difference_is_that_of_the_result_with_its_band(batch_page, batch_run):
+    radial = batch_page.result(batch_run)["radial"]
+    band, line, counts = batch_page.drawn("radial")[:3]
+    difference, sigma = np.array(radial["difference_px"]), np.array(radial["sigma_px"])
+    assert line["x"] == pytest.approx(radial["radius_px"], rel=SINGLE)
+    assert line["y"] == pytest.approx(difference, rel=SINGLE)
+    assert max(band["y"]) == pytest.approx((difference + 3 * sigma).max(), rel=SINGLE)
+    assert counts["y"][:-1] == radial["counts"]["stars"]
 
 
-def test_the_radial_difference_is_that_of_the_result_with_its_band(people, batch_run):
-    with people.seat("analyst") as window:
-        radial = window.result(batch_run)["radial"]
-        window.open(f"/runs/{batch_run}")
-        band, line, counts = window.drawn("radial")[:3]
-        difference, sigma = np.array(radial["difference_px"]), np.array(radial["sigma_px"])
-        assert line["x"] == pytest.approx(radial["radius_px"], rel=SINGLE)
-        assert line["y"] == pytest.approx(difference, rel=SINGLE)
-        assert max(band["y"]) == pytest.approx((difference + 3 * sigma).max(), rel=SINGLE)
-        assert counts["y"][:-1] == radial["counts"]["stars"]
-
-
-def test_observability_shows_the_singular_values_and_their_directions(people, batch_run):
-    with people.seat("analyst") as window:
-        seen = window.result(batch_run)["observability"]
-        window.open(f"/runs/{batch_run}")
-        bars, directions = window.drawn("observability")
-        assert bars["y"] == pytest.approx(seen["singular_values"], rel=SINGLE)
-        shares = np.abs(np.array(seen["right_singular_vectors"]).T)
-        assert np.abs(directions["z"]) == pytest.approx(shares, abs=SINGLE)
-        expect(window.figure("observability")).to_contain_text("Weakest direction")
+def test_observability_shows_the_singular_values_and_their_directions(batch_page, batch_run):
+    seen = batch_page.result(batch_run)["observability"]
+    bars, directions = batch_page.drawn("observability")
+    assert bars["y"] == pytest.approx(seen["singular_values"], rel=SINGLE)
+    shares = np.abs(np.array(seen["right_singular_vectors"]).T)
+    assert np.abs(directions["z"]) == pytest.approx(shares, abs=SINGLE)
+    expect(batch_page.figure("observability")).to_contain_text("Weakest direction")
 
 
 def test_two_runs_lie_over_each_other_and_only_what_differs_is_listed(people, batch_run, sequential_run):
     with people.seat("analyst") as window:
         window.open("/runs")
-        for run_id in (batch_run, sequential_run.run_id):
+        for run_id in (batch_run, sequential_run):
             window.page.get_by_label(f"Select run {run_id}", exact=True).check()
         window.shoot("09-runs-chosen", wide=True)
         expect(window.page.locator("td .status-normal", has_text="converged")).not_to_have_count(0)

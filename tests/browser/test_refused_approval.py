@@ -19,7 +19,7 @@ def set_id(people, promoted, sequential_run):
     """The set of the sequential run, to be submitted against the new baseline."""
     assert promoted.set_id
     with people.seat("analyst") as window:
-        return make_set(window, sequential_run.run_id)
+        return make_set(window, sequential_run)
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,11 @@ import pytest
 from playwright.sync_api import expect
 
 from boresight.figures import CHAPTERS
-from tests.browser.window import NARROW, WIDE
 from tests.browser.work import choose_filter, ends_as, queue
 
 pytestmark = pytest.mark.browser
 
-FRAMES_PER_S = 6.0
+ONE_A_SECOND, FIFTY_A_SECOND = 1.0, 50.0
 SINGLE = 1e-6  # figures travel in single precision
 
 
@@ -25,10 +24,25 @@ def open_part(window, run_id, part):
     window.page.wait_for_url(f"**/runs/{run_id}?part={part.lower()}")
 
 
+def clone(window, run_id, frames_per_s, label):
+    """Queue a filter, fed at a pace, on the data of a run."""
+    window.open(f"/runs/new?clone={run_id}")
+    choose_filter(window, frames_per_s)
+    return queue(window, label)
+
+
 @pytest.fixture(scope="module")
 def result(people, batch_run):
     with people.seat("analyst") as window:
         return window.result(batch_run)
+
+
+@pytest.fixture(scope="module")
+def trust_page(people, batch_run):
+    """The trust part of the batch run, for tests that only look at it."""
+    with people.seat("analyst") as window:
+        open_part(window, batch_run, "Trust")
+        yield window
 
 
 @pytest.mark.parametrize("part", ["Trust", "Matching"])
@@ -36,14 +50,7 @@ def test_a_part_keeps_nobody_out_and_fits_its_window(people, batch_run, part):
     with people.seat("analyst") as window:
         open_part(window, batch_run, part)
         window.figures_drawn()
-        for theme in ("dark", "light"):
-            window.use_theme(theme)
-            for size in (NARROW, WIDE):
-                window.page.set_viewport_size(size)
-                window.fits()
-                window.keep(f"page-run-{part.lower()}-{theme}-{size['width']}")
-            assert window.barriers() == [], theme
-        window.use_theme("dark")
+        window.holds_in_every_theme_and_width(f"run-{part.lower()}")
 
 
 def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
@@ -64,42 +71,37 @@ def test_figures_far_below_are_drawn_without_being_scrolled_to(people, batch_run
             expect(window.figure(figure.name)).to_have_count(1)
 
 
-def test_the_charts_hold_the_numbers_of_the_result(people, batch_run, result):
-    with people.seat("analyst") as window:
-        trust = result["trust"]
-        open_part(window, batch_run, "Trust")
-        map_drawn, bars = window.drawn("two-halves")
-        assert bars["y"] == pytest.approx(trust["two_halves"]["difference_in_sigma"], rel=SINGLE)
-        assert np.array(map_drawn["z"], dtype=float) == pytest.approx(
-            np.array(trust["two_halves"]["map"]["difference_arcsec"], dtype=float), rel=SINGLE, nan_ok=True
-        )
-        (ratios,) = window.drawn("efficiency")
-        assert ratios["y"] == pytest.approx(list(trust["efficiency"]["ratio"].values()), rel=SINGLE)
-        (correlations,) = window.drawn("whiteness")
-        assert correlations["y"] == pytest.approx(trust["whiteness"]["autocorrelation"], rel=SINGLE, abs=SINGLE)
+def test_the_charts_hold_the_numbers_of_the_result(trust_page, result):
+    trust = result["trust"]
+    map_drawn, bars = trust_page.drawn("two-halves")
+    assert bars["y"] == pytest.approx(trust["two_halves"]["difference_in_sigma"], rel=SINGLE)
+    assert np.array(map_drawn["z"], dtype=float) == pytest.approx(
+        np.array(trust["two_halves"]["map"]["difference_arcsec"], dtype=float), rel=SINGLE, nan_ok=True
+    )
+    (ratios,) = trust_page.drawn("efficiency")
+    assert ratios["y"] == pytest.approx(list(trust["efficiency"]["ratio"].values()), rel=SINGLE)
+    (correlations,) = trust_page.drawn("whiteness")
+    assert correlations["y"] == pytest.approx(trust["whiteness"]["autocorrelation"], rel=SINGLE, abs=SINGLE)
 
 
-def test_a_heading_sorts_the_stars_and_a_second_press_turns_them_round(people, batch_run, result):
-    with people.seat("analyst") as window:
-        open_part(window, batch_run, "Trust")
-        table = window.page.get_by_role("table", name="Residuals of each star")
-        heading = table.get_by_role("columnheader", name="Sightings")
-        seen = [star["sightings"] for star in result["trust"]["stars"]]
-        for direction, expected in (("descending", sorted(seen, reverse=True)), ("ascending", sorted(seen))):
-            heading.get_by_role("button").click()
-            expect(heading).to_have_attribute("aria-sort", direction)
-            cells = table.locator("tbody tr td:nth-child(3)").all_inner_texts()
-            assert [int(re.sub(r"\D", "", cell)) for cell in cells] == expected
+def test_a_heading_sorts_the_stars_and_a_second_press_turns_them_round(trust_page, result):
+    table = trust_page.page.get_by_role("table", name="Residuals of each star")
+    heading = table.get_by_role("columnheader", name="Sightings")
+    seen = [star["sightings"] for star in result["trust"]["stars"]]
+    for direction, expected in (("descending", sorted(seen, reverse=True)), ("ascending", sorted(seen))):
+        heading.get_by_role("button").click()
+        expect(heading).to_have_attribute("aria-sort", direction)
+        cells = table.locator("tbody tr td:nth-child(3)").all_inner_texts()
+        assert [int(re.sub(r"\D", "", cell)) for cell in cells] == expected
 
 
-def test_every_suspect_is_marked_and_they_are_the_list_to_flag(people, batch_run, result):
-    with people.seat("analyst") as window:
-        open_part(window, batch_run, "Trust")
-        suspects = [str(star) for star in result["trust"]["suspects"]]
-        table = window.page.get_by_role("table", name="Residuals of each star")
-        marked = table.get_by_role("row").filter(has=window.page.locator(".status-caution"))
-        assert sorted(marked.locator("th").all_inner_texts()) == sorted(suspects)
-        expect(window.page.get_by_role("button", name="Copy the stars to flag")).to_have_count(1 if suspects else 0)
+def test_every_suspect_is_marked_and_they_are_the_list_to_flag(trust_page, result):
+    page = trust_page.page
+    suspects = [str(star) for star in result["trust"]["suspects"]]
+    table = page.get_by_role("table", name="Residuals of each star")
+    marked = table.get_by_role("row").filter(has=page.locator(".status-caution"))
+    assert sorted(marked.locator("th").all_inner_texts()) == sorted(suspects)
+    expect(page.get_by_role("button", name="Copy the stars to flag")).to_have_count(1 if suspects else 0)
 
 
 def test_the_matching_part_counts_what_the_result_counts(people, batch_run, result):
@@ -114,12 +116,14 @@ def test_the_matching_part_counts_what_the_result_counts(people, batch_run, resu
 
 def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch_run):
     with people.seat("analyst") as window:
-        window.open(f"/runs/new?clone={batch_run}")
-        choose_filter(window, FRAMES_PER_S)
-        run_id = queue(window, "Watched for its trust")
+        before, run_id = (
+            clone(window, batch_run, pace, label)
+            for pace, label in ((ONE_A_SECOND, "Has the only worker"), (FIFTY_A_SECOND, "Watched for its trust"))
+        )
         open_part(window, run_id, "Trust")
         examination = window.page.locator("#examination")
         expect(examination).to_contain_text("run ends")
+        window.send(f"/runs/{before}/cancel", {})
         ends_as(window, "SUCCEEDED")
         expect(examination.locator("plot-figure")).to_have_count(len(CHAPTERS["trust"]))
         window.figures_drawn()

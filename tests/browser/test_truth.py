@@ -14,8 +14,7 @@ from tests.browser.work import choose_filter, ends_as, queue, upload
 pytestmark = pytest.mark.browser
 
 STARS = 3
-ONE_A_SECOND = 1.0
-LINK_WITHIN_MS = 15_000
+ONE_A_SECOND, TEN_A_SECOND = 1.0, 10.0
 
 
 @pytest.fixture(scope="module")
@@ -82,23 +81,24 @@ def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_r
 
 def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, installation, sequential_run):
     with people.seat("analyst") as window:
-        window.open(f"/runs/new?clone={sequential_run.run_id}")
+        window.open(f"/runs/new?clone={sequential_run}")
+        choose_filter(window, TEN_A_SECOND)
         run_id = queue(window, "Survives its server")
         link = window.page.locator("#link-state")
-        expect(window.figure("convergence").locator(".js-plotly-plot")).to_have_count(1)
         expect(link).to_have_text("LIVE")
+        expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
         installation.kill()
         try:
-            expect(link).to_have_text("DISCONNECTED", timeout=LINK_WITHIN_MS)
+            expect(link).to_have_text("DISCONNECTED")
             expect(window.page.locator("[data-run-age]")).to_contain_text(re.compile("cannot be reached|last event"))
             window.shoot("43-disconnected")
         finally:
             installation.start()
-        expect(link).to_have_text("LIVE", timeout=LINK_WITHIN_MS)
+        expect(link).to_have_text("LIVE")
         ends_as(window, "SUCCEEDED")
-        run, first = (window.read(f"/api/v1/runs/{number}") for number in (run_id, sequential_run.run_id))
+        run, first = (window.read(f"/api/v1/runs/{number}") for number in (run_id, sequential_run))
         assert run["attempt"] > 1
-        assert window.result(run_id)["parameters"] == window.result(sequential_run.run_id)["parameters"]
+        assert window.result(run_id)["parameters"] == window.result(sequential_run)["parameters"]
         assert run["summary"]["status"] == first["summary"]["status"]
         window.figures_drawn()
         window.shoot("44-recovered")

@@ -9,8 +9,6 @@ from playwright.sync_api import expect
 
 from tests.browser.window import Window
 
-WITHIN_MS = 60_000
-
 
 def choose_upload(window: Window, sensor_id: int, path: Path, purpose: str = "calibration") -> None:
     """Fill in the upload form."""
@@ -24,7 +22,7 @@ def upload(window: Window, sensor_id: int, path: Path, purpose: str = "calibrati
     """Upload a telemetry file; return the set's number."""
     choose_upload(window, sensor_id, path, purpose)
     window.page.get_by_role("button", name="Upload and check").click()
-    window.page.wait_for_url(re.compile(r"/telemetry/\d+$"), timeout=WITHIN_MS)
+    window.page.wait_for_url(re.compile(r"/telemetry/\d+$"))
     return _number(window)
 
 
@@ -45,7 +43,7 @@ def choose_filter(window: Window, frames_per_s: float) -> None:
 
 def ends_as(window: Window, state: str) -> None:
     """Wait until the run page that is open says how its run ended, without being loaded again."""
-    expect(window.page.locator("#run-head .page-head .status").first).to_have_text(state, timeout=WITHIN_MS)
+    expect(window.page.locator("#run-head .page-head .status").first).to_have_text(state)
 
 
 def make_set(window: Window, run_id: int) -> int:
