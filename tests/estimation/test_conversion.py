@@ -59,6 +59,15 @@ def test_the_covariance_gives_directions_the_same_uncertainty(places):
     assert there.lost_sigma_px < 1e-6
 
 
+def test_a_lens_without_decentring_gets_none_and_no_sigma_of_it_that_is_but_rounding():
+    there = convert(STRAIGHT, "pinhole_radial", "inverted_wang", WU, P=np.diag([1e-5, 1e-7, 1.0, 1.0, 1e-2, 1e-1]) ** 2)
+
+    np.testing.assert_array_equal(there.x[5:7], 0.0)
+    np.testing.assert_array_equal(there.P[5:7], 0.0)
+    np.testing.assert_array_equal(there.P[:, 5:7], 0.0)
+    assert (np.diag(there.P)[[0, 1, 2, 3, 4, 7]] > 0).all()
+
+
 def test_what_is_uncertain_in_the_decentring_is_said_to_be_lost():
     x = convert(STRAIGHT, "pinhole_radial", "inverted_wang", WU).x
     P = np.zeros((8, 8))

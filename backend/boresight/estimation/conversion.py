@@ -16,7 +16,8 @@ detector by Gauss and Newton. What is left is the misfit, which comes with the a
 `calibration.conversion` to say. Directions in D are kept as they are: a rotation, which arcs cannot see, would be a change of C_SD.
 
 The covariance follows by the derivative of the fit, with J the derivatives of all directions: dx' = (J'^T J')^-1 J'^T J dx. What
-the target cannot express, (J - J' dx'/dx) dx, is lost; its largest size over the detector comes with the answer.
+the target cannot express, (J - J' dx'/dx) dx, is lost; its largest size over the detector comes with the answer. A value or a
+sigma that moves no star by a millionth of a pixel is rounding, and is given as nought, such as the decentring of a straight lens.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from boresight.estimation.cameras.model import CameraModel
 
 FloatArray = NDArray[np.float64]
 
-#: Misfit of the start that counts as rounding, pixels.
+#: What counts as rounding, pixels.
 EXACT_PX = 1e-6
 GRID = 21
 ITERATIONS = 12
@@ -97,10 +98,15 @@ def convert(
     y = _SERIES[source, target](x)
     if not np.max(_angles(meant, y, places, pitch, s) / pixel) <= EXACT_PX:
         y = _fit(meant, y, places, pitch, s)
+    J_target = meant.directions_and_jacobian(y, *places, pitch)[1]
+    reach_px = np.max(np.linalg.norm(J_target, axis=1) / pixel[:, None], axis=0)
+    y = np.where(np.abs(y) * reach_px < EXACT_PX, 0.0, y)
     away = _angles(meant, y, places, pitch, s)
     carried, lost = None, 0.0
     if P is not None and np.isfinite(away).all():
-        carried, lost = _carried(meant.directions_and_jacobian(y, *places, pitch)[1], J, P, pixel)
+        carried, lost = _carried(J_target, J, P, pixel)
+        known = np.sqrt(np.maximum(np.diag(carried), 0.0)) * reach_px >= EXACT_PX
+        carried = carried * np.outer(known, known)
     return Conversion(y, carried, *_sizes(away / pixel), *_sizes(away), lost)
 
 
