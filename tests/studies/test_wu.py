@@ -11,6 +11,7 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
+from boresight.figures import wu_criteria
 from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH
 from boresight.studies import wu
 from boresight.studies.reports import number, printed_digits
@@ -225,6 +226,13 @@ def test_every_row_of_a_table_fills_the_columns_that_its_headings_name(study):
             for row in re.findall("<tr class=.*?</tr>", table, re.DOTALL)
         ]
         assert set(widths) == {columns}, table[:60]
+
+
+@pytest.mark.parametrize(("values", "axis"), [([15.0, 0.1], "log"), ([17.8, 10.6], "linear")])
+def test_a_criterion_within_one_decade_has_an_even_axis_whose_numbers_show(values, axis):
+    curve = {"label": "SVD, full R", "frame": [1, 2], "criterion_arcsec": values}
+
+    assert wu_criteria.draw({"number": "6b", "curves": [curve]}).layout.yaxis.type == axis
 
 
 def test_nought_is_printed_without_a_sign():
