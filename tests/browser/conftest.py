@@ -24,8 +24,7 @@ ARGUMENTS = [
     "--disable-sync",
 ]
 FRAMES = "100"
-FRAMES_PER_S = 2.0
-AT_ONCE = 0.0
+SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 2.0, 100.0
 LOOKS = 4
 PURPOSES = ("calibration", "validation")
 
@@ -135,7 +134,7 @@ def watched(people, batch_run):
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}")
         window.page.get_by_role("link", name="Clone and edit").click()
-        choose_filter(window, FRAMES_PER_S)
+        choose_filter(window, SLOW_FRAMES_PER_S)
         window.shoot("02-launch", wide=True)
         queue(window, "To be watched")
         seen = Watched()
@@ -151,10 +150,10 @@ def watched(people, batch_run):
 
 @pytest.fixture(scope="package")
 def sequential_run(people, batch_run):
-    """The number of a run of the same filter over the same frames, all at once."""
+    """The number of a run of the same filter over the same frames, fed quickly."""
     with people.seat("analyst") as window:
         window.open(f"/runs/new?clone={batch_run}")
-        choose_filter(window, AT_ONCE)
+        choose_filter(window, QUICK_FRAMES_PER_S)
         run_id = queue(window, "As frames come down")
         ends_as(window, "SUCCEEDED")
         return run_id

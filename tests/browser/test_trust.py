@@ -122,7 +122,7 @@ def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch
         )
         open_part(window, run_id, "Trust")
         examination = window.page.locator("#examination")
-        expect(examination).to_contain_text("run ends")
+        expect(examination).to_contain_text("No examination")
         window.send(f"/runs/{before}/cancel", {})
         ends_as(window, "SUCCEEDED")
         expect(examination.locator("plot-figure")).to_have_count(len(CHAPTERS["trust"]))
