@@ -74,7 +74,7 @@ class CalibrationSettings:
     star_model
         Of `svd`: which star combinations are measured, 1 to 4; see `estimation.singular_values`.
     singular_values
-        Of `svd`: which singular values of each, some of 1, 2, 3; the first adds nothing to the other two.
+        Of `svd`: which singular values of each, some of 1, 2, 3; any two hold what all three do.
     gain_form
         Of `svd` and `angular`: `information`, or `gain` for the update as W prints it, slower and with the same result.
     replay_frames_per_s
