@@ -11,7 +11,7 @@ from playwright.sync_api import APIResponse, BrowserContext, CDPSession, Console
 
 SCREENSHOTS = Path(__file__).parents[2] / "artefacts" / "screenshots"
 NARROW, WIDE = {"width": 1280, "height": 800}, {"width": 1920, "height": 1080}
-PATIENCE_MS = 60_000  # nothing here is a claim about speed, and a machine may be slow and busy
+PATIENCE_MS = 240_000  # nothing here is a claim about speed, and a machine may be slow and busy
 
 TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
     ["type", "name", "x", "y", "z", "text", "customdata", "fill", "visible"].map(key => [key, plain(t[key])])
