@@ -20,10 +20,14 @@ from boresight.store.tables import TERMINAL_RUN_STATES, Run, Sensor, TelemetrySe
 from boresight.telemetry.readers import write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
+from boresight.workers import cluster
 from boresight.workers.engine import Engine
 
 sys.path.insert(0, str(Path(__file__).parent))  # where worker processes, which inherit the path, find the stand-in
+from standin import Unwarmed
+
 CALCULATION = "standin:calculate"
+PATIENCE_S = 300.0  # how quick a machine is, is no claim here
 
 
 class Store:
@@ -127,16 +131,16 @@ class Store:
         paths = sorted(self.marks.glob(f"*-{run_id}-*-*"), key=lambda path: int(path.name.split("-")[-1]))
         return [int(path.name.split("-")[2]) for path in paths]
 
-    def wait_for(self, condition, seconds: float) -> None:
+    def wait_for(self, condition) -> None:
         """Wait until `condition()` holds."""
-        until_s = time.monotonic() + seconds
+        until_s = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < until_s, "waited in vain"
             time.sleep(0.05)
 
-    def wait_until_ended(self, run_ids, seconds: float) -> list[str]:
+    def wait_until_ended(self, run_ids) -> list[str]:
         """Wait until every run is in a terminal state; return the states."""
-        self.wait_for(lambda: all(state in TERMINAL_RUN_STATES for state in self.states(run_ids)), seconds)
+        self.wait_for(lambda: all(state in TERMINAL_RUN_STATES for state in self.states(run_ids)))
         return self.states(run_ids)
 
 
@@ -165,18 +169,12 @@ def catalogue_folder(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="session")
-def kernel_folder(pytestconfig):
-    """Keep compiled kernels from one test session to the next."""
-    return pytestconfig.cache.mkdir("kernels")
-
-
 @pytest.fixture(scope="module")
-def make_store(tmp_path_factory, catalogue_folder, kernel_folder):
+def make_store(tmp_path_factory, catalogue_folder):
     """Make stores with changed settings, the newest of which the stand-in marks; they are closed at the end."""
     made = []
     with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("NUMBA_CACHE_DIR", str(kernel_folder))
+        environment.setattr(cluster, "WarmUp", Unwarmed)
 
         def make(**settings):
             made.append(Store(tmp_path_factory.mktemp("data"), catalogue_folder, **settings))

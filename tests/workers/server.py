@@ -11,7 +11,12 @@ def main() -> None:
     """Run an engine until asked to end."""
     settings = read_settings()
     use_kernel_folder(settings)
-    from boresight.workers.engine import Engine  # noqa: PLC0415 - after the kernel folder is set
+    from standin import Unwarmed  # noqa: PLC0415 - after the kernel folder is set
+
+    from boresight.workers import cluster  # noqa: PLC0415 - likewise
+    from boresight.workers.engine import Engine  # noqa: PLC0415 - likewise
+
+    cluster.WarmUp = Unwarmed
 
     asked = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: asked.set())

@@ -1,12 +1,14 @@
 """Calculations that stand in for `calibrate` in worker processes.
 
-A run's behaviour is chosen by its sensor's name, so that one engine can hold quick, slow, stubborn and deadly runs.
+A run's behaviour is chosen by its sensor's name, so that one engine can hold quick, endless, stubborn and deadly runs.
 """
 
 import os
 import signal
 import time
 from pathlib import Path
+
+from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import Progress
 from boresight.errors import CancelledError, RefusedInputError
@@ -19,8 +21,8 @@ def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report
     assert len(telemetry) > 0
     assert len(catalogue.hip) > 0
     assert cache_folder.is_dir()
-    mark(sensor.name)
-    BEHAVIOURS[sensor.name.split("-")[0]](report, cancelled)
+    attempt = mark(sensor.name)
+    BEHAVIOURS[sensor.name.split("-")[0]](report, cancelled, attempt)
     return {
         "status": "converged",
         "sensor": sensor.name,
@@ -34,22 +36,32 @@ def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report
 
 
 def mark(name):
-    """Leave a trace that a computation began, and in which process."""
+    """Leave a trace that a computation began, and in which process; return how often it has begun."""
     folder = Path(os.environ[MARKS])
     (folder / f"{name}-{os.getpid()}-{time.monotonic_ns()}").touch()
+    return len(list(folder.glob(f"{name}-*")))
 
 
-def quick(_report, _cancelled):
+class Unwarmed(WorkerPlugin):
+    """In place of warming, a second of work in each new process: what the stand-in does needs no kernels."""
+
+    name = "unwarmed"
+
+    def __init__(self, _catalogue_folder, *, ours):
+        self.ours = ours
+
+
+def quick(_report, _cancelled, _attempt):
     """End at once."""
 
 
-def brief(_report, _cancelled):
+def brief(_report, _cancelled, _attempt):
     """Compute for a moment."""
     time.sleep(0.03)
 
 
-def slow(report, cancelled, seconds=1.5):
-    """Take a while, telling of it, and stop when asked."""
+def endless(report, cancelled, _attempt, seconds=1000.0):
+    """Go on, telling of it, until asked to stop."""
     steps = int(seconds / 0.05)
     for step in range(steps):
         history = {"frame": list(range(1000)), "rms": [0.5] * 1000}
@@ -59,29 +71,30 @@ def slow(report, cancelled, seconds=1.5):
         time.sleep(0.05)
 
 
-def endless(report, cancelled):
-    """Go on until asked to stop."""
-    slow(report, cancelled, seconds=60.0)
+def stuck(report, cancelled, attempt):
+    """Be still computing whenever it is killed, however late; be quick the second time."""
+    if attempt == 1:
+        endless(report, cancelled, attempt, seconds=60.0)
 
 
-def deaf(_report, _cancelled):
+def deaf(_report, _cancelled, _attempt):
     """Go on whatever is asked."""
-    time.sleep(60.0)
+    time.sleep(1000.0)
 
 
-def poison(_report, _cancelled):
+def poison(_report, _cancelled, _attempt):
     """Take the worker process along."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def refuse(_report, _cancelled):
+def refuse(_report, _cancelled, _attempt):
     """Refuse the input."""
     raise RefusedInputError("Frame 3 has too few stars; use a longer set.")
 
 
-def crash(_report, _cancelled):
+def crash(_report, _cancelled, _attempt):
     """Have a defect."""
     raise ZeroDivisionError("a defect")
 
 
-BEHAVIOURS = {work.__name__: work for work in (quick, brief, slow, endless, deaf, poison, refuse, crash)}
+BEHAVIOURS = {work.__name__: work for work in (quick, brief, endless, stuck, deaf, poison, refuse, crash)}

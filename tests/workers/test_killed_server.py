@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from boresight.store.tables import TERMINAL_RUN_STATES
+
 SERVER = Path(__file__).parent / "server.py"
 
 
@@ -25,25 +27,25 @@ def start_server():
     for process in started:
         process.terminate()
     for process in started:
-        process.wait(30)
+        process.wait()
 
 
 def test_two_hundred_runs_survive_a_killed_worker_and_then_a_killed_server(make_store, start_server):
     store = make_store(lease_s="2")
     (first,), early, (middle,), late = (
-        store.launch(*work) for work in [("slow",), ("brief", 99), ("slow",), ("brief", 99)]
+        store.launch(*work) for work in [("stuck",), ("brief", 99), ("stuck",), ("brief", 99)]
     )
     run_ids = [first, *early, middle, *late]
     server = start_server(store)
-    store.wait_for(lambda: store.begun(first), 90)
+    store.wait_for(lambda: store.begun(first))
     os.kill(store.begun(first)[0], signal.SIGKILL)
-    store.wait_for(lambda: store.begun(middle), 90)
+    store.wait_for(lambda: store.begun(middle))
     server.send_signal(signal.SIGKILL)
     server.wait()
-    store.wait_for(lambda: not store.alive(), 10)  # no orphans
-    assert "QUEUED" in store.states(run_ids)  # it was killed in the middle
+    store.wait_for(lambda: not store.alive())  # no orphans
+    assert not set(store.states(run_ids)) <= set(TERMINAL_RUN_STATES)  # it was killed in the middle
     start_server(store)
-    assert store.wait_until_ended(run_ids, 120) == ["SUCCEEDED"] * 200
+    assert store.wait_until_ended(run_ids) == ["SUCCEEDED"] * 200
     assert all(store.ends(run_id) == ["SUCCEEDED"] for run_id in run_ids)
     assert all(store.run(run_id).attempt > 1 for run_id in (first, middle))  # both kills hit a run that computed
 
@@ -53,5 +55,5 @@ def test_servers_that_share_a_store_compute_each_run_once(make_store, start_serv
     run_ids = store.launch("quick", 60)
     start_server(store)
     start_server(store)
-    assert store.wait_until_ended(run_ids, 120) == ["SUCCEEDED"] * 60
+    assert store.wait_until_ended(run_ids) == ["SUCCEEDED"] * 60
     assert all(len(store.begun(run_id)) == 1 for run_id in run_ids)
