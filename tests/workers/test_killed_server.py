@@ -51,7 +51,7 @@ def test_two_hundred_runs_survive_a_killed_worker_and_then_a_killed_server(make_
 
 
 def test_servers_that_share_a_store_compute_each_run_once(make_store, start_server):
-    store = make_store(workers="1")
+    store = make_store(workers="1", lease_s="60")  # a starved server must not seem dead
     run_ids = store.launch("quick", 60)
     start_server(store)
     start_server(store)
