@@ -42,15 +42,16 @@ def _noise(pooled: Pooled) -> Finding:
 def _first_value(pooled: Pooled) -> Finding:
     pairs = zip(pooled.of("svd-4-123"), pooled.of("svd-4-23"), strict=True)
     apart = max(float(np.abs((np.array(a["error"]) - b["error"]) / START_SIGMA).max()) for a, b in pairs)
-    full = {key: mean_of(pooled.of(f"svd-4-{key}"), "A") for key in ("123", "23")}
+    full = {key: mean_of(pooled.of(f"svd-4-{key}"), "A") for key in ("123", "23", "12", "13")}
     diagonal = {key: mean_of(pooled.of(f"svd-4-{key}", "diagonal"), "A") for key in ("123", "23")}
     return _finding(
         "The first singular value adds nothing",
         "4.1, Test 2: “there may be some information in σ1 and σ3 that could help”, and {1,2,3} is recommended beside {2,3}.",
         "Of N unit vectors σ1² + σ2² + σ3² = N, whatever the camera: two of a combination’s three rows are independent.",
         f"With the full R the ends of {{1,2,3}} and {{2,3}} differ by at most {apart:.1g} of P₀’s sigmas: {full['123']:.4f}″ and "
-        f"{full['23']:.4f}″. A diagonal R counts σ1 as news, with little weight: {diagonal['123']:.4f}″ and "
-        f"{diagonal['23']:.4f}″ (printed 0.472″ and 0.465″).",
+        f"{full['23']:.4f}″; {{1,2}} and {{1,3}}, which hold the same, end at {full['12']:.4f}″ and {full['13']:.4f}″.",
+        f"A diagonal R counts σ1 as news, with little weight: {diagonal['123']:.4f}″ and {diagonal['23']:.4f}″ (printed 0.472″ and "
+        "0.465″).",
     )
 
 

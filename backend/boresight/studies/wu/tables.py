@@ -7,7 +7,7 @@ parameter, whose mean is near zero, is shown from the first set.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -33,8 +33,19 @@ NO_R = (
     "R, P₀, Q and the order of the stars are not given; the full R keeps overlapping combinations from counting twice",
 )
 NO_Q = ("unstated setting", "R, P₀, Q, the order of the stars and the path over the sky are not given")
-SIGMA_1 = ("erratum", "three squares sum to N, so the first value adds nothing that the other two do not hold")
+SIGMA_1 = (
+    "erratum",
+    "three squares sum to N, so the first value adds nothing, and any two values hold what all three do",
+)
+SUBSETS_R = (
+    "erratum",
+    (
+        "three squares sum to N, so any two values hold what all three do; with R = r² I the rows of σ1, whose noise is several "
+        "times smaller, count for next to nothing, so that {1,2} falls towards {2} and {1,3} towards {3}"
+    ),
+)
 CAUSE = {("full", 0.2): NO_R, ("diagonal", 0.2): NO_Q, ("full", 0.5): NOISE, ("diagonal", 0.5): NOISE}
+CAUSE_OF_SUBSETS = CAUSE | {("full", 0.2): SUBSETS_R, ("diagonal", 0.2): SUBSETS_R}
 
 Value = Callable[[Record], float]
 
@@ -97,9 +108,10 @@ def _errors(pooled: Pooled, name: str, weights: str, noise_px: float) -> Row:
 def _criterion_a(
     pooled: Pooled, which: str, columns: dict[str, str], theirs: Sequence[float], variant: tuple[str, float],
     concluded: Callable[[Pooled, str, float, str], Conclusion],
+    causes: Mapping[tuple[str, float], tuple[str, str]] = CAUSE,
 ) -> Row:  # fmt: skip
     cells = [
-        _cell(pooled.of(key, *variant), column, value, ("A", which), CAUSE[variant])
+        _cell(pooled.of(key, *variant), column, value, ("A", which), causes[variant])
         for (column, key), value in zip(columns.items(), theirs, strict=True)
     ]
     label = labelled("A mean" if which == "mean" else "A deviation", *variant)
@@ -123,7 +135,7 @@ def _model_4_is_best(pooled: Pooled, weights: str, noise_px: float, which: str) 
 def table_3(pooled: Pooled) -> Table:
     """Make Table 3 again: subsets of the singular values."""
     rows = [
-        _criterion_a(pooled, which, SUBSET_COLUMNS, printed.TABLE_3_A[which], variant, judged)
+        _criterion_a(pooled, which, SUBSET_COLUMNS, printed.TABLE_3_A[which], variant, judged, CAUSE_OF_SUBSETS)
         for variant in VARIANTS
         for which, judged in (("mean", _three_best), ("deviation", _unstable))
     ]
