@@ -20,10 +20,10 @@ KEPT = ("approvals", "users", "api_keys", "sensors", "webhooks", "webhook_delive
 BODY_OF_REQUEST = ("parameter_set_id", "reason", "submitted_utc", "submitted_by", "bound", "kind", "needed")
 CLOSED = "OLD.state IN ('REJECTED', 'WITHDRAWN', 'STALE', 'EXPIRED')"
 NEW_COLUMNS = (
-    ("users", "must_change_password", "INTEGER NOT NULL DEFAULT 0"),
+    ("users", "must_change_password", "INTEGER DEFAULT 0 NOT NULL"),
     ("api_keys", "last_used_utc", "TEXT"),
-    ("approvals", "kind", "TEXT NOT NULL DEFAULT 'PROMOTION'"),
-    ("approvals", "needed", "INTEGER NOT NULL DEFAULT 1"),
+    ("approvals", "kind", "TEXT DEFAULT 'PROMOTION' NOT NULL"),
+    ("approvals", "needed", "INTEGER DEFAULT 1 NOT NULL"),
     ("approvals", "expires_utc", "TEXT"),
     ("approvals", "assigned_to", "INTEGER"),
     ("signatures", "console", "TEXT"),

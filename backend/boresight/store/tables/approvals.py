@@ -33,7 +33,7 @@ class Approval(Base):
     version: Mapped[int] = mapped_column(default=1)
     closed_utc: Mapped[str | None] = mapped_column(sa.Text)
     kind: Mapped[str] = mapped_column(sa.Text, default="PROMOTION", server_default="PROMOTION")  # of APPROVAL_KINDS
-    needed: Mapped[int] = mapped_column(default=1, server_default="1")  # approvals that make it APPROVED
+    needed: Mapped[int] = mapped_column(default=1, server_default=sa.text("1"))  # approvals that make it APPROVED
     expires_utc: Mapped[str | None] = mapped_column(sa.Text)
     assigned_to: Mapped[int | None] = mapped_column(sa.Integer)  # the person asked to look at it
 

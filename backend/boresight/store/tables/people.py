@@ -24,7 +24,7 @@ class User(Base):
     created_utc: Mapped[str] = mapped_column(sa.Text)
     disabled_utc: Mapped[str | None] = mapped_column(sa.Text)
     session_epoch: Mapped[int] = mapped_column(default=0)
-    must_change_password: Mapped[int] = mapped_column(default=0, server_default="0")  # somebody else set it
+    must_change_password: Mapped[int] = mapped_column(default=0, server_default=sa.text("0"))  # somebody else set it
 
 
 class ApiKey(Base):
