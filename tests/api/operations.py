@@ -31,6 +31,8 @@ TRANSITIONS = [name for name, operation in OPERATIONS.items() if "428" in operat
 UNSAFE = [name for name, operation in OPERATIONS.items() if operation["method"] != "GET" and name != "log_in"]
 WITH_ID = [name for name, operation in OPERATIONS.items() if "_id}" in operation["path"]]
 
+HOOK = {"label": "Chat", "url": "https://mission.invalid/hooks"}  # a name that leads nowhere
+
 Made = tuple[str, dict[str, Any]]  # who asks, and path values with request options
 
 
@@ -112,6 +114,15 @@ def _key(house: House) -> Made:
     return "ada", {"key_id": client.post("/api/v1/api-keys", json={"label": "x"}).json()["id"]}
 
 
+def _webhook(house: House, **options: Any) -> Made:
+    return "adele", {"webhook_id": house.person("adele").post("/api/v1/webhooks", json=HOOK).json()["id"], **options}
+
+
+def _delivery(house: House) -> Made:
+    number = _webhook(house)[1]["webhook_id"]
+    return "adele", {"delivery_id": house.person("adele").post(f"/api/v1/webhooks/{number}:try").json()["id"]}
+
+
 GOOD: dict[str, Callable[[House], Made]] = {
     "health": lambda _: ("victor", {}),
     "readiness": lambda _: ("victor", {}),
@@ -165,6 +176,14 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_api_keys": lambda _: ("ada", {}),
     "create_api_key": lambda _: ("ada", {"json": {"label": "nightly"}}),
     "revoke_api_key": _key,
+    "list_webhooks": lambda _: ("adele", {}),
+    "create_webhook": lambda _: ("adele", {"json": HOOK}),
+    "get_webhook": _webhook,
+    "disable_webhook": _webhook,
+    "enable_webhook": _webhook,
+    "try_webhook": _webhook,
+    "list_webhook_deliveries": _webhook,
+    "redeliver": _delivery,
     "log_in": lambda _: ("victor", {"json": {"name": "victor", "password": PASSWORD}}),
     "get_session": lambda _: ("victor", {}),
     "log_out": lambda _: ("victor", {}),

@@ -97,6 +97,7 @@ async def write_session(request: Request) -> AsyncIterator[Session]:
     async with state.write_lock, contextmanager_in_threadpool(writing(state.engine)) as session:
         yield session
     state.broadcast.nudge()
+    state.deliveries.nudge()
     state.workers.notify()
 
 

@@ -23,6 +23,7 @@ from boresight.api.routes import (
     telemetry_sets,
     uplinks,
     users,
+    webhooks,
 )
 
 PREFIX = "/api/v1"
@@ -38,6 +39,7 @@ NOUNS = (
     audit,
     users,
     api_keys,
+    webhooks,
     sessions,
 )
 CREDENTIALS = (

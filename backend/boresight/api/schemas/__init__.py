@@ -6,7 +6,7 @@ addresses of their own.
 
 from __future__ import annotations
 
-from boresight.api.schemas.approvals import Approval, Signature
+from boresight.api.schemas.approvals import Approval, Opening, Remark, Signature
 from boresight.api.schemas.audit import AuditRecord, ChainReport
 from boresight.api.schemas.fleet import Sensor, TelemetrySet
 from boresight.api.schemas.parameter_sets import ParameterSet
@@ -14,6 +14,7 @@ from boresight.api.schemas.people import ApiKey, NewApiKey, Session, User
 from boresight.api.schemas.row import Document, Row, written
 from boresight.api.schemas.runs import DryRun, LogLine, Run, RunProgress, RunState
 from boresight.api.schemas.uplinks import Uplink
+from boresight.api.schemas.webhooks import NewWebhook, Webhook, WebhookDelivery
 
 __all__ = [
     "ApiKey",
@@ -24,7 +25,10 @@ __all__ = [
     "DryRun",
     "LogLine",
     "NewApiKey",
+    "NewWebhook",
+    "Opening",
     "ParameterSet",
+    "Remark",
     "Row",
     "Run",
     "RunProgress",
@@ -35,5 +39,7 @@ __all__ = [
     "TelemetrySet",
     "Uplink",
     "User",
+    "Webhook",
+    "WebhookDelivery",
     "written",
 ]
