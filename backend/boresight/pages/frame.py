@@ -51,6 +51,7 @@ NAVIGATION = (
     Destination("/parameter-sets", "Parameter sets", "p"),
     Destination("/approvals", "Approvals", "a"),
     Destination("/audit", "Audit", "h"),
+    Destination("/webhooks", "Webhooks", "w"),
     Destination("/users", "Users and keys", "u"),
 )
 
