@@ -142,14 +142,14 @@ def candidate(
 
 @pytest.fixture
 def submitted(
-    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> Callable[[], ParameterSet]:
     """Make a candidate and have Ana submit it."""
 
     def make() -> ParameterSet:
         row = candidate()
         with writing(engine) as session:
-            parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+            parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
             return parameter_sets.get_parameter_set(session, row.id)
 
     return make

@@ -9,6 +9,7 @@ import pytest
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
 from boresight.services import api_keys, parameter_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, utc_after, writing
 from boresight.store.tables import ApiKey, ParameterSet
 
@@ -101,7 +102,7 @@ def test_a_key_that_cannot_be_is_refused(
 
 
 def test_what_a_key_changed_is_on_record_as_the_key(
-    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> None:
     row = candidate()
     with writing(engine) as session:
@@ -109,7 +110,7 @@ def test_what_a_key_changed_is_on_record_as_the_key(
     with writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
         assert api_keys.last_changes(session) == {}
-        parameter_sets.submit(session, robot, row.id, "better", row.version)
+        parameter_sets.submit(session, robot, blobs, row.id, "better", row.version)
     with reading(engine) as session:
         assert list(api_keys.last_changes(session)) == [key.prefix]
         assert [listed.id for listed in api_keys.list_keys(session, people["ana"].user_id)] == [key.id]

@@ -12,8 +12,9 @@ from boresight.errors import (
     ForbiddenError,
     StaleError,
 )
-from boresight.services import approvals, audit, parameter_sets
+from boresight.services import approvals, audit, parameter_sets, promotions
 from boresight.services.actors import Actor
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.store.tables import Approval, ParameterSet, Promotion
 
@@ -72,7 +73,7 @@ def test_a_promotion_that_fails_at_its_end_leaves_the_old_baseline(
     def break_down(*_: object) -> None:
         raise OSError("the disk is full")
 
-    monkeypatch.setattr(parameter_sets, "make_others_stale", break_down)
+    monkeypatch.setattr(promotions, "make_others_stale", break_down)
     with pytest.raises(OSError, match="disk"):
         _promote(engine, people["dee"], row)
     assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
@@ -125,24 +126,24 @@ def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(
 
 
 def test_rollback_is_a_new_request_for_an_older_set(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     row = approved()
     _promote(engine, people["dee"], row)
     with writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        parameter_sets.submit(session, people["ana"], ground.id, "the new one drifts", ground.version)
+        parameter_sets.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
         _approve(session, people["cy"], ground.id)
         parameter_sets.promote(session, people["dee"], ground.id, ground.version)
     assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "SUPERSEDED"}
 
 
 def test_a_rollback_withdrawn_stays_superseded(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     _promote(engine, people["dee"], approved())
     with writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        parameter_sets.submit(session, people["ana"], ground.id, "the new one drifts", ground.version)
+        parameter_sets.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
         parameter_sets.withdraw(session, people["ana"], ground.id, ground.version)
         assert ground.ground_state == "SUPERSEDED"

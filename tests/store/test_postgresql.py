@@ -78,10 +78,10 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
         return parameter_sets.create_from_run(session, ana, blobs, run.id)
 
 
-def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet) -> int:
+def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blobs: BlobStore) -> int:
     """Have a candidate submitted and signed, and return its version."""
     with writing(engine) as session:
-        approval = parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+        approval = parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
         return parameter_sets.get_parameter_set(session, row.id).version
 
@@ -91,7 +91,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
 ) -> None:
     blobs = BlobStore(tmp_path / "blobs")
     rows = [_candidate(postgresql, people["ana"], blobs, tmp_path, 0.016 + n * 1e-6) for n in range(3)]
-    versions = [_approve(postgresql, people, row) for row in rows]
+    versions = [_approve(postgresql, people, row, blobs) for row in rows]
 
     def promote(number: int) -> str:
         try:

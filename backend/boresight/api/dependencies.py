@@ -29,7 +29,7 @@ from boresight.errors import (
     UnauthenticatedError,
 )
 from boresight.services import api_keys, users
-from boresight.services.actors import Actor
+from boresight.services.actors import Actor, Policy
 from boresight.store.sessions import Session, only_try, reading, writing
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -221,6 +221,12 @@ def require_tag(given: str, current: str, name: str) -> None:
         raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
 
 
+def policy_of(request: Request) -> Policy:
+    """Return what this installation asks of a request for approval."""
+    policy: Policy = request.app.state.policy
+    return policy
+
+
 def log_in_person(
     request: Request, response: Response, session: Session, name: str, password: str
 ) -> tuple[Actor, LogIn]:
@@ -251,3 +257,4 @@ Reading = Annotated[Session, Depends(read_session, scope="function")]
 Writing = Annotated[Session, Depends(write_or_try, scope="function")]
 LoggingIn = Annotated[Session, Depends(write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]
+Held = Annotated[Policy, Depends(policy_of)]

@@ -69,7 +69,7 @@ def approvals_page(
             known,
             parameter_sets.get_parameter_set(session, known.parameter_set_id),
             names.person(known.submitted_by),
-            approvals.why_not_sign(session, actor, known.id),
+            approvals.why_not_sign(session, actor, known.id, policy=request.app.state.policy),
         )
         for known in shown
     ]
@@ -146,7 +146,7 @@ def _page(
         figures=[FIGURES[name] for name in EVIDENCE_FIGURES if row.run_id is not None],
         wide=WIDE,
         signatures=approvals.signatures_of(session, approval_id),
-        blocked=approvals.why_not_sign(session, actor, approval_id),
+        blocked=approvals.why_not_sign(session, actor, approval_id, policy=request.app.state.policy),
         decisions=_decisions(approval, row),
         meanings=MEANINGS.values(),
         refusal=refusal,
@@ -173,7 +173,7 @@ async def sign(request: Request, session: Reading, actor: Who, approval_id: int)
         version = int(form["version"])
         meaning = typed.meaning.strip() or MEANINGS.get(typed.decision, "")
         words = (typed.decision, meaning, typed.comment, form.get("password", ""))
-        return approvals.sign(session, actor, approval_id, *words, version)
+        return approvals.sign(session, actor, approval_id, *words, version, policy=request.app.state.policy)
 
     outcome = await attempt(request, change)
     if outcome.value is None:

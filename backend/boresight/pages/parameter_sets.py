@@ -208,7 +208,8 @@ async def submit(request: Request, session: Reading, actor: Who, set_id: int) ->
     reason = form.get("reason", "")
 
     def change(session: Session) -> Approval:
-        return parameter_sets.submit(session, actor, set_id, reason, _seen(form))
+        state = request.app.state
+        return parameter_sets.submit(session, actor, state.blobs, set_id, reason, _seen(form), policy=state.policy)
 
     outcome = await attempt(request, change)
     if outcome.value is None:
@@ -236,7 +237,7 @@ async def promote(request: Request, session: Reading, actor: Who, set_id: int) -
     form = await _form(request)
 
     def change(session: Session) -> ParameterSet:
-        return parameter_sets.promote(session, actor, set_id, _seen(form))
+        return parameter_sets.promote(session, actor, set_id, _seen(form), policy=request.app.state.policy)
 
     return await _changed(
         request, session, actor, set_id, change, "{} is the baseline now; nothing on board has changed."

@@ -1,0 +1,149 @@
+"""Asking that a set become baseline, and taking the request back.
+
+A request for a set that was baseline once is a roll-back: it goes the same way, has its own shorter time, and may be
+opened by an operator too, who sees what flies. A waiver in force asks for one approval more.
+"""
+
+from __future__ import annotations
+
+from boresight.errors import ConflictError, RefusedInputError
+from boresight.services import audit
+from boresight.services.actors import POLICY, Actor, Policy, require_role, require_scope, require_user
+from boresight.services.evidence import bound_evidence
+from boresight.services.transitions import (
+    get_parameter_set,
+    move,
+    require_seen,
+    resting_state,
+    subject_of,
+    who_changed,
+)
+from boresight.services.words import refuse_control_characters
+from boresight.store import approvals as approval_rows
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Session, utc_after, utc_now
+from boresight.store.tables import Approval, ParameterSet
+
+SUBMITTABLE = ("CANDIDATE", "WITHDRAWN", "EXPIRED", "SUPERSEDED")
+DAY_S = 86400.0
+
+
+def submit(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    parameter_set_id: int,
+    reason: str,
+    seen_version: int | None,
+    *,
+    policy: Policy = POLICY,
+) -> Approval:
+    """Ask that a set become baseline, binding the hashes of what an approver will be shown.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
+        When the actor, the version or the state does not allow it.
+    RefusedInputError
+        When no reason is given.
+    """
+    require_role(actor, "analyst")
+    row = _submittable(session, actor, parameter_set_id, reason, seen_version)
+    if not reason.strip():
+        raise RefusedInputError("Give the reason why this set should become the baseline.")
+    return _open(session, actor, row, reason.strip(), policy)
+
+
+def roll_back(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    parameter_set_id: int,
+    reason: str,
+    seen_version: int | None,
+    *,
+    policy: Policy = POLICY,
+) -> Approval:
+    """Ask that a former baseline become baseline again.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
+        When the actor, the version or the state does not allow it.
+    RefusedInputError
+        When no reason is given.
+    """
+    require_role(actor, "analyst", "operator")
+    row = _submittable(session, actor, parameter_set_id, reason, seen_version)
+    if row.baseline_from_utc is None:
+        raise ConflictError(f"{row.name} was never baseline, so there is nothing to roll back to; submit it instead.")
+    if not reason.strip():
+        raise RefusedInputError("Give the reason why the sensor should go back to this set.")
+    return _open(session, actor, row, reason.strip(), policy)
+
+
+def _submittable(
+    session: Session, actor: Actor, parameter_set_id: int, reason: str, seen_version: int | None
+) -> ParameterSet:
+    """Return a set that this actor may ask for now."""
+    require_scope(actor, "parameter-sets")
+    require_user(actor, "submit a parameter set")
+    refuse_control_characters(reason=reason)
+    row = get_parameter_set(session, parameter_set_id)
+    require_seen(session, row, seen_version)
+    if row.ground_state not in SUBMITTABLE:
+        raise ConflictError(f"{row.name} is {row.ground_state}: {who_changed(session, row)}. It cannot be submitted.")
+    return row
+
+
+def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy: Policy) -> Approval:
+    """Open the request, with its time and the approvals that it needs."""
+    bound = bound_evidence(session, row)
+    is_rollback = row.baseline_from_utc is not None
+    days = policy.rollback_days if is_rollback else policy.approval_days
+    approval = Approval(
+        parameter_set_id=row.id,
+        state="OPEN",
+        reason=reason,
+        submitted_utc=utc_now(),
+        submitted_by=require_user(actor, "submit a parameter set"),
+        bound=bound,
+        kind="ROLLBACK" if is_rollback else "PROMOTION",
+        needed=2 if bound["waivers"] and policy.four_eyes else 1,
+        expires_utc=utc_after(days * DAY_S),
+    )
+    session.add(approval)
+    session.flush()
+    told = {"set": row.name, "bound": bound, "kind": approval.kind, "needed": approval.needed}
+    told |= {"expires_utc": approval.expires_utc, "four_eyes": policy.four_eyes}
+    audit.append(session, actor, "opened", subject_of(approval), None, told, reason)
+    move(session, actor, row, "SUBMITTED", "asked to roll back to" if is_rollback else "submitted", reason=reason)
+    return approval
+
+
+def withdraw(
+    session: Session, actor: Actor, parameter_set_id: int, seen_version: int | None, reason: str = ""
+) -> ParameterSet:
+    """Take a request back: its submitter, or an administrator.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
+        When the actor, the version or the state does not allow it.
+    """
+    require_scope(actor, "parameter-sets")
+    refuse_control_characters(reason=reason)
+    row = get_parameter_set(session, parameter_set_id)
+    require_seen(session, row, seen_version)
+    approval = approval_rows.latest_of(session, row.id, "OPEN", "APPROVED")
+    if row.ground_state not in {"SUBMITTED", "APPROVED"} or approval is None:
+        raise ConflictError(
+            f"{row.name} is {row.ground_state}, not submitted: {who_changed(session, row)}. "
+            "There is nothing to withdraw."
+        )
+    if actor.user_id != approval.submitted_by:
+        require_role(actor, "administrator")
+    approval.closed_utc = utc_now()
+    move(session, actor, approval, "WITHDRAWN", "withdrew", reason=reason.strip() or None)
+    move(session, actor, row, resting_state(row, "WITHDRAWN"), "withdrew", reason=reason.strip() or None)
+    return row
