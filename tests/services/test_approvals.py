@@ -20,8 +20,8 @@ from boresight.errors import (
 from boresight.services import api_keys, approvals, audit, parameter_sets, users
 from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
 from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Approval, LoginFailure, ParameterSet, Signature
+from boresight.store.sessions import Engine, reading, utc_now, writing
+from boresight.store.tables import Approval, LoginFailure, ParameterSet, Signature, TableDefinition
 
 PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
@@ -217,10 +217,13 @@ def test_hashes_that_moved_make_the_request_stale_and_its_set_free(
     engine: Engine, people: People, request_of: Callable[..., Approval]
 ) -> None:
     approval = request_of()
-    with writing(engine) as session:  # as if the incumbent had been exchanged past the services
-        row = session.get_one(Approval, approval.id)
-        row.bound = row.bound | {"incumbent_sha256": "0" * 64}
-    with pytest.raises(StaleError, match=r"incumbent moved .* Submit it again"):
+    with writing(engine) as session:  # as if a table definition had been brought in past the services
+        definition = TableDefinition(
+            sensor_id=1, number=1, document={}, sha256="0" * 64, reason="", created_utc=utc_now()
+        )
+        session.add(definition)
+        audit.append(session, people["root"], "defined", "table-definitions/1")
+    with pytest.raises(StaleError, match=r"The table definition moved .* Submit it again"):
         _sign(engine, people["cy"], approval)
     assert _states(engine, approval) == ("STALE", "CANDIDATE")
     with pytest.raises(StaleError, match="is STALE"):

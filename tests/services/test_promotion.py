@@ -16,7 +16,7 @@ from boresight.services import approvals, audit, parameter_sets, promotions
 from boresight.services.actors import Actor
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import Approval, ParameterSet, Promotion
+from boresight.store.tables import ParameterSet, Promotion
 
 PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
@@ -112,17 +112,18 @@ def test_another_promotion_makes_every_request_of_the_sensor_stale(
 
 
 def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], candidate: Callable[..., ParameterSet]
 ) -> None:
-    row = approved()
+    row, other = approved(), candidate()
     with writing(engine) as session:  # as if the incumbent had been exchanged past the services
-        approval = session.scalars(sa.select(Approval)).one()
-        approval.bound = approval.bound | {"incumbent_sha256": "0" * 64}
-    with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-0: .* Submit it again"):
+        for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
+            session.get_one(ParameterSet, number).ground_state = state
+            audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
+    with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-2: Root exchanged it .* again"):
         _promote(engine, people["dee"], row)
     with reading(engine) as session:
         assert approvals.list_approvals(session)[0].state == "STALE"
-    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "CANDIDATE"}
+    assert _states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "CANDIDATE", other.name: "BASELINE"}
 
 
 def test_rollback_is_a_new_request_for_an_older_set(
