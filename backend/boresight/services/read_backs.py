@@ -18,14 +18,14 @@ from typing import Any
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.services.actors import Actor
 from boresight.services.onboard import Basis, add_entry, set_for_entry
+from boresight.services.table_definitions import parsed
 from boresight.services.timeline import happened_on
 from boresight.services.transitions import require_seen
 from boresight.store import timeline as history
 from boresight.store import uplinks as rows
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Session, utc_now
-from boresight.store.tables import Package, ParameterSet, Sensor, TableDefinition, Uplink
-from boresight.telemetry.sensors import parse_sensor
+from boresight.store.tables import Package, ParameterSet, TableDefinition, Uplink
 from boresight.uplink import table_definition as tables
 from boresight.uplink.cfe import table_image
 from boresight.uplink.comparison import compare
@@ -88,7 +88,7 @@ def reference_of(session: Session, parameter_set: ParameterSet) -> Reference:
             f"There is no table definition to read {parameter_set.name} back with: "
             "have an analyst or an administrator set one, or record what is known by statement."
         )
-    definition = _parsed(session, parameter_set, row)
+    definition = parsed(session, row)
     return Reference(row, definition, tables.encode(definition, parameter_set.document["parameters"]), package)
 
 
@@ -96,12 +96,6 @@ def _package_of(session: Session, sent: Uplink | None) -> Package | None:
     """Return the package that a record says was sent."""
     named = ((sent.evidence if sent else None) or {}).get("package")
     return None if named is None else session.get(Package, named["id"])
-
-
-def _parsed(session: Session, parameter_set: ParameterSet, row: TableDefinition) -> tables.TableDefinition:
-    """Read a stored definition."""
-    sensor = session.get_one(Sensor, parameter_set.sensor_id)
-    return tables.parse_definition(row.document, parse_sensor(sensor.document))
 
 
 def read_back(

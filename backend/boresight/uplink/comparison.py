@@ -123,7 +123,7 @@ class Comparison:
         count = len(self.differing)
         named = "; ".join(one.sentence for one in self.differing[:NAMED])
         more = f"; and {count - NAMED} more" if count > NAMED else ""
-        return f"{count} of {self.length_bytes} bytes differ: {named}{more}.{self._cause()}"
+        return f"{count} of {self.length_bytes} bytes differ{'s' * (count == 1)}: {named}{more}.{self._cause()}"
 
     def _cause(self) -> str:
         """Say what the dump's own CRC tells of the cause."""
