@@ -17,7 +17,16 @@ depends_on = None
 
 APPEND_ONLY = ("gate_profiles", "gate_reports", "waivers", "remarks", "openings", "table_definitions", "packages")
 KEPT = ("approvals", "users", "api_keys", "sensors", "webhooks", "webhook_deliveries")  # rows that are never removed
-BODY_OF_REQUEST = ("parameter_set_id", "reason", "submitted_utc", "submitted_by", "bound", "kind", "needed")
+BODY_OF_REQUEST = (
+    "parameter_set_id",
+    "reason",
+    "submitted_utc",
+    "submitted_by",
+    "bound",
+    "kind",
+    "needed",
+    "expires_utc",
+)
 CLOSED = "OLD.state IN ('REJECTED', 'WITHDRAWN', 'STALE', 'EXPIRED')"
 NEW_COLUMNS = (
     ("users", "must_change_password", "INTEGER DEFAULT 0 NOT NULL"),
