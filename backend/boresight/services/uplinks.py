@@ -181,6 +181,20 @@ def get_uplink(session: Session, uplink_id: int) -> Uplink:
     return row
 
 
+def dump_of(session: Session, uplink_id: int) -> str:
+    """Return the SHA-256 of the dump that a record rests on.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such record, or none of bytes.
+    """
+    dump = (get_uplink(session, uplink_id).evidence or {}).get("dump")
+    if dump is None:
+        raise NotFoundError(f"Uplink record {uplink_id} rests on no dump; see its method and evidence.")
+    return str(dump["sha256"])
+
+
 def list_uplinks(
     session: Session,
     *,

@@ -13,21 +13,25 @@ from boresight.api.schemas.parameter_sets import ParameterSet
 from boresight.api.schemas.people import ApiKey, NewApiKey, Session, User
 from boresight.api.schemas.row import Document, Row, written
 from boresight.api.schemas.runs import DryRun, LogLine, Run, RunProgress, RunState
-from boresight.api.schemas.uplinks import Uplink
+from boresight.api.schemas.uplinks import AsOf, Event, OnBoard, Promotion, Uplink, Version
 from boresight.api.schemas.webhooks import NewWebhook, Webhook, WebhookDelivery
 
 __all__ = [
     "ApiKey",
     "Approval",
+    "AsOf",
     "AuditRecord",
     "ChainReport",
     "Document",
     "DryRun",
+    "Event",
     "LogLine",
     "NewApiKey",
     "NewWebhook",
+    "OnBoard",
     "Opening",
     "ParameterSet",
+    "Promotion",
     "Remark",
     "Row",
     "Run",
@@ -39,6 +43,7 @@ __all__ = [
     "TelemetrySet",
     "Uplink",
     "User",
+    "Version",
     "Webhook",
     "WebhookDelivery",
     "written",
