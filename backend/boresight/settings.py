@@ -45,6 +45,7 @@ SETTINGS = (
     Setting("login_attempts", "5", "per minute", "Failed log-ins a person may make before waiting.", int),
     Setting("webhooks_local", "0", "0 or 1", "1 = webhooks may go to this machine and its link.", int),
     Setting("four_eyes", "1", "0 or 1", "0 = one person works alone here and may sign what they submitted.", int),
+    Setting("approvals", "1", "people", "Approvals that a request needs; two at least where a gate is waived.", int),
     Setting("approval_days", "30", "d", "A request that nobody decided on expires after so long.", float),
     Setting("rollback_days", "3", "d", "The same for a request to go back to a former baseline.", float),
     Setting("secure_cookies", "0", "0 or 1", "1 = the session cookie is sent over HTTPS only.", int),
@@ -69,6 +70,7 @@ class Settings:
     login_attempts: int
     webhooks_local: int
     four_eyes: int
+    approvals: int
     approval_days: float
     rollback_days: float
     secure_cookies: int
@@ -76,7 +78,13 @@ class Settings:
     @property
     def policy(self) -> Policy:
         """What this installation asks of a request for approval."""
-        return Policy(bool(self.four_eyes), self.approval_days, self.rollback_days, self.login_attempts)
+        return Policy(
+            four_eyes=bool(self.four_eyes),
+            approval_days=self.approval_days,
+            rollback_days=self.rollback_days,
+            approvals=self.approvals,
+            login_attempts=self.login_attempts,
+        )
 
     @property
     def catalogue_folder(self) -> Path:

@@ -25,6 +25,8 @@ class Policy:
         every page and every export then says so.
     approval_days, rollback_days
         How long a request for a new set, and for a former baseline, may wait before it expires [d].
+    approvals
+        How many second persons must sign; where a gate is waived it is two at least.
     login_attempts
         Wrong passwords a minute before a signature has to wait, as a log-in has to.
     """
@@ -32,7 +34,12 @@ class Policy:
     four_eyes: bool = True
     approval_days: float = 30.0
     rollback_days: float = 3.0
+    approvals: int = 1
     login_attempts: int = 5
+
+    def needed(self, *, waived: bool) -> int:
+        """Return how many approvals a request needs; one person alone gives one."""
+        return max(self.approvals, 2 if waived else 1) if self.four_eyes else 1
 
 
 POLICY = Policy()

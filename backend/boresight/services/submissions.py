@@ -1,7 +1,7 @@
 """Asking that a set become baseline, and taking the request back.
 
 A request for a set that was baseline once is a roll-back: it goes the same way, has its own shorter time, and may be
-opened by an operator too, who sees what flies. A waiver in force asks for one approval more.
+opened by an operator too, who sees what flies. A waiver in force asks for two approvals at least.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy
         submitted_by=require_user(actor, "submit a parameter set"),
         bound=bound,
         kind="ROLLBACK" if is_rollback else "PROMOTION",
-        needed=2 if bound["waivers"] and policy.four_eyes else 1,
+        needed=policy.needed(waived=bool(bound["waivers"])),
         expires_utc=utc_after(days * DAY_S),
     )
     session.add(approval)
