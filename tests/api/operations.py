@@ -17,6 +17,7 @@ from boresight.api import schemas
 from boresight.api.paging import Page
 from boresight.server import create_app
 
+from . import gates, onboard
 from .conftest import PASSWORD, House, settings_in
 
 with tempfile.TemporaryDirectory() as _folder:
@@ -135,6 +136,8 @@ GOOD: dict[str, Callable[[House], Made]] = {
         "victor",
         {"sensor_id": house.new_sensor()["id"], "params": {"at": "2099-01-01T00:00:00Z"}},
     ),
+    "get_sensor_as_of": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "list_sensor_timeline": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
     "list_telemetry_sets": lambda _: ("victor", {}),
     "upload_telemetry_set": _upload,
     "get_telemetry_set": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
@@ -156,12 +159,22 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "submit_parameter_set": _submit,
     "withdraw_parameter_set": _withdraw,
     "promote_parameter_set": _promote,
+    "list_gate_profiles": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "set_gate_profile": gates.set_profile,
+    "try_gate_profile": gates.try_profile,
+    "assess_parameter_set": lambda house: ("ada", {"parameter_set_id": house.candidate()["id"]}),
+    "get_gate_report": lambda house: ("victor", {"parameter_set_id": gates.blocked(house)["id"]}),
+    "waive_gate": gates.waive,
     "list_approvals": lambda _: ("victor", {}),
     "get_approval": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
     "approve": _sign,
     "refuse": _sign,
     "list_uplinks": lambda _: ("victor", {}),
     "record_uplink": _record,
+    "get_uplink": onboard.uplink,
+    "get_uplink_dump": onboard.uplink,
+    "read_back": onboard.read_back,
+    "activate_parameter_set": onboard.activate,
     "stream_events": lambda _: ("victor", {}),
     "list_audit": lambda _: ("victor", {}),
     "verify_audit": lambda _: ("victor", {}),

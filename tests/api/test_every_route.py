@@ -115,14 +115,28 @@ def test_a_number_that_no_row_can_have_is_refused(name: str, house: House) -> No
     assert answer.status_code == 422, answer.text
 
 
-ABLE = {"approve": "alan", "refuse": "alan", "promote_parameter_set": "olga"}  # who may do it, where not the analyst
+ABLE = {
+    "approve": "alan",
+    "refuse": "alan",
+    "promote_parameter_set": "olga",
+    "read_back": "olga",
+    "activate_parameter_set": "olga",
+    "set_gate_profile": "adele",
+}  # who may do it, where not the analyst
 BODIES: dict[str, dict[str, Any]] = {
     "edit_sensor": {"json": {"name": "x"}},
     "submit_parameter_set": {"json": {"reason": "x"}},
     "approve": {"json": {"meaning": "x", "password": PASSWORD}},
     "refuse": {"json": {"meaning": "x", "password": PASSWORD, "comment": "x"}},
+    "set_gate_profile": {"json": {"gates": [], "reason": "x"}},
+    "try_gate_profile": {"json": {"gates": []}},
+    "waive_gate": {
+        "json": {"gate": "coverage", "code": "other", "reason": "x", "expires_utc": "2026-01-01", "password": PASSWORD}
+    },
     "change_roles": {"json": {"roles": []}},
     "change_password": {"json": {"password": "another good one"}},
+    "read_back": {"data": {"source": "x", "crc": "1"}},
+    "activate_parameter_set": {"json": {"source": "x", "meaning": "x", "password": PASSWORD}},
     "get_sensor_at": {"params": {"at": "2026-01-01"}},
     "get_figure": {"name": "radial"},
     "get_figure_data": {"name": "radial"},
