@@ -203,7 +203,7 @@ def _check_layout(definition: TableDefinition, sensor: Sensor, faults: Faults) -
     for field in placed:
         if field.end > 8 * definition.length_bytes:
             faults.add(f"{field.name} ends at bit {field.end}, past the {definition.length_bytes} bytes of the table")
-    names = [field.name for field in placed]
+    names = [field.name.upper() for field in placed]  # ground systems know no other letters
     for name in sorted({name for name in names if names.count(name) > 1}):
         faults.add(f"{name} is the name of {names.count(name)} fields: name each once")
     held = [field.parameter for field in definition.fields]
