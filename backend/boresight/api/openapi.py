@@ -38,6 +38,7 @@ TAGS = [
     {"name": "telemetry sets", "description": "Uploaded star centroids and their quality reports."},
     {"name": "runs", "description": "Calibrations: launch, follow, stop, read."},
     {"name": "parameter sets", "description": "Camera parameters on their way to a baseline."},
+    {"name": "gates", "description": "Limits that parameter sets are held to, what was found, and waivers."},
     {"name": "approvals", "description": "Requests that a second person signs or refuses."},
     {"name": "uplinks", "description": "What was sent and loaded on board, as recorded."},
     {"name": "events", "description": "The live feed, as server-sent events."},

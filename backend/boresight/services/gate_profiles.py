@@ -244,7 +244,7 @@ def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
         sensor = parse_sensor(run.sensor_document)
         evidence = gates.Evidence(
             sensor=sensor,
-            candidate=result,
+            candidate={**result, "sensor": sensor.name},  # as a set that was made of it would say
             incumbent=ground_set(sensor),
             result=result,
             made_with=run.sensor_document,

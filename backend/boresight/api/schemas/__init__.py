@@ -9,6 +9,7 @@ from __future__ import annotations
 from boresight.api.schemas.approvals import Approval, Opening, Remark, Signature
 from boresight.api.schemas.audit import AuditRecord, ChainReport
 from boresight.api.schemas.fleet import Sensor, TelemetrySet
+from boresight.api.schemas.gates import DryRunOfProfile, GateProfile, GateReport, TriedProfile, Waiver
 from boresight.api.schemas.parameter_sets import ParameterSet
 from boresight.api.schemas.people import ApiKey, NewApiKey, Session, User
 from boresight.api.schemas.row import Document, Row, written
@@ -24,7 +25,10 @@ __all__ = [
     "ChainReport",
     "Document",
     "DryRun",
+    "DryRunOfProfile",
     "Event",
+    "GateProfile",
+    "GateReport",
     "LogLine",
     "NewApiKey",
     "NewWebhook",
@@ -41,9 +45,11 @@ __all__ = [
     "Session",
     "Signature",
     "TelemetrySet",
+    "TriedProfile",
     "Uplink",
     "User",
     "Version",
+    "Waiver",
     "Webhook",
     "WebhookDelivery",
     "written",
