@@ -9,6 +9,7 @@ from __future__ import annotations
 import click
 
 import boresight
+from boresight.cli.assess import assess
 from boresight.cli.audit import audit
 from boresight.cli.bench import bench
 from boresight.cli.calibrate import calibrate
@@ -39,6 +40,7 @@ for command in (
     calibrate,
     match,
     evaluate,
+    assess,
     check,
     simulate,
     report,
