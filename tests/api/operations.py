@@ -87,6 +87,29 @@ def _record(house: House) -> Made:
     return "olga", {"json": step, "headers": _versioned(found)}
 
 
+def _define(house: House) -> Made:
+    row = house.new_sensor()
+    fields = [
+        {"name": f"F{place}", "parameter": name, "offset_bytes": 4 * place, "type": "float32"}
+        for place, name in enumerate(row["document"]["initial"])
+    ]
+    document = {"table_id": "T", "flight_software_version": "1", "length_bytes": 32, "fields": fields}
+    body = {"document": document, "reason": "Flight software 1."}
+    return "ada", {"sensor_id": row["id"], "json": body, "headers": {"If-Match": '"v0"'}}
+
+
+def _export(house: House) -> Made:
+    sensor = house.new_sensor()
+    found = house.person("ada").get("/api/v1/parameter-sets", params={"sensor_id": sensor["id"]}).json()["items"][0]
+    return "olga", {"parameter_set_id": found["id"], "json": {}}
+
+
+def _package(house: House) -> Made:
+    number = _export(house)[1]["parameter_set_id"]
+    made = house.person("olga").post(f"/api/v1/parameter-sets/{number}:export")
+    return "victor", {"package_id": made.json()["id"]}
+
+
 def _new_user(house: House) -> dict[str, Any]:
     name = house.sensor_file()["name"]
     return {"name": name, "printed_name": "Someone", "password": PASSWORD, "roles": ["viewer"]}
@@ -165,6 +188,12 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "assess_parameter_set": lambda house: ("ada", {"parameter_set_id": house.candidate()["id"]}),
     "get_gate_report": lambda house: ("victor", {"parameter_set_id": gates.blocked(house)["id"]}),
     "waive_gate": gates.waive,
+    "list_table_definitions": lambda house: ("victor", {"sensor_id": _define(house)[1]["sensor_id"]}),
+    "set_table_definition": _define,
+    "export_parameter_set": _export,
+    "list_packages": lambda _: ("victor", {}),
+    "get_package": _package,
+    "get_package_content": _package,
     "list_approvals": lambda _: ("victor", {}),
     "get_approval": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
     "approve": _sign,

@@ -129,6 +129,7 @@ BODIES: dict[str, dict[str, Any]] = {
     "approve": {"json": {"meaning": "x", "password": PASSWORD}},
     "refuse": {"json": {"meaning": "x", "password": PASSWORD, "comment": "x"}},
     "set_gate_profile": {"json": {"gates": [], "reason": "x"}},
+    "set_table_definition": {"json": {"document": {}, "reason": "x"}},
     "try_gate_profile": {"json": {"gates": []}},
     "waive_gate": {
         "json": {"gate": "coverage", "code": "other", "reason": "x", "expires_utc": "2026-01-01", "password": PASSWORD}

@@ -10,6 +10,7 @@ from boresight.api.schemas.approvals import Approval, Opening, Remark, Signature
 from boresight.api.schemas.audit import AuditRecord, ChainReport
 from boresight.api.schemas.fleet import Sensor, TelemetrySet
 from boresight.api.schemas.gates import DryRunOfProfile, GateProfile, GateReport, TriedProfile, Waiver
+from boresight.api.schemas.packages import Package, TableDefinition
 from boresight.api.schemas.parameter_sets import ParameterSet
 from boresight.api.schemas.people import ApiKey, NewApiKey, Session, User
 from boresight.api.schemas.row import Document, Row, written
@@ -34,6 +35,7 @@ __all__ = [
     "NewWebhook",
     "OnBoard",
     "Opening",
+    "Package",
     "ParameterSet",
     "Promotion",
     "Remark",
@@ -44,6 +46,7 @@ __all__ = [
     "Sensor",
     "Session",
     "Signature",
+    "TableDefinition",
     "TelemetrySet",
     "TriedProfile",
     "Uplink",
