@@ -15,7 +15,7 @@ from boresight.cli.progress import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
 
 COMMANDS = (
-    "calibrate", "match", "evaluate", "reproduce", "check", "simulate", "report", "bench",
+    "calibrate", "match", "evaluate", "reproduce", "check", "simulate", "report", "export", "table", "bench",
     "serve", "demo", "warm", "migrate", "user", "audit",
 )  # fmt: skip
 PASSWORD = "correct horse battery"

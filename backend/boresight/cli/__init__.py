@@ -15,6 +15,7 @@ from boresight.cli.bench import bench
 from boresight.cli.calibrate import calibrate
 from boresight.cli.check import check
 from boresight.cli.evaluate import evaluate
+from boresight.cli.export import export
 from boresight.cli.match import match
 from boresight.cli.migrate import migrate
 from boresight.cli.refusals import RefusingGroup
@@ -22,6 +23,7 @@ from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce
 from boresight.cli.serve import demo, serve
 from boresight.cli.simulate import simulate
+from boresight.cli.table import table
 from boresight.cli.users import user
 from boresight.cli.warm import warm
 
@@ -44,6 +46,8 @@ for command in (
     check,
     simulate,
     report,
+    export,
+    table,
     reproduce,
     bench,
     serve,

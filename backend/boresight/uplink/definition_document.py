@@ -16,13 +16,16 @@ another name gives `width`, `poly`, `init`, `refin`, `refout` and `xorout`, and 
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from dataclasses import field as attribute
+from pathlib import Path
 from typing import Any
 
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.telemetry.formats import read_bytes, text_of
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink.cfe import CfeHeaders, parse_cfe
@@ -89,6 +92,22 @@ class TableDefinition:
     cfe: CfeHeaders | None
     pus: ParameterService | None
     document: Mapping[str, Any] = attribute(repr=False)
+
+
+def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
+    """Read a sensor's table definition from a file.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file cannot be read, is not JSON, or as `parse_definition` refuses.
+    """
+    text = text_of(path.name, read_bytes(path, path.name))
+    try:
+        document = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise RefusedInputError(f"{path.name} is not JSON: a table definition is one JSON object.") from error
+    return parse_definition(document, sensor)
 
 
 def parse_definition(document: Mapping[str, Any], sensor: Sensor) -> TableDefinition:

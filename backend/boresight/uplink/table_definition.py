@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from boresight.errors import RefusedInputError
 from boresight.uplink.checksum import Checksum
-from boresight.uplink.definition_document import TableDefinition, parse_definition
+from boresight.uplink.definition_document import TableDefinition, parse_definition, read_definition
 from boresight.uplink.fields import Field
 from boresight.uplink.quantisation import quantisation_effect
 
@@ -29,6 +29,7 @@ __all__ = [
     "parse_definition",
     "quantisation_effect",
     "quantised",
+    "read_definition",
     "table_crc",
 ]
 
