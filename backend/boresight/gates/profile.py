@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from boresight.errors import RefusedInputError
@@ -147,13 +147,13 @@ def _threshold(default: Mapping[str, Any], given: Mapping[str, Any]) -> Threshol
     threshold = Threshold(**{**default, **given})
     gate = GATES[threshold.name]
     _check_fixed(gate, threshold)
-    for key in THRESHOLDS:
-        _check_number(gate, key, getattr(threshold, key))
-    _check_order(threshold)
     for key in FLAGS:
         if not isinstance(getattr(threshold, key), bool):
             raise RefusedInputError(f"{gate.name}: {key} is {getattr(threshold, key)!r}; give true or false.")
     _check_critical(gate, threshold)
+    limit, marginal = (_number(gate, key, getattr(threshold, key)) for key in THRESHOLDS)
+    threshold = replace(threshold, limit=limit, marginal=marginal)
+    _check_order(threshold)
     return threshold
 
 
@@ -169,15 +169,16 @@ def _check_fixed(gate: Gate, threshold: Threshold) -> None:
         )
 
 
-def _check_number(gate: Gate, key: str, value: Any) -> None:
-    """Refuse what is no threshold in the gate's unit."""
+def _number(gate: Gate, key: str, value: Any) -> float | None:
+    """Return a threshold in the gate's unit; 2 and 2.0 are one profile."""
     if value is None:
-        return
+        return None
     number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     if not number or not gate.lowest <= value <= gate.highest:
         raise RefusedInputError(
             f"{gate.name}: {key} is {value!r}; give a number from {gate.lowest:g} to {gate.highest:g}, or null for none."
         )
+    return float(value)
 
 
 def _check_order(threshold: Threshold) -> None:
