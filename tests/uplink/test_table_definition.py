@@ -9,7 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.uplink.table_definition import crc_value, decode, encode, parse_definition, quantised, table_crc
+from boresight.uplink.table_definition import (
+    crc_told,
+    crc_value,
+    decode,
+    encode,
+    parse_definition,
+    quantised,
+    table_crc,
+)
 
 from .tables import INITIAL, definition_of, definitions, sensor_of
 
@@ -160,3 +168,12 @@ def test_a_number_that_does_not_fit_is_refused_with_what_does():
 def test_an_image_of_another_length_is_refused():
     with pytest.raises(RefusedInputError, match="has 3 bytes and the table STR_CAM has 32"):
         decode(_definition(definition_of()), b"abc")
+
+
+def test_cfe_tells_its_own_crc_of_the_whole_image_and_others_tell_the_table_s():
+    with_cfe, without = (_definition(definition_of() | more) for more in ({"cfe": {"table_name": "A.B"}}, {}))
+    image = encode(without, PINHOLE)
+
+    assert crc_told(with_cfe, image)[1] == _bitwise(image, *ALGORITHMS["CRC-16/ARC"])
+    assert crc_told(without, image)[1] == _bitwise(image[:30], *ALGORITHMS["CRC-16/CCITT-FALSE"])
+    assert crc_told(_definition(definition_of(crc=None)), image) is None

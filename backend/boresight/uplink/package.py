@@ -17,6 +17,7 @@ baseline itself is what may have to be taken back; a sensor's first baseline has
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from boresight.errors import RefusedInputError
@@ -49,17 +50,18 @@ def build_package(inputs: Inputs) -> bytes:
     """
     sensor = parse_sensor(inputs["sensor"])
     definition = _definition(inputs, sensor)
-    subject, backout, active = inputs["subject"], inputs["backout"], inputs["active"]
+    subject, backout = inputs["subject"], inputs["backout"]
     alone = backout["sha256"] == subject["sha256"]
-    files, facts = _files(inputs, sensor, definition, subject, None if alone else backout)
-    folders = {"": facts}
-    for folder, way in (("backout/", backout), ("on_board/", active)):
-        if way is not None:
-            more, folders[folder] = _files(inputs, sensor, definition, way, None if alone else subject)
-            files |= {f"{folder}{name}": content for name, content in more.items()}
+    sets = {"": subject, "backout/": backout, "on_board/": inputs["active"]}
+    tables = {folder: _tables(definition, sensor, one) for folder, one in sets.items() if one is not None}
+    files: dict[str, bytes] = {}
+    for folder, made in tables.items():
+        before = None if alone else backout if folder == "" else subject
+        held = _files(inputs, sensor, definition, sets[folder], before, made, tables["backout/"])
+        files |= {f"{folder}{name}": content for name, content in held.items()}
     if definition is not None:
         files["table_definition.json"] = json_bytes(definition.document)
-    files["MANIFEST.json"] = json_bytes(_manifest(inputs, sensor, folders))
+    files["MANIFEST.json"] = json_bytes(_manifest(inputs, sensor, tables))
     return archive(files | {"SHA256SUMS": sums(files)})
 
 
@@ -69,36 +71,52 @@ def _definition(inputs: Inputs, sensor: Sensor) -> TableDefinition | None:
     return None if named is None else parse_definition(named["document"], sensor)
 
 
+@dataclass(frozen=True)
+class _Tables:
+    """The files of a set's table, what to compare of it, and what its number format does; empty without a definition."""
+
+    files: Mapping[str, bytes]
+    facts: Mapping[str, Any] | None = None
+    rounding: Mapping[str, Any] | None = None
+
+
+def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping[str, Any]) -> _Tables:
+    """Lay a set into the table."""
+    if definition is None:
+        return _Tables({})
+    parameters, name = subject["document"]["parameters"], subject["name"]
+    try:
+        files = table_files(definition, parameters, name)
+        rounding = _quantisation(definition, sensor, parameters)
+    except RefusedInputError as error:
+        raise RefusedInputError(f"{name} does not fit into the table {definition.table_id}: {error}") from error
+    return _Tables(files | {"quantisation.json": json_bytes(rounding)}, table_facts(definition, files), rounding)
+
+
 def _files(
     inputs: Inputs,
     sensor: Sensor,
     definition: TableDefinition | None,
     subject: Mapping[str, Any],
     before: Mapping[str, Any] | None,
-) -> tuple[dict[str, bytes], dict[str, Any] | None]:
-    """Return the files of one set, and the facts of its table."""
-    parameters, name = subject["document"]["parameters"], subject["name"]
-    tables: dict[str, bytes] = {}
-    facts = rounding = None
-    if definition is not None:
-        try:
-            tables = table_files(definition, parameters, name)
-            rounding = _quantisation(definition, sensor, parameters)
-        except RefusedInputError as error:
-            raise RefusedInputError(f"{name} does not fit into the table {definition.table_id}: {error}") from error
-        facts = table_facts(definition, tables)
-        tables["quantisation.json"] = json_bytes(rounding)
+    tables: _Tables,
+    back: _Tables,
+) -> dict[str, bytes]:
+    """Return the files of one set."""
+    parameters = subject["document"]["parameters"]
     held = {} if definition is None else held_by(definition, parameters)
-    sheet = verification_sheet(subject, before, definition, facts, rounding, said=_said(inputs))
+    said = _said(inputs) | {"back_to": back.facts}
     return {
         "parameter_set.json": canonical_bytes(subject["document"]),
         "parameters.json": parameters_json(sensor, subject, held),
         "parameters.csv": parameters_csv(subject, before, held),
         "c_sd.json": alignment_json(subject, before),
-        "verification_sheet.html": sheet,
-        **camera_files(sensor, parameters, name),
-        **tables,
-    }, facts
+        "verification_sheet.html": verification_sheet(
+            subject, before, definition, tables.facts, tables.rounding, said=said
+        ),
+        **camera_files(sensor, parameters, subject["name"]),
+        **tables.files,
+    }
 
 
 def _quantisation(definition: TableDefinition, sensor: Sensor, parameters: Mapping[str, float]) -> dict[str, Any]:
@@ -144,7 +162,7 @@ def _way_back(inputs: Inputs) -> str:
     return text
 
 
-def _manifest(inputs: Inputs, sensor: Sensor, folders: Mapping[str, dict[str, Any] | None]) -> dict[str, Any]:
+def _manifest(inputs: Inputs, sensor: Sensor, tables: Mapping[str, _Tables]) -> dict[str, Any]:
     """Say what the package is, who answers for it and what it is for."""
     subject, definition = inputs["subject"], inputs["definition"]
     document = None if definition is None else definition["document"]
@@ -162,7 +180,7 @@ def _manifest(inputs: Inputs, sensor: Sensor, folders: Mapping[str, dict[str, An
         "table_definition": None
         if definition is None
         else {"number": definition["number"], "sha256": definition["sha256"]},
-        "tables": {folder or ".": facts for folder, facts in folders.items()},
+        "tables": {folder or ".": made.facts for folder, made in tables.items()},
         "backout": {
             "name": inputs["backout"]["name"],
             "sha256": inputs["backout"]["sha256"],

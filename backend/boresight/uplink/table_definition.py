@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from boresight.errors import RefusedInputError
-from boresight.uplink.checksum import Checksum
+from boresight.uplink.checksum import CHECKSUMS, Checksum
 from boresight.uplink.definition_document import TableDefinition, parse_definition, read_definition
 from boresight.uplink.fields import Field
 from boresight.uplink.quantisation import quantisation_effect
@@ -23,6 +23,7 @@ __all__ = [
     "Decoded",
     "DecodedField",
     "TableDefinition",
+    "crc_told",
     "crc_value",
     "decode",
     "encode",
@@ -167,3 +168,15 @@ def table_crc(definition: TableDefinition, content: bytes) -> int | None:
         return None
     first, end = definition.crc_over
     return crc_value(definition.crc, content[first:end])
+
+
+def crc_told(definition: TableDefinition, content: bytes) -> tuple[Checksum, int] | None:
+    """Return the CRC that the spacecraft tells of an image that it holds, and its algorithm; None when it tells none.
+
+    cFE Table Services tell CRC-16/ARC of the whole image, whatever CRC the table may hold inside; others tell the table's own.
+    """
+    if definition.cfe is not None:
+        crc = CHECKSUMS["CRC-16/ARC"]
+        return crc, crc_value(crc, content)
+    value = table_crc(definition, content)
+    return None if definition.crc is None or value is None else (definition.crc, value)

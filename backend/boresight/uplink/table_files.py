@@ -12,7 +12,7 @@ from typing import Any
 from boresight.uplink import cfe, openc3
 from boresight.uplink.parameter_service import ATOMICITY, application_data, type_code, value_bytes
 from boresight.uplink.spelling import csv_bytes
-from boresight.uplink.table_definition import DecodedField, TableDefinition, decode, encode, table_crc
+from boresight.uplink.table_definition import DecodedField, TableDefinition, crc_told, decode, encode, table_crc
 
 PUS_COLUMNS = ("order", "parameter_id", "name", "parameter", "type", "ptc", "pfc", "raw_hex", "value", "note")
 
@@ -46,9 +46,11 @@ def held_by(definition: TableDefinition, parameters: Mapping[str, float]) -> dic
 
 
 def table_facts(definition: TableDefinition, files: Mapping[str, bytes]) -> dict[str, Any]:
-    """Say what to compare on board: length, hash and CRC of the image, and the CRC's algorithm beyond doubt."""
+    """Say what to compare on board: length, hash and CRC of the image, the CRC that is told, and their algorithms beyond doubt."""
     image = files["table.bin"]
     facts: dict[str, Any] = {"bytes": len(image), "sha256": hashlib.sha256(image).hexdigest(), "crc": None}
+    told = crc_told(definition, image)
+    facts["crc_told"] = None if told is None else told[0].document() | {"value": told[0].text(told[1])}
     value = table_crc(definition, image)
     if definition.crc is not None and value is not None:
         stored = definition.crc_field

@@ -36,7 +36,7 @@ def verification_sheet(
     definition, facts, quantisation
         The table on board, what to compare of it, and what its number format does; None without a table definition.
     said
-        `package`, `backout`, `four_eyes` and `audit_head`: sentences that hold for the whole package.
+        `package`, `backout`, `back_to`, `four_eyes` and `audit_head`: what holds for the whole package.
     """
     environment = Environment(
         loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
@@ -76,13 +76,13 @@ def _steps(definition: TableDefinition | None, facts: Mapping[str, Any] | None) 
         ]
     name = definition.table_id if definition.cfe is None else definition.cfe.table_name
     file = "table.bin" if definition.cfe is None else "table.tbl"
-    crc = facts["crc"]
-    check = f"{crc['name']} {crc['value']}" if crc else "agrees with the mission's own check"
+    told = facts["crc_told"]
+    check = f"{told['name']} {told['value']}" if told else "agrees with the mission's own check"
     return [
         *steps,
         ("Check the software", "flight software version in telemetry", definition.flight_software_version),
         ("Load", f"{file} into the inactive image of {name}", f"{facts['bytes']} bytes accepted"),
-        ("Check", f"validate the inactive image; CRC of {name} in telemetry", check),
+        ("Check", f"validate the inactive image of {name}; its CRC in telemetry", check),
         ("Activate", f"activate {name}; not before the check passed", "accepted"),
         ("Dump", f"dump the active image of {name} to a file", f"{facts['bytes']} bytes"),
         ("Compare", "upload the dump: every byte and field is compared", "VERIFIED, by bytes"),
