@@ -207,6 +207,8 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "stream_events": lambda _: ("victor", {}),
     "list_audit": lambda _: ("victor", {}),
     "verify_audit": lambda _: ("victor", {}),
+    "export_audit": lambda _: ("victor", {}),
+    "get_audit_verifier": lambda _: ("victor", {}),
     "list_users": lambda _: ("adele", {}),
     "create_user": lambda house: ("adele", {"json": _new_user(house)}),
     "get_user": lambda _: ("adele", {"user_id": 1}),

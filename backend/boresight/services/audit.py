@@ -11,13 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
+from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
 from boresight.store import audit as rows
 from boresight.store import chain, verification
 from boresight.store.audit import Sought
-from boresight.store.sessions import Session
+from boresight.store.sessions import Session, utc_text
 from boresight.store.tables import AuditRecord
 from boresight.store.verification import Findings
 
@@ -117,6 +119,34 @@ def list_records(
 ) -> Sequence[AuditRecord]:
     """Return a page of records, newest first; the next page starts before the last one's id."""
     return rows.records(session, before_id=before_id, sought=sought or Sought(object=subject), limit=limit)
+
+
+def sought(
+    *,
+    object: str | None = None,  # noqa: A002 - the name of the column
+    actor: str | None = None,
+    action: str | None = None,
+    since: str | None = None,
+    until: str | None = None,
+) -> Sought:
+    """Say what a list of records is narrowed to; times in ISO 8601, UTC where they name no zone.
+
+    Raises
+    ------
+    RefusedInputError
+        When a time cannot be read.
+    """
+    return Sought(object, actor, action, _time(since), _time(until))
+
+
+def _time(text: str | None) -> str | None:
+    """Read a time as the store writes it."""
+    if text is None:
+        return None
+    try:
+        return utc_text(datetime.fromisoformat(text))
+    except ValueError as error:
+        raise RefusedInputError(f"{text!r} is no time; write it like 2026-11-21T03:04:05Z.") from error
 
 
 def verify(session: Session, expected_head: str | None = None) -> ChainReport:

@@ -29,7 +29,8 @@ from boresight.store.times import utc_now
 FIRST_HASH = "0" * 64
 TEXTS = ("at_utc", "actor", "credential", "action", "object", "reason", "request_id")
 DOCUMENTS = ("before", "after", "rows", "roles")
-COLUMNS = ("id", "actor_id", *TEXTS, *DOCUMENTS, "previous_hash", "hash")
+NUMBERS = ("id", "actor_id")
+COLUMNS = (*NUMBERS, *TEXTS, *DOCUMENTS, "previous_hash", "hash")
 HASHED = tuple(sorted({*COLUMNS} - {"id", "previous_hash", "hash"}))  # sorted as canonical JSON sorts its keys
 LEFT_OUT_WHEN_NULL = ("rows", "roles")  # absent from the records of before there were seals
 PENDING = "audit records that wait for the commit"
@@ -46,18 +47,23 @@ def hash_of(previous_hash: str, raw: Mapping[str, Any]) -> str:
         altering its meaning is another record.
     """
     parts = [
-        f'"{name}":{_spelled(name, raw[name])}'
+        f'"{name}":{_value(name, raw[name])}'
         for name in HASHED
         if name not in LEFT_OUT_WHEN_NULL or raw[name] is not None
     ]
     return hashlib.sha256(f"{previous_hash}{{{','.join(parts)}}}".encode()).hexdigest()
 
 
-def _spelled(name: str, value: Any) -> str:
+def spelled(raw: Mapping[str, Any]) -> str:
+    """Return a whole record as canonical JSON, for exports."""
+    return f"{{{','.join(f'{encode_basestring(name)}:{_value(name, raw[name])}' for name in sorted(COLUMNS))}}}"
+
+
+def _value(name: str, value: Any) -> str:
     """Spell a column's value as canonical JSON does; a document is stored in that spelling."""
     if value is None:
         return "null"
-    return str(value) if name == "actor_id" or name in DOCUMENTS else encode_basestring(value)
+    return str(value) if name in NUMBERS or name in DOCUMENTS else encode_basestring(value)
 
 
 def append(session: Session, **values: Any) -> AuditRecord:

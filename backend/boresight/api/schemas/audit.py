@@ -12,6 +12,7 @@ class AuditRecord(Row):
     at_utc: str
     actor_id: int | None
     actor: str
+    roles: list[str] | None
     credential: str
     action: str
     object: str
@@ -19,15 +20,18 @@ class AuditRecord(Row):
     after: Document | None
     reason: str | None
     request_id: str | None
+    rows: Document | None
     previous_hash: str
     hash: str
 
 
 class ChainReport(Row):
-    """What a walk along the audit chain found."""
+    """What a walk along the audit chain, and through the rows that it seals, found."""
 
     ok: bool
     records: int
+    rows: int
     head: str
     first_broken_id: int | None
+    first_broken_row: str | None
     sentence: str
