@@ -6,13 +6,16 @@ Another definition is another set of bytes and another rounding, so setting one 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from boresight.errors import NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
+from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.services import audit, staleness
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.sensors import get_sensor
 from boresight.services.words import refuse_control_characters
+from boresight.store import parameter_sets as set_rows
 from boresight.store import table_definitions as rows
 from boresight.store.documents import canonical, sha256_of
 from boresight.store.sessions import Session, utc_now
@@ -71,6 +74,58 @@ def parse_for(session: Session, sensor_id: int, document: Mapping[str, Any]) -> 
     if len(canonical(document)) > LARGEST_DOCUMENT:
         raise RefusedInputError(f"The table definition has more than {LARGEST_DOCUMENT:,} characters: shorten it.")
     return definition
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A definition with the baseline's numbers in it.
+
+    Parameters
+    ----------
+    definition
+        As read.
+    image
+        (length_bytes,) bytes.
+    decoded
+        The image read back, field by field.
+    effect
+        `max_px` and `max_arcsec`, what the number format does to the camera.
+    filled_with
+        The set whose numbers they are; "the sensor file" where there is no baseline.
+    """
+
+    definition: table_definition.TableDefinition
+    image: bytes
+    decoded: table_definition.Decoded
+    effect: Mapping[str, float]
+    filled_with: str
+
+
+def layout(session: Session, sensor_id: int, document: Mapping[str, Any]) -> Layout:
+    """Lay the sensor's baseline out by a definition, stored or not.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the document cannot be used, or the baseline does not fit into its fields.
+    """
+    definition = parse_for(session, sensor_id, document)
+    sensor = parse_sensor(get_sensor(session, sensor_id).document)
+    camera, baseline = CAMERA_MODELS[sensor.camera_model], set_rows.baseline(session, sensor_id)
+    values = dict(zip(camera.parameter_names, sensor.initial.tolist(), strict=True))
+    if baseline is not None:
+        values = baseline.document["parameters"]
+    image = table_definition.encode(definition, values)
+    held = table_definition.quantised(definition, values)
+    return Layout(
+        definition=definition,
+        image=image,
+        decoded=table_definition.decode(definition, image),
+        effect=table_definition.quantisation_effect(camera, sensor, values, held),
+        filled_with="the sensor file" if baseline is None else baseline.name,
+    )
 
 
 def set_definition(
