@@ -7,9 +7,10 @@ opened by an operator too, who sees what flies. A waiver in force asks for two a
 from __future__ import annotations
 
 from boresight.errors import ConflictError, RefusedInputError
-from boresight.services import audit
+from boresight.services import audit, gates
 from boresight.services.actors import POLICY, Actor, Policy, require_role, require_scope, require_user
 from boresight.services.evidence import bound_evidence
+from boresight.services.gates import Assessment
 from boresight.services.transitions import (
     get_parameter_set,
     move,
@@ -35,15 +36,22 @@ def submit(
     parameter_set_id: int,
     reason: str,
     seen_version: int | None,
+    assessment: Assessment | None = None,
     *,
     policy: Policy = POLICY,
 ) -> Approval:
     """Ask that a set become baseline, binding the hashes of what an approver will be shown.
 
+    Parameters
+    ----------
+    assessment
+        The set held against its gates, as measured before this transaction; without one the report that holds is bound,
+        or a light one is made of the run's own result.
+
     Raises
     ------
     ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
-        When the actor, the version or the state does not allow it.
+        When the actor, the version or the state does not allow it, or what was assessed has moved.
     RefusedInputError
         When no reason is given.
     """
@@ -51,6 +59,7 @@ def submit(
     row = _submittable(session, actor, parameter_set_id, reason, seen_version)
     if not reason.strip():
         raise RefusedInputError("Give the reason why this set should become the baseline.")
+    gates.report_for_submission(session, actor, blobs, row.id, assessment)
     return _open(session, actor, row, reason.strip(), policy)
 
 
@@ -61,6 +70,7 @@ def roll_back(
     parameter_set_id: int,
     reason: str,
     seen_version: int | None,
+    assessment: Assessment | None = None,
     *,
     policy: Policy = POLICY,
 ) -> Approval:
@@ -69,7 +79,7 @@ def roll_back(
     Raises
     ------
     ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
-        When the actor, the version or the state does not allow it.
+        When the actor, the version or the state does not allow it, or what was assessed has moved.
     RefusedInputError
         When no reason is given.
     """
@@ -79,7 +89,16 @@ def roll_back(
         raise ConflictError(f"{row.name} was never baseline, so there is nothing to roll back to; submit it instead.")
     if not reason.strip():
         raise RefusedInputError("Give the reason why the sensor should go back to this set.")
+    gates.report_for_submission(session, actor, blobs, row.id, assessment)
     return _open(session, actor, row, reason.strip(), policy)
+
+
+def is_submittable(session: Session, actor: Actor, parameter_set_id: int) -> bool:
+    """Whether it is worth while to assess a set for this actor: a request for it would not be refused at once."""
+    may = actor.roles.intersection({"analyst", "operator"}) and (
+        actor.scopes is None or "parameter-sets" in actor.scopes
+    )
+    return bool(may) and get_parameter_set(session, parameter_set_id).ground_state in SUBMITTABLE
 
 
 def _submittable(

@@ -12,6 +12,7 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, etag
+from boresight.api.measured import Measured
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -120,14 +121,16 @@ def submit_parameter_set(
     actor: Who,
     seen: SeenVersion,
     once: Idempotent,
-    policy: Held,
+    measured: Measured,
     session: Writing,
     request: Request,
 ) -> Response:
     """Ask that this set become the baseline. It is held against its gates, and the request binds what was found."""
-    blobs = request.app.state.blobs
-    asked = (blobs, parameter_set_id, submission.reason, seen)
-    return once.answer(session, actor, lambda: _opened(parameter_sets.submit(session, actor, *asked, policy=policy)))
+    state = request.app.state
+    asked = (state.blobs, parameter_set_id, submission.reason, seen, measured)
+    return once.answer(
+        session, actor, lambda: _opened(parameter_sets.submit(session, actor, *asked, policy=state.policy))
+    )
 
 
 @router.post(
@@ -144,14 +147,16 @@ def roll_back_parameter_set(
     actor: Who,
     seen: SeenVersion,
     once: Idempotent,
-    policy: Held,
+    measured: Measured,
     session: Writing,
     request: Request,
 ) -> Response:
     """Ask that a superseded set become the baseline again; it is signed and promoted like any other, in less time."""
-    blobs = request.app.state.blobs
-    asked = (blobs, parameter_set_id, back.reason, seen)
-    return once.answer(session, actor, lambda: _opened(parameter_sets.roll_back(session, actor, *asked, policy=policy)))
+    state = request.app.state
+    asked = (state.blobs, parameter_set_id, back.reason, seen, measured)
+    return once.answer(
+        session, actor, lambda: _opened(parameter_sets.roll_back(session, actor, *asked, policy=state.policy))
+    )
 
 
 @router.post(
