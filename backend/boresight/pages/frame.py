@@ -50,9 +50,10 @@ NAVIGATION = (
     Destination("/compare", "Compare", "c"),
     Destination("/parameter-sets", "Parameter sets", "p"),
     Destination("/approvals", "Approvals", "a"),
+    Destination("/uplink", "Uplink", "u"),
     Destination("/audit", "Audit", "h"),
     Destination("/webhooks", "Webhooks", "w"),
-    Destination("/users", "Users and keys", "u"),
+    Destination("/users", "Users and keys", "k"),
 )
 
 
