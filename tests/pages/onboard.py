@@ -37,7 +37,7 @@ def climb(house: Any, *states: str, set_id: int = 1) -> None:
 def table(house: Any, set_id: int = 1) -> bytes:
     """Return the bytes that a read-back is held against."""
     with reading(house.engine) as session:
-        return read_backs.reference_of(session, session.get_one(ParameterSet, set_id)).content
+        return read_backs.reference_of(session, house.blobs, session.get_one(ParameterSet, set_id)).content
 
 
 def version(house: Any, set_id: int = 1) -> str:

@@ -143,7 +143,7 @@ def test_a_candidate_is_told_that_only_the_baseline_is_sent(house, read):
 
 def test_without_a_table_definition_the_page_says_who_sets_one(house, read):
     climb(house, "SENT", "LOADED")
-    assert "An analyst or administrator sets one" in read(house.visitor("olga").get(STEPS))
+    assert "have an analyst or an administrator set one" in read(house.visitor("olga").get(STEPS))
 
 
 def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(house, read):

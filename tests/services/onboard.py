@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from boresight.services import audit, table_definitions, uplinks
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.services.read_backs import Reference, reference_of
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.store.tables import ParameterSet, Promotion, TableDefinition, Uplink
 
@@ -39,9 +41,9 @@ def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
 
 
 def sent_table(engine: Engine, set_id: int = 1) -> Reference:
-    """Return what a read-back of a set is held against."""
+    """Return what a read-back of a set that no package carried is held against."""
     with reading(engine) as session:
-        return reference_of(session, session.get_one(ParameterSet, set_id))
+        return reference_of(session, BlobStore(Path("nowhere")), session.get_one(ParameterSet, set_id))
 
 
 def newest(engine: Engine, set_id: int = 1) -> Uplink:

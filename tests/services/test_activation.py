@@ -23,7 +23,7 @@ from boresight.store.sessions import Engine, reading, utc_now, writing
 from boresight.store.tables import Package, ParameterSet, Uplink
 
 from .conftest import PASSWORD
-from .onboard import climb, newest, onboard
+from .onboard import climb, define, newest, onboard
 
 People = Mapping[str, Actor]
 MEANING = "I saw this table active in telemetry."
@@ -113,3 +113,18 @@ def test_a_record_names_the_package_that_was_sent_and_no_other_sets(
     assert (row.evidence or {})["package"] == {"id": 1, "sha256": sha256}
     with pytest.raises(RefusedInputError, match="no package 2 of PS-ST16-1-0"), writing(engine) as session:
         uplinks.record(session, people["dee"], 1, "LOADED", "pass 1", package_id=2)
+
+
+def test_a_package_for_a_table_that_is_no_longer_in_force_is_not_sent(
+    engine: Engine, people: People, candidate: Any
+) -> None:
+    sha256 = candidate().document["result_sha256"]
+    old = define(engine, people["ana"])
+    with writing(engine) as session:
+        columns = {"inputs": {}, "sha256": sha256, "created_utc": utc_now(), "table_definition_id": old.id}
+        session.add(Package(parameter_set_id=1, **columns))
+        session.flush()
+        audit.append(session, people["dee"], "built", "packages/1")
+    define(engine, people["ana"], flight_software_version="4.3")
+    with pytest.raises(ConflictError, match="built for another table definition"), writing(engine) as session:
+        uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=1)

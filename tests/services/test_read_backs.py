@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -15,9 +16,9 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import audit
+from boresight.services import audit, packages, uplinks
 from boresight.services.actors import Actor
-from boresight.services.read_backs import MOST_DUMP_BYTES, dump_or_crc, read_back
+from boresight.services.read_backs import MOST_DUMP_BYTES, dump_or_crc, read_back, reference_of
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, reading, utc_after, writing
 from boresight.store.tables import ParameterSet, Uplink
@@ -135,6 +136,25 @@ def test_the_table_is_the_one_in_force_when_it_was_sent(
     define(engine, people["ana"], fields=fields)
     row = read(loaded)
     assert (row.onboard_state, (row.evidence or {})["definition"]["number"]) == ("VERIFIED", 1)
+
+
+def test_what_a_package_carried_is_what_a_dump_is_held_against(
+    engine: Engine, people: People, read: Read, blobs: BlobStore
+) -> None:
+    define(engine, people["ana"])
+    with writing(engine) as session:
+        package = packages.build(session, people["dee"], blobs, 1)
+        uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=package.id)
+    climb(engine, people["dee"], "LOADED")
+    with reading(engine) as session:
+        reference = reference_of(session, blobs, session.get_one(ParameterSet, 1))
+    with zipfile.ZipFile(blobs.path(package.sha256)) as packed:
+        assert packed.read("table.bin") == reference.content
+    row = read(reference.content)
+    assert (row.evidence or {})["package"] == {"id": package.id, "sha256": package.sha256}
+    blobs.path(package.sha256).write_bytes(b"altered")
+    with pytest.raises(ConflictError, match="altered on the disk"):
+        read(reference.content)
 
 
 REFUSED: list[tuple[Any, dict[str, Any], type[BoresightError], str]] = [

@@ -59,6 +59,7 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
         records = uplinks.list_uplinks(session, parameter_set_id=set_id, limit=RECORDS_SHOWN)
         exported = packages.list_packages(session, parameter_set_id=set_id)
         names = read_names(session)
+        reference, why = _reference(session, request.app.state.blobs, row)
         return render(
             request,
             "uplink_steps.html",
@@ -71,7 +72,8 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
             compared=next((it for it in climb_of(records) if it.method), None) if records else None,
             packages=exported,
             members=_members(session, request.app.state.blobs, exported),
-            reference=_reference(session, row),
+            reference=reference,
+            why_no_reference=why,
             next_states=[state for state in uplinks.NEXT[row.onboard_state] if state != "ACTIVE"],
             why_not_sent=_why_not_sent(row),
             may_export=row.ground_state in packages.EXPORTED,
@@ -100,12 +102,12 @@ def _members(session: Session, blobs: BlobStore, exported: Sequence[Package]) ->
         return []
 
 
-def _reference(session: Session, row: ParameterSet) -> read_backs.Reference | None:
-    """Return what a read-back would be held against; None where there is no table definition that fits."""
+def _reference(session: Session, blobs: BlobStore, row: ParameterSet) -> tuple[read_backs.Reference | None, str | None]:
+    """Return what a read-back would be held against, or why there is nothing."""
     try:
-        return read_backs.reference_of(session, row)
-    except RefusedInputError:
-        return None
+        return read_backs.reference_of(session, blobs, row), None
+    except BoresightError as refusal:
+        return None, str(refusal)
 
 
 async def _form(request: Request) -> tuple[dict[str, str], bytes | None]:

@@ -4,18 +4,21 @@ A dump that is the same in every byte makes a set VERIFIED by bytes; a CRC that 
 is weaker: of w bits it passes one wrong table in 2^w. Anything else is MISMATCH, with the differing bytes and fields kept
 as evidence beside the dump itself. A mismatch that bytes showed is taken back by bytes only, or by sending again.
 
-What was sent is the table of the package that the SENT record names; without one, the set in the definition in force when
+What was sent is the table in the package that the SENT record names; without one, the set in the definition in force when
 it was sent, or where there was none yet, in the one in force now.
 """
 
 from __future__ import annotations
 
+import io
 import re
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from boresight.errors import ConflictError, RefusedInputError
+from boresight.services import packages
 from boresight.services.actors import Actor
 from boresight.services.onboard import Basis, add_entry, set_for_entry
 from boresight.services.table_definitions import parsed
@@ -32,6 +35,7 @@ from boresight.uplink.comparison import compare
 
 READABLE = ("LOADED", "VERIFIED", "ACTIVE", "MISMATCH", "UNKNOWN")
 MOST_DUMP_BYTES = 200_000  # over the largest table with any header
+TABLE_FILE = "table.bin"
 HEXADECIMAL = re.compile(r"(?:0[xX])?([0-9a-fA-F]{1,16})")
 
 
@@ -68,13 +72,15 @@ class Reference:
         return named
 
 
-def reference_of(session: Session, parameter_set: ParameterSet) -> Reference:
+def reference_of(session: Session, blobs: BlobStore, parameter_set: ParameterSet) -> Reference:
     """Return the table that was sent of a set.
 
     Raises
     ------
     RefusedInputError
         When the sensor has no table definition, or the set does not fit in it.
+    NotFoundError, ConflictError
+        When the bytes of the package are missing or were altered on the disk.
     """
     sent = rows.newest_record(session, parameter_set.id, "SENT")
     package = _package_of(session, sent)
@@ -89,7 +95,15 @@ def reference_of(session: Session, parameter_set: ParameterSet) -> Reference:
             "have an analyst or an administrator set one, or record what is known by statement."
         )
     definition = parsed(session, row)
-    return Reference(row, definition, tables.encode(definition, parameter_set.document["parameters"]), package)
+    if package is not None and package.table_definition_id == row.id:
+        return Reference(row, definition, _carried(session, blobs, package), package)
+    return Reference(row, definition, tables.encode(definition, parameter_set.document["parameters"]), None)
+
+
+def _carried(session: Session, blobs: BlobStore, package: Package) -> bytes:
+    """Return the table inside a package: the very bytes that were sent."""
+    with zipfile.ZipFile(io.BytesIO(packages.read(session, blobs, package.id))) as packed:
+        return packed.read(TABLE_FILE)
 
 
 def _package_of(session: Session, sent: Uplink | None) -> Package | None:
@@ -141,7 +155,7 @@ def read_back(
     row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_unreadable(session, row, read)
-    reference = reference_of(session, row)
+    reference = reference_of(session, blobs, row)
     if isinstance(read, str):
         matches, found = _by_crc(reference, read)
     else:

@@ -19,6 +19,7 @@ from boresight.errors import ConflictError, ForbiddenError, NotFoundError, Refus
 from boresight.services import users
 from boresight.services.actors import Actor, require_person
 from boresight.services.onboard import Basis, add_entry, set_for_entry
+from boresight.services.table_definitions import definition_in_force
 from boresight.services.timeline import happened_on, read_time
 from boresight.services.transitions import require_seen
 from boresight.services.words import refuse_control_characters
@@ -72,11 +73,12 @@ def record(
     RefusedInputError
         When the state does not exist, the source is missing, the package is another set's, or the time is none.
     ConflictError
-        When the state does not follow the one recorded, or the set to be sent is not the baseline.
+        When the state does not follow the one recorded, or what is to be sent is not the baseline, or its package was built
+        for a table definition that is no longer in force.
     """
     row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
     _refuse_step(row, onboard_state)
-    evidence = _package(session, row, package_id) | happened_on(happened)
+    evidence = _package(session, row, package_id, onboard_state) | happened_on(happened)
     if onboard_state == "ACTIVE":
         _retire_active(session, actor, row, source.strip())
     return add_entry(session, actor, row, onboard_state, source, Basis(evidence))
@@ -151,13 +153,19 @@ def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
         )
 
 
-def _package(session: Session, row: ParameterSet, package_id: int | None) -> dict[str, Any]:
-    """Return what is kept of the package that was sent."""
+def _package(session: Session, row: ParameterSet, package_id: int | None, onboard_state: str) -> dict[str, Any]:
+    """Return what is kept of the package that was sent; refuse another set's, and to send one for another table."""
     if package_id is None:
         return {}
     package = session.get(Package, package_id)
     if package is None or package.parameter_set_id != row.id:
         raise RefusedInputError(f"There is no package {package_id} of {row.name}; name one that was built for it.")
+    definition = definition_in_force(session, row.sensor_id)
+    if onboard_state == "SENT" and package.table_definition_id != (definition.id if definition else None):
+        raise ConflictError(
+            f"Package {package_id} was built for another table definition than the one in force: "
+            "build the package again and send that."
+        )
     return {"package": {"id": package.id, "sha256": package.sha256}}
 
 
