@@ -14,6 +14,7 @@ ADDRESSES = {
     "overview": "/",
     "sensors": "/sensors",
     "sensor": "/sensors/{sensor}",
+    "table-definition": "/sensors/{sensor}/table-definition?example=1",
     "telemetry": "/telemetry",
     "telemetry-set": "/telemetry/{set}",
     "runs": "/runs",

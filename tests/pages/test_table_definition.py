@@ -43,8 +43,8 @@ def test_without_a_definition_the_page_says_so_and_offers_an_example(house, read
 
 def test_the_layout_has_offset_type_value_and_bytes(defined, read):
     page = read(defined.visitor("victor").get(ADDRESS))
-    assert "F_M f_m 0 32 float32 big" in page
-    assert "CRC CRC-16/CCITT-FALSE 34 16 uint16 big" in page
+    assert "F_M f_m 0 float32, big" in page
+    assert "CRC CRC-16/CCITT-FALSE 34 uint16, big" in page
     assert "moves a star by at most" in page
 
 
@@ -52,7 +52,7 @@ def test_a_definition_is_tried_without_being_set(house, read):
     visitor = house.visitor("victor")
     text = written_as_text(EXAMPLE | {"byte_order": "little"})
     answer = visitor.post(ADDRESS, document=text, action="try")
-    assert "F_M f_m 0 32 float32 little" in read(answer.text)
+    assert "F_M f_m 0 float32, little" in read(answer.text)
     assert _in_force(house) is None
 
 

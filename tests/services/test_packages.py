@@ -9,11 +9,11 @@ import zipfile
 import pytest
 
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, packages, parameter_sets, table_definitions
+from boresight.services import approvals, audit, packages, parameter_sets, table_definitions
 from boresight.services.actors import Policy
 from boresight.store.sessions import writing
 
-from .conftest import SENSOR
+from .conftest import PASSWORD, SENSOR
 
 DEFINITION = {
     "table_id": "STR_CAM",
@@ -193,3 +193,18 @@ def test_an_exported_package_is_on_record(engine, build, approved):
 def test_there_is_no_package_of_an_unknown_number(engine, blobs):
     with writing(engine) as session, pytest.raises(NotFoundError):
         packages.read(session, blobs, 99)
+
+
+def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replaced(
+    engine, people, blobs, build, finished_run
+):
+    found = {"sentence": "Loading these parameters turns the attitude.", "c_sd_update": [[1.0]]}
+    with writing(engine) as session:
+        run = finished_run(session, people["ana"].user_id, alignment=found)
+        row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
+        request = parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        approvals.sign(session, people["cy"], request.id, "APPROVE", "I approve", "", PASSWORD, request.version)
+    files = build(row)[1]
+
+    assert json.loads(files["c_sd.json"])["alignment"] == found
+    assert json.loads(files["parameters.json"])["provenance"]["run"]["launched_by"] == "Ana"

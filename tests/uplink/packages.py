@@ -60,6 +60,7 @@ def inputs_of(model="pinhole_radial", definition=None, **others):
     document = definition_of(model) if definition is None else definition
     return {
         "sensor": sensor_document(sensor_of(model)),
+        "simulated": False,
         "subject": set_of(model, 2, 1e-6, "APPROVED", approval=approval, gates=gates),
         "backout": set_of(model, 1, 0.0, "BASELINE"),
         "active": None,

@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.uplink.table_definition import parse_definition
+from boresight.uplink.table_definition import decode, encode, parse_definition
 
-from .tables import definition_of, sensor_of
+from .tables import INITIAL, definition_of, sensor_of
 
 IDS = {name: 4096 + place for place, name in enumerate(("s", "f_m", "u0_px", "v0_px", "k1", "k2"))}
 
@@ -111,3 +113,32 @@ def test_a_type_that_pus_has_no_code_for_is_refused_there_only():
 def test_the_table_of_another_camera_is_refused():
     with pytest.raises(RefusedInputError, match="parameter is 's': choose f_m"):
         parse_definition(definition_of(), sensor_of("inverted_wang"))
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+PLACES = [
+    (key,) for key in ("table_id", "byte_order", "length_bytes", "fill", "fields", "crc", "cfe", "pus", "schema", "new")
+]
+PLACES += [
+    ("fields", 1, key) for key in ("name", "parameter", "constant", "offset_bits", "type", "scale", "byte_order")
+]
+PLACES += [("crc", key) for key in ("name", "width", "poly", "offset_bytes", "over", "check")]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(PLACES), JUNK)
+def test_whatever_stands_anywhere_is_read_or_refused_and_nothing_else(place, junk):
+    document = copy.deepcopy(definition_of())
+    inside = document
+    for step in place[:-1]:
+        inside = inside[step]
+    inside[place[-1]] = junk
+    try:
+        definition = parse_definition(document, sensor_of())
+    except RefusedInputError:
+        return
+    assert decode(definition, encode(definition, INITIAL["pinhole_radial"])).crc_ok is not False

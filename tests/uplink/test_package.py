@@ -211,3 +211,11 @@ def test_pus_is_listed_only_where_it_is_configured(files):
 
     assert [row["parameter_id"] for row in listed[:-1]] == [f"0x{number:04X}" for number in IDS.values()]
     assert "decided by the on-board software" in listed[-1]["note"]
+
+
+def test_the_package_of_a_simulated_sensor_says_that_it_is_one(files):
+    simulated = _files(inputs_of() | {"simulated": True})
+
+    assert json.loads(simulated["MANIFEST.json"])["simulated"] is True
+    assert b"SIMULATED: " in simulated["verification_sheet.html"]
+    assert b"SIMULATED: " not in files["verification_sheet.html"]

@@ -29,6 +29,7 @@ from boresight.services.table_definitions import Layout
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import TableDefinition
 from boresight.uplink.checksum import CHECKSUMS
+from boresight.uplink.fields import Field
 from boresight.uplink.table_definition import DecodedField
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -58,9 +59,7 @@ class Place:
     name: str
     parameter: str
     byte: str
-    bits: int
     kind: str
-    order: str
     raw: str
     value: str
     hexadecimal: str
@@ -111,9 +110,7 @@ def places_of(layout: Layout) -> Sequence[Place]:
     if stored is not None and crc is not None and layout.decoded.stored_crc is not None:
         value = layout.decoded.stored_crc
         text = layout.image[stored.bit // 8 : stored.end // 8].hex().upper()
-        order = "little" if stored.little else "big"
-        said = Place("CRC", crc.name, f"{stored.bit // 8}", stored.bits, stored.kind, order, str(value), "", text)
-        fields.append(said)
+        fields.append(Place("CRC", crc.name, f"{stored.bit // 8}", _kind(stored), "", str(value), text))
     return sorted(fields, key=lambda place: float(place.byte.replace(" bit ", ".")))
 
 
@@ -121,10 +118,14 @@ def _place(one: DecodedField) -> Place:
     """Write one field."""
     field = one.field
     byte = f"{field.bit // 8}" if field.bit % 8 == 0 else f"{field.bit // 8} bit {field.bit % 8}"
-    order = "little" if field.little else "big"
-    raw = repr(one.raw) if not field.floating else f"{one.raw:.9g}"
+    raw = "" if field.plain else f"raw {one.raw:.9g}" if field.floating else f"raw {one.raw}"
     what = field.parameter or "constant"
-    return Place(field.name, what, byte, field.bits, field.kind, order, raw, f"{one.value:.12g}", one.hexadecimal)
+    return Place(field.name, what, byte, _kind(field), raw, f"{one.value:.12g}", one.hexadecimal)
+
+
+def _kind(field: Field) -> str:
+    """Write a type with its byte order."""
+    return f"{field.kind}, {'little' if field.little else 'big'}"
 
 
 @router.get("/sensors/{sensor_id:int}/table-definition", response_class=HTMLResponse)
@@ -155,6 +156,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
             versions=versions,
             text=text if begun else "",
             layout=layout,
+            in_force=bool(current and layout and layout.definition.document == current.document),
             places=[] if layout is None else places_of(layout),
             refusal=refusal,
             names=read_names(session),

@@ -114,6 +114,7 @@ def _inputs(session: Session, row: ParameterSet, definition: TableDefinition | N
     elsewhere = active is not None and active.id not in {row.id, way_back.id}
     return {
         "sensor": sensor.document,
+        "simulated": bool(sensor.simulated),
         "subject": described(session, row),
         "backout": described(session, way_back),
         "active": described(session, active) if active is not None and elsewhere else None,

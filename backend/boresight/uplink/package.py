@@ -32,6 +32,7 @@ from boresight.uplink.table_files import held_by, table_facts, table_files
 from boresight.uplink.verification_sheet import verification_sheet
 
 SCHEMA = "boresight.uplink-package/1"
+SIMULATED = "SIMULATED: this sensor's telemetry is made here; do not load this package into a spacecraft."
 Inputs = Mapping[str, Any]
 
 
@@ -41,7 +42,8 @@ def build_package(inputs: Inputs) -> bytes:
     Parameters
     ----------
     inputs
-        `sensor`, `subject`, `backout`, `active` (or null), `definition` (or null), `four_eyes`, `software` and `first_built`.
+        `sensor`, `simulated`, `subject`, `backout`, `active` (or null), `definition` (or null), `four_eyes`, `software` and
+        `first_built`.
 
     Raises
     ------
@@ -140,6 +142,7 @@ def _said(inputs: Inputs) -> dict[str, Any]:
     subject, sensor = inputs["subject"], inputs["sensor"]
     return {
         "package": f"Sensor {sensor['name']}, uplink package of {subject['name']}.",
+        "simulated": SIMULATED if inputs["simulated"] else None,
         "backout": _way_back(inputs),
         "four_eyes": None if inputs["four_eyes"]["enforced"] else inputs["four_eyes"]["sentence"],
         "audit_head": inputs["first_built"]["audit_head"],
@@ -170,6 +173,7 @@ def _manifest(inputs: Inputs, sensor: Sensor, tables: Mapping[str, _Tables]) -> 
     return {
         "schema": SCHEMA,
         "sensor": sensor.name,
+        "simulated": inputs["simulated"],
         "parameter_set": {key: subject[key] for key in ("id", "name", "sha256", "ground_state")},
         "four_eyes": inputs["four_eyes"],
         "approval": subject["approval"],
