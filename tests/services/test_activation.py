@@ -17,7 +17,7 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import audit, uplinks
+from boresight.services import audit, uplinks, users
 from boresight.services.actors import Actor
 from boresight.store.sessions import Engine, reading, utc_now, writing
 from boresight.store.tables import Package, ParameterSet, Uplink
@@ -90,6 +90,15 @@ def test_neither_a_key_nor_an_administrator_who_is_also_operator_signs(engine: E
     both = replace(people["dee"], roles=frozenset({"operator", "administrator"}))
     with pytest.raises(ForbiddenError, match="An administrator cannot sign"):
         activate(engine, both)
+
+
+@pytest.mark.usefixtures("verified")
+def test_whose_password_somebody_else_set_does_not_sign(engine: Engine, people: People) -> None:
+    dee = people["dee"]
+    with writing(engine) as session:
+        users.change_password(session, people["root"], dee.user_id or 0, "given by root")
+    with pytest.raises(ForbiddenError, match="Somebody else set your password"):
+        activate(engine, dee, password="given by root")
 
 
 def test_only_what_is_verified_is_signed_as_active(engine: Engine, people: People) -> None:

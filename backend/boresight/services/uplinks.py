@@ -120,6 +120,8 @@ def activate(
     require_person(actor, "sign that a set is active")
     if "administrator" in actor.roles:
         raise ForbiddenError("An administrator cannot sign; an operator who is no administrator must.")
+    if users.must_change_password(session, actor):
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
     row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_step(row, "ACTIVE")
