@@ -35,6 +35,7 @@ from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.routes import router as api_router
+from boresight.api.upkeep import Upkeep
 from boresight.errors import BoresightError
 from boresight.pages import router as pages_router
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
@@ -91,6 +92,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.catalogue = _lazy_catalogue(settings)
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
+    state.upkeep = Upkeep(state.engine)
     state.deliveries = Deliveries(state.engine, local=bool(settings.webhooks_local))
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
@@ -124,6 +126,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.write_lock = asyncio.Lock()
     state.broadcast.start()
     state.heartbeat.start()
+    state.upkeep.start()
     state.deliveries.start()
     state.workers = Engine(state.engine, state.settings, state.broadcast.hear)
     state.workers.start()
@@ -134,6 +137,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.workers.stop)
         await run_in_threadpool(state.deliveries.close)
         await run_in_threadpool(state.heartbeat.close)
+        await run_in_threadpool(state.upkeep.close)
         await run_in_threadpool(state.broadcast.close)
         state.engine.dispose()
 

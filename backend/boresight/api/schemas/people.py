@@ -16,6 +16,7 @@ class User(Row):
     roles: list[str]
     created_utc: str
     disabled_utc: str | None
+    must_change_password: bool = Field(description="Somebody else set the password; nothing else goes until it is set.")
 
 
 class ApiKey(Row):
@@ -29,6 +30,7 @@ class ApiKey(Row):
     created_utc: str
     expires_utc: str | None
     revoked_utc: str | None
+    last_used_utc: str | None = Field(description="To the minute.")
 
 
 class NewApiKey(ApiKey):
@@ -46,4 +48,5 @@ class Session(BaseModel):
     roles: list[str]
     credential: str
     scopes: list[str] | None = Field(description="Of an API key; null for a person.")
+    must_change_password: bool = Field(description="Set your own password before anything else.")
     csrf_token: str | None = Field(description="For `X-CSRF-Token`; null with an API key.")
