@@ -24,9 +24,15 @@ SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
 
 
 @pytest.fixture(scope="session")
-def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
+def catalogue_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Keep the trimmed star catalogue for all tests."""
+    return tmp_path_factory.mktemp("sky") / "catalogue"
+
+
+@pytest.fixture(scope="session")
+def catalogue(catalogue_folder: Path) -> Catalogue:
     """Load the star catalogue once."""
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
+    return load_catalogue(catalogue_folder)
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ with the focal length moved a little, stored as the result of a run of its own.
 from __future__ import annotations
 
 import itertools
+import ssl
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,7 @@ from boresight.store.sessions import Engine, Session, migrate, open_engine, read
 from boresight.store.tables import ParameterSet, Run, Sensor
 
 PASSWORD = "correct horse battery"
+TRUST = ssl.create_default_context()  # once: to make it costs more than a request
 WORDS = {"meaning": "I reviewed the evidence.", "comment": "Seen.", "password": PASSWORD}
 
 
@@ -111,20 +113,22 @@ class Installation:
     def client(self, name: str) -> httpx.Client:
         """Return a new client of a person, who logs in once."""
         if name not in self._credentials:
-            with httpx.Client(base_url=self.address, timeout=60) as first:
+            with httpx.Client(base_url=self.address, timeout=60, verify=TRUST) as first:
                 answer = first.post("/api/v1/sessions", json={"name": name, "password": PASSWORD})
                 assert answer.status_code == 201, answer.text
                 token = answer.json()["csrf_token"]
                 self._credentials[name] = ({"X-CSRF-Token": token}, dict(first.cookies))
         headers, cookies = self._credentials[name]
-        return httpx.Client(base_url=self.address, headers=headers, cookies=cookies, timeout=60)
+        return httpx.Client(base_url=self.address, headers=headers, cookies=cookies, timeout=60, verify=TRUST)
 
     def key(self, name: str) -> httpx.Client:
         """Return a client with a new API key of a person, with every scope that a key may have."""
         scopes = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
         with writing(self.engine) as session:
             secret = api_keys.create_key(session, self.actor(name), label="test", scopes=scopes)[1]
-        return httpx.Client(base_url=self.address, headers={"Authorization": f"Bearer {secret}"}, timeout=60)
+        return httpx.Client(
+            base_url=self.address, headers={"Authorization": f"Bearer {secret}"}, timeout=60, verify=TRUST
+        )
 
 
 def tag(version: int) -> dict[str, str]:
