@@ -47,19 +47,19 @@ def status(name, score, **entry):
 
 def test_a_set_exactly_at_the_limit_is_failed_no_more_often_than_once_in_forty_times_or_so(catalogue):
     better, worse = known(TRUTH), known(TRUTH + 0.02 * SENSOR.typical_sigma)
-    limit = scores(better, worse, 1, catalogue, frames=3000)["validation-rms-incumbent"]["value"]
+    limit = scores(better, worse, 1, catalogue, frames=1500)["validation-rms-incumbent"]["value"]
     assert limit > 1.1
 
     failed = [
         status("validation-rms-incumbent", found["validation-rms-incumbent"], limit=limit, marginal=limit) == "FAIL"
-        for found in (scores(better, worse, number, catalogue) for number in range(100, 200))
+        for found in (scores(better, worse, number, catalogue) for number in range(100, 160))
     ]
-    assert np.mean(failed) <= 0.06  # measured over 200 sets: 0.01 of 30 frames, 0.03 of 100
+    assert np.mean(failed) <= 0.07  # measured over 200 sets: 0.01 of 30 frames, 0.03 of 100
 
 
 def test_a_set_as_good_as_the_incumbent_is_never_failed_by_the_default_and_a_worse_one_always(catalogue):
     rng = np.random.default_rng(3)
-    for number in range(20):
+    for number in range(12):
         alike = [known(TRUTH + 0.005 * SENSOR.typical_sigma * rng.normal(size=8)) for _ in range(2)]
         found = scores(*alike, number, catalogue)
         assert {status(name, found[name]) for name in found if name != "frames"} <= {"PASS", "MARGINAL"}
@@ -86,18 +86,18 @@ def in_runs(rng, n, share, length):
 def test_equal_availability_is_called_worse_for_sure_no_more_often_than_chance_allows(length):
     rng = np.random.default_rng(7)
     failed = 0
-    for _ in range(250):
+    for _ in range(150):
         before, after = in_runs(rng, 200, 0.8, length), in_runs(rng, 200, 0.8, length)
         score = change_of_share(before, after, rng)
         failed += status("availability-incumbent", score, limit=0.0, marginal=0.0) == "FAIL"
-    assert failed / 250 < 0.06
+    assert failed / 150 < 0.06
 
 
 def test_availability_that_truly_falls_is_called_worse():
     rng = np.random.default_rng(8)
-    changes = [change_of_share(in_runs(rng, 400, 0.95, 5), in_runs(rng, 400, 0.6, 5), rng) for _ in range(50)]
+    changes = [change_of_share(in_runs(rng, 400, 0.95, 5), in_runs(rng, 400, 0.6, 5), rng) for _ in range(30)]
     answers = [status("availability-incumbent", score) for score in changes]
-    assert answers.count("FAIL") >= 45
+    assert answers.count("FAIL") >= 27
     assert set(answers) <= {"FAIL", "MARGINAL"}
 
 

@@ -94,9 +94,12 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
     from boresight.gates.table import gate_rows
 
     rows = gate_rows(document)
-    head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent")
-    table = [(row.title, row.status, row.value, row.interval, row.limit, row.marginal, row.incumbent) for row in rows]
-    yield aligned([head, *table], left=(0, 1))
+    head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")
+    table = [
+        (row.title, row.status, row.value, row.interval, row.limit, row.marginal, row.incumbent, row.unit)
+        for row in rows
+    ]
+    yield aligned([head, *table], left=(0, 1, 7))
     yield ""
     failing = [row for row in rows if row.status != "PASS"]
     for sentence in dict.fromkeys(row.sentence for row in failing):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from boresight.figures.numbers import MINUS, MISSING, NARROW_SPACE, number, percent
@@ -22,7 +21,9 @@ class GateRow:
     name, title, status, sentence
         As in the report.
     value, interval, limit, marginal, incumbent, margin
-        Numbers with their unit; a dash where there is none.
+        Numbers in the unit, shares with their sign of per cent; a dash where there is none.
+    unit
+        Of all of them; empty for shares and plain numbers.
     notes
         What is special: critical, only observed, waived, must have data.
     blocking, waivable
@@ -38,6 +39,7 @@ class GateRow:
     marginal: str
     incumbent: str
     margin: str
+    unit: str
     sentence: str
     notes: tuple[str, ...]
     blocking: bool
@@ -62,6 +64,7 @@ def _row(answer: Mapping[str, Any], blocking: bool) -> GateRow:
         marginal=threshold_text(name, answer["marginal"]),
         incumbent=in_unit(name, answer["incumbent"]),
         margin=in_unit(name, answer["margin"]),
+        unit="" if GATES[name].unit in SHARES else GATES[name].unit,
         sentence=answer["sentence"],
         notes=tuple(_notes(answer)),
         blocking=blocking,
@@ -84,22 +87,19 @@ def _notes(answer: Mapping[str, Any]) -> list[str]:
 
 
 def in_unit(name: str, value: float | None) -> str:
-    """Write a gate's number with its unit."""
+    """Write a gate's number in its unit, without it; a share as a percentage."""
     if value is None:
         return MISSING
-    unit = GATES[name].unit
-    if unit in SHARES:
-        return percent(value)
-    return f"{number(value, 3)}{NARROW_SPACE}{unit}" if unit else number(value, 3)
+    return percent(value) if GATES[name].unit in SHARES else number(value, 3)
 
 
 def _between(name: str, interval: Any) -> str:
-    """Write an interval in the unit that stands beside it; an unknown end is unbounded."""
+    """Write an interval; an unknown end is unbounded."""
     if interval is None:
         return MISSING
-    write = percent if GATES[name].unit in SHARES else partial(number, digits=3)
     low, high = interval
-    return f"{f'{MINUS}∞' if low is None else write(low)} to {'∞' if high is None else write(high)}"
+    left = f"{MINUS}∞" if low is None else in_unit(name, low)
+    return f"{left} to {'∞' if high is None else in_unit(name, high)}"
 
 
 def threshold_text(name: str, value: float | None) -> str:
