@@ -18,9 +18,9 @@ def test_the_answer_for_now_names_baseline_board_and_definition(house, read):
     climb(house, "SENT", "LOADED", "VERIFIED", "ACTIVE")
     words = read(house.visitor("victor").get(PAGE))
     assert "As of now" in words
-    assert "baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same." in words
+    assert "Baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same." in words
     assert re.search(r"Table definition 1 .*Ada Analyst: As flown\.", words)
-    assert re.search(r"PS-ST16-1-0 ACTIVE .*Olga Operator by statement pass for ACTIVE", words)
+    assert re.search(r"PS-ST16-1-0 ACTIVE .*Olga Operator pass for ACTIVE by statement", words)
 
 
 def test_the_answer_for_a_time_is_of_that_time_and_in_the_address(house, read):
@@ -36,7 +36,7 @@ def test_the_answer_for_a_time_is_of_that_time_and_in_the_address(house, read):
 
 def test_before_everything_nothing_is_claimed(house, read):
     words = read(house.visitor("victor").get(f"{PAGE}?at=2000-01-01T00:00Z"))
-    assert "no baseline, on board no set known to be active." in words
+    assert "No baseline, on board no set known to be active." in words
     assert "Nothing had been recorded on board." in words
 
 

@@ -141,9 +141,8 @@ async def _taken_step(
     if outcome.value is None:
         kept = {name: value for name, value in typed.items() if name != "password"}
         return await run_in_threadpool(partial(_page, request, actor, set_id, Shown(form, kept, outcome.refusal)))
-    failed = getattr(outcome.value, "onboard_state", "") == "MISMATCH"
-    words = "MISMATCH: what was read back is not what was sent. See what differs." if failed else said
-    return redirect(f"/parameter-sets/{set_id}/uplink", flash=words, level="critical" if failed else "normal")
+    matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself says of a mismatch what it is
+    return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/package")
