@@ -8,10 +8,11 @@ import zipfile
 
 import pytest
 
-from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
 from boresight.services import approvals, audit, packages, parameter_sets, table_definitions
 from boresight.services.actors import Policy
 from boresight.store.sessions import writing
+from boresight.store.tables import ParameterSet
 
 from .conftest import PASSWORD, SENSOR
 
@@ -208,3 +209,27 @@ def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replace
 
     assert json.loads(files["c_sd.json"])["alignment"] == found
     assert json.loads(files["parameters.json"])["provenance"]["run"]["launched_by"] == "Ana"
+
+
+def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build, candidate, blobs):
+    alone = Policy(four_eyes=False)
+    row = candidate("bo")
+    with writing(engine) as session:
+        request = parameter_sets.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
+        words = (request.id, "APPROVE", "I approve", "", PASSWORD, request.version)
+        approvals.sign(session, people["bo"], *words, policy=alone)
+    four_eyes = json.loads(build(row)[1]["MANIFEST.json"])["four_eyes"]
+
+    assert (four_eyes["enforced"], four_eyes["kept"]) == (True, False)
+    assert four_eyes["sentence"].startswith("FOUR EYES WERE NOT KEPT")
+
+
+def test_an_approved_set_whose_evidence_moved_is_not_exported(engine, people, build, approved, candidate):
+    row, other = approved(), candidate()
+    with writing(engine) as session:  # as if the incumbent had been exchanged past the services
+        for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
+            session.get_one(ParameterSet, number).ground_state = state
+            audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
+
+    with pytest.raises(StaleError, match="incumbent moved"):
+        build(row)

@@ -65,7 +65,7 @@ def inputs_of(model="pinhole_radial", definition=None, **others):
         "backout": set_of(model, 1, 0.0, "BASELINE"),
         "active": None,
         "definition": {"number": 1, "sha256": "e" * 64, "document": document} if document else None,
-        "four_eyes": {"enforced": True, "sentence": "Four eyes."},
+        "four_eyes": {"enforced": True, "kept": True, "sentence": "Four eyes."},
         "software": {"name": "Boresight", "version": "0.1.0"},
         "first_built": {"at_utc": "2026-11-21T09:30:00.000000Z", "audit_head": "f" * 64},
     } | others

@@ -69,9 +69,9 @@ def definitions(draw):
         kind = draw(st.sampled_from(KINDS))
         bits = int("".join(letter for letter in kind if letter.isdigit()))
         bit += draw(st.integers(0, 20))
-        order = "big"
-        if bits in {8, 16, 32, 64} and draw(st.booleans()):
-            order, bit = "little", -(-bit // 8) * 8
+        order = "little" if bits in {8, 16, 32, 64} and draw(st.booleans()) else "big"
+        if order == "little" or kind.startswith("float"):
+            bit = -(-bit // 8) * 8
         field = {"name": name.upper(), "parameter": name, "offset_bits": bit, "type": kind, "byte_order": order}
         fields.append(field | draw(scales(INITIAL[model][name], kind, bits)))
         bit += bits

@@ -57,6 +57,10 @@ WRONG = {
     "neither": (lambda d: d["fields"][1].pop("parameter"), r"fields\[1\].constant is missing"),
     "a constant that does not fit": (lambda d: d["fields"][0].update(constant=70000), "VERSION cannot hold 70000"),
     "part of a byte, little-endian": (_field(byte_order="little", type="int12"), "is little-endian, which needs"),
+    "a float that begins inside a byte": (
+        lambda d: d["fields"].__setitem__(1, {"name": "S", "parameter": "s", "offset_bits": 33, "type": "float32"}),
+        "is a float32 that begins inside a byte",
+    ),
     "two fields in one place": (
         _field(offset_bytes=0),
         "VERSION begins at bit 0, inside S|S begins at bit 0, inside VERSION",

@@ -9,6 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 from boresight.gates.judgement import words
+from boresight.services.actors import Policy
+from boresight.services.signers import second_persons
 from boresight.store import approvals as approval_rows
 from boresight.store import packages as rows
 from boresight.store.sessions import Session
@@ -31,6 +33,25 @@ def described(session: Session, row: ParameterSet) -> dict[str, Any]:
         "gates": _gates(session, row),
         "approval": _approval(session, row),
     }
+
+
+def four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, Any]:
+    """Say whether this installation asks for a second person, and whether one approved this set.
+
+    `kept` is what happened, not what is asked now: None of a ground calibration, which nobody signed.
+    """
+    approval = approval_rows.latest_of(session, row.id, "APPROVED")
+    second = None if approval is None else second_persons(session, approval, Policy())
+    kept = None if approval is None or second is None else len(second) >= approval.needed
+    if not policy.four_eyes:
+        sentence = "FOUR EYES ARE OFF: this installation lets one person submit, sign and export alone."
+    elif kept is None:
+        sentence = "Nobody signed this set: it is the ground calibration."
+    elif kept:
+        sentence = "Four eyes: it was approved by who neither submitted it nor launched its run."
+    else:
+        sentence = "FOUR EYES WERE NOT KEPT: it was approved by who submitted it or launched its run."
+    return {"enforced": policy.four_eyes, "kept": kept, "sentence": sentence}
 
 
 def _run(session: Session, row: ParameterSet) -> dict[str, Any] | None:
@@ -67,8 +88,10 @@ def _telemetry(session: Session, telemetry_set_id: int | None) -> dict[str, Any]
 
 
 def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
-    """Say what the newest gate report found, and which gates were waived by whom; None when nothing was judged."""
-    report = approval_rows.newest_report(session, row.id)
+    """Say what the gate report that was signed found, and which gates were waived by whom; None when nothing was judged."""
+    approval = approval_rows.latest_of(session, row.id, "APPROVED")
+    bound = None if approval is None else approval.bound.get("gate_report_sha256")
+    report = rows.report_of(session, row.id, bound) if bound else approval_rows.newest_report(session, row.id)
     if report is None:
         return None
     waivers = [{key: getattr(waiver, key) for key in WAIVED} for waiver in rows.waivers(session, row.id)]

@@ -12,10 +12,11 @@ from typing import Any
 
 from boresight import __version__
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
-from boresight.services import audit
+from boresight.services import audit, staleness
 from boresight.services.actors import POLICY, Actor, Policy, require_role, require_scope
-from boresight.services.package_inputs import described
+from boresight.services.package_inputs import described, four_eyes
 from boresight.services.transitions import get_parameter_set, who_changed
+from boresight.store import approvals as approval_rows
 from boresight.store import packages as rows
 from boresight.store import parameter_sets as set_rows
 from boresight.store import table_definitions as definition_rows
@@ -54,7 +55,10 @@ def build(
     NotFoundError
         When there is no such set.
     ConflictError
-        When the set is neither approved nor baseline, or the spacecraft's versions are not those of the definition in force.
+        When the set is neither approved nor baseline, its approval expired, or the spacecraft's versions are not those of the
+        definition in force.
+    StaleError
+        When what an approval was bound to has moved: it is STALE from now on, and what was signed is not what would be sent.
     RefusedInputError
         When a set does not fit into the table.
     """
@@ -65,6 +69,7 @@ def build(
         raise ConflictError(
             f"{row.name} is {row.ground_state}: {who_changed(session, row)}. Only an approved set or the baseline is exported."
         )
+    _refuse_unsigned(session, actor, row)
     definition = definition_rows.definition_in_force(session, row.sensor_id)
     _refuse_other_versions(session, row, definition, flight_software_version, table_id)
     inputs = _inputs(session, row, definition, policy)
@@ -73,6 +78,14 @@ def build(
         return _kept(session, blobs, existing)
     inputs["first_built"] = {"at_utc": utc_now(), "audit_head": audit.head(session)}
     return _store(session, actor, blobs, row, definition, inputs)
+
+
+def _refuse_unsigned(session: Session, actor: Actor, row: ParameterSet) -> None:
+    """Refuse an approved set that is not any more what was signed; a baseline stays what it became."""
+    approval = approval_rows.latest_of(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
+    if approval is not None:
+        staleness.refuse_expired(session, approval, row)
+        staleness.refuse_moved(session, actor, approval, row)
 
 
 def _refuse_other_versions(
@@ -121,18 +134,8 @@ def _inputs(session: Session, row: ParameterSet, definition: TableDefinition | N
         "definition": None
         if definition is None
         else {"number": definition.number, "sha256": definition.sha256, "document": definition.document},
-        "four_eyes": _four_eyes(policy),
+        "four_eyes": four_eyes(session, row, policy),
         "software": {"name": "Boresight", "version": __version__},
-    }
-
-
-def _four_eyes(policy: Policy) -> dict[str, Any]:
-    """Say whether this installation asks for a second person."""
-    if policy.four_eyes:
-        return {"enforced": True, "sentence": "Four eyes: nobody signed what they submitted or launched."}
-    return {
-        "enforced": False,
-        "sentence": "FOUR EYES ARE OFF: this installation lets one person submit, sign and export alone.",
     }
 
 

@@ -178,6 +178,10 @@ def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faul
         faults.add(f"{place}.scale is 0: give the step of one raw unit")
     elif constant is not None and not faults.count:
         _check_constant(field, place, faults)
+    if field.floating and field.bit % 8:
+        faults.add(
+            f"{place} is a {kind} that begins inside a byte: ground systems read floats from a whole byte on only"
+        )
     if field.little and (field.bit % 8 or field.bits not in WHOLE):
         faults.add(f"{place} is little-endian, which needs 8, 16, 32 or 64 bits from a whole byte: give byte_order big")
     return field

@@ -6,7 +6,8 @@ Its raw value is a float32, a float64 or an integer of 1 to 64 bits, signed ones
     number = scale raw + offset,    raw = (number - offset) / scale, for an integer rounded half to even,
 
 so that an integer with a scale is a fixed-point number, and a float with a scale holds another unit than SI. Little-endian
-order reverses the bytes of a field, so it needs 8, 16, 32 or 64 bits from a whole byte on; every other field is big-endian.
+order reverses the bytes of a field, so it needs 8, 16, 32 or 64 bits from a whole byte on; every other field is big-endian. Floats
+begin at a whole byte too.
 """
 
 from __future__ import annotations

@@ -144,7 +144,7 @@ def _said(inputs: Inputs) -> dict[str, Any]:
         "package": f"Sensor {sensor['name']}, uplink package of {subject['name']}.",
         "simulated": SIMULATED if inputs["simulated"] else None,
         "backout": _way_back(inputs),
-        "four_eyes": None if inputs["four_eyes"]["enforced"] else inputs["four_eyes"]["sentence"],
+        "four_eyes": inputs["four_eyes"]["sentence"],
         "audit_head": inputs["first_built"]["audit_head"],
     }
 

@@ -32,7 +32,7 @@ class Export(BaseModel):
     summary="Build the uplink package",
     status_code=201,
     response_model=schemas.Package,
-    responses=refusals(404, 409),
+    responses=refusals(404, 409, 412),
 )
 def export_parameter_set(
     parameter_set_id: Id,
