@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from boresight.errors import RefusedInputError
+from boresight.errors import NotFoundError, RefusedInputError
 from boresight.services.actors import Actor
 from boresight.store import audit as rows
 from boresight.store import chain, verification
@@ -119,6 +119,25 @@ def list_records(
 ) -> Sequence[AuditRecord]:
     """Return a page of records, newest first; the next page starts before the last one's id."""
     return rows.records(session, before_id=before_id, sought=sought or Sought(object=subject), limit=limit)
+
+
+def get_record(session: Session, record_id: int) -> AuditRecord:
+    """Return a record.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    record = rows.record(session, record_id)
+    if record is None:
+        raise NotFoundError(f"There is no audit record {record_id}.")
+    return record
+
+
+def words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
+    """Return who acted and what was done lately, to choose from."""
+    return rows.words(session)
 
 
 def sought(

@@ -13,6 +13,7 @@ from boresight.store.sessions import Session
 from boresight.store.tables import AuditRecord
 
 RAW_AT_A_TIME = 1000
+LATELY = 2000
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,16 @@ def _condition(name: str, value: str) -> sa.ColumnElement[bool]:
     return getattr(AuditRecord, name) == value  # type: ignore[no-any-return]  # a column by its name
 
 
+def record(session: Session, record_id: int) -> AuditRecord | None:
+    """Return the record with a number."""
+    return session.get(AuditRecord, record_id)
+
+
 def words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
-    """Return the names of all who ever acted, and all that was ever done."""
-    actors = session.scalars(sa.select(AuditRecord.actor).distinct().order_by(AuditRecord.actor)).all()
-    return actors, session.scalars(sa.select(AuditRecord.action).distinct().order_by(AuditRecord.action)).all()
+    """Return who acted lately, and what was done lately: a long log is not read for two lists of words."""
+    newest = sa.select(AuditRecord.actor, AuditRecord.action).order_by(AuditRecord.id.desc()).limit(LATELY).subquery()
+    actors = session.scalars(sa.select(newest.c.actor).distinct().order_by(newest.c.actor)).all()
+    return actors, session.scalars(sa.select(newest.c.action).distinct().order_by(newest.c.action)).all()
 
 
 def walk(session: Session, *, after_id: int = 0) -> Iterator[dict[str, Any]]:
