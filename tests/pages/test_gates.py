@@ -116,7 +116,7 @@ def test_limits_that_somebody_else_changed_meanwhile_are_not_overwritten(house, 
 
 def test_a_set_that_was_not_assessed_says_so_and_can_be(house, read, candidate):
     visitor = house.visitor("ada")
-    assert "No report holds for this set now" in read(visitor.get(f"/parameter-sets/{candidate}/gates"))
+    assert "This set was not assessed." in read(visitor.get(f"/parameter-sets/{candidate}/gates"))
 
     answer = visitor.post(f"/parameter-sets/{candidate}/assess")
     assert answer.headers["location"] == f"/parameter-sets/{candidate}/gates"

@@ -132,7 +132,7 @@ def request_page(
         names=read_names(session),
         rows=rows,
         change_figure=FIGURES[CHANGE_FIGURE] if has_figures else None,
-        panel=panel_of(session, actor, row),
+        panel=panel_of(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256")),
         marks=marks(result) if result else [],
         warnings=warnings_of(result, rows, is_ground=row.run_id is None),
         evidence=evidence_of(session, approval, row, incumbent),

@@ -38,7 +38,9 @@ class GatesPanel:
     set
         Whose gates these are.
     report
-        The report that holds now; None where none does.
+        The report that is shown; None where the set was never assessed.
+    moved
+        What moved of all that it rests on; empty while it holds.
     words, verdict
         The verdict with its waivers, and without.
     rows
@@ -61,6 +63,7 @@ class GatesPanel:
 
     set: ParameterSet
     report: GateReport | None
+    moved: Sequence[str]
     words: str
     verdict: str
     rows: Sequence[GateRow]
@@ -81,15 +84,31 @@ class GatesPanel:
         return [row for row in self.rows if row.blocking]
 
 
-def panel_of(session: Session, actor: Actor, row: ParameterSet, typed: Typed | None = None) -> GatesPanel:
-    """Fill the panel of a set, as an actor sees it."""
-    report = gates.latest_report(session, row.id)
+def panel_of(
+    session: Session,
+    actor: Actor,
+    row: ParameterSet,
+    typed: Typed | None = None,
+    report_sha256: str | None = None,
+) -> GatesPanel:
+    """Fill the panel of a set, as an actor sees it.
+
+    Parameters
+    ----------
+    typed
+        What a refused form held.
+    report_sha256
+        Of the report to show, as a request binds it; the newest where none is named.
+    """
+    report = gates.newest_report(session, row.id, report_sha256)
+    moved = [] if report is None else gates.moved_since(session, report)
     document = None if report is None else gates.with_waivers(session, report)
     rows = [] if document is None else gate_rows(document)
     now = utc_now()
     return GatesPanel(
         set=row,
         report=report,
+        moved=moved,
         words="" if document is None else document["words"],
         verdict="" if document is None else document["verdict"],
         rows=rows,
@@ -98,7 +117,7 @@ def panel_of(session: Session, actor: Actor, row: ParameterSet, typed: Typed | N
         given=[(waiver, waiver.expires_utc > now) for waiver in waivers.all_waivers(session, row.id)],
         may_assess=None if actor.roles.intersection(gates.ASSESSORS) else ONLY_ASSESSORS,
         may_waive=None if actor.roles.intersection({"analyst", "approver"}) else ONLY_WAIVERS,
-        waivable=[one for one in rows if one.blocking and one.waivable],
+        waivable=[one for one in rows if one.blocking and one.waivable and not moved],
         typed=typed or Typed(),
     )
 

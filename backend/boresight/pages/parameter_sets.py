@@ -23,7 +23,7 @@ from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.gates_panel import panel_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
-from boresight.services import approvals, parameter_sets, runs, sensors, telemetry_sets, uplinks
+from boresight.services import approvals, gates, parameter_sets, runs, sensors, telemetry_sets, uplinks
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
 from boresight.store.tables import GROUND_STATES, Approval, ParameterSet
@@ -155,6 +155,7 @@ def parameter_sets_page(
         chosen_sensor=sensor_id,
         chosen_state=state,
         next_before=shown[-1].id if len(found) > ROWS_A_PAGE else None,
+        verdicts=gates.verdicts(session, {row.id for row in shown}),
         actor=actor,
     )
 

@@ -168,11 +168,21 @@ def _word(name: str) -> str:
 
 def latest_report(session: Session, parameter_set_id: int) -> GateReport | None:
     """Return a set's newest report if what it rests on is as it was; None otherwise."""
-    report = rows.newest_reports(session, [parameter_set_id]).get(parameter_set_id)
-    if report is None:
-        return None
-    row = get_parameter_set(session, parameter_set_id)
-    return report if report.document["bound"] == bound_now(session, row) else None
+    report = newest_report(session, parameter_set_id)
+    return None if report is None or moved_since(session, report) else report
+
+
+def newest_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport | None:
+    """Return a set's newest report, or the one with a hash, whether or not it still holds."""
+    if sha256 is not None:
+        return rows.report_with(session, parameter_set_id, sha256)
+    return rows.newest_reports(session, [parameter_set_id]).get(parameter_set_id)
+
+
+def moved_since(session: Session, report: GateReport) -> list[str]:
+    """Name what moved of all that a report rests on; it holds while nothing did."""
+    bound, now = report.document["bound"], bound_now(session, get_parameter_set(session, report.parameter_set_id))
+    return [_word(name) for name in now if bound[name] != now[name]]
 
 
 def report_for_submission(

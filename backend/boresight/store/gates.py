@@ -32,6 +32,12 @@ def newest_reports(session: Session, parameter_set_ids: Collection[int]) -> dict
     return {row.parameter_set_id: row for row in session.scalars(query)}
 
 
+def report_with(session: Session, parameter_set_id: int, sha256: str) -> GateReport | None:
+    """Return a set's newest report with a hash."""
+    query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id, GateReport.sha256 == sha256)
+    return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
+
+
 def waivers(session: Session, parameter_set_ids: Collection[int]) -> Sequence[Waiver]:
     """Return every waiver of some sets, in the order in which they were made."""
     query = sa.select(Waiver).where(Waiver.parameter_set_id.in_(parameter_set_ids))
