@@ -30,7 +30,7 @@ from boresight.telemetry.refusals import Faults
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink.cfe import CfeHeaders, parse_cfe
 from boresight.uplink.checksum import Checksum
-from boresight.uplink.definition_entries import Entries
+from boresight.uplink.definition_entries import MOST_BYTES, Entries
 from boresight.uplink.fields import Field
 from boresight.uplink.named_checksum import parse_checksum
 from boresight.uplink.parameter_service import ParameterService, parse_pus
@@ -50,7 +50,6 @@ KEYS = (
 FIELD_KEYS = (
     "name", "parameter", "constant", "offset_bytes", "offset_bits", "type", "byte_order", "scale", "offset",
 )  # fmt: skip
-MOST_BYTES = 65536
 MOST_FIELDS = 512
 ORDERS = ("big", "little")
 WHOLE = (8, 16, 32, 64)

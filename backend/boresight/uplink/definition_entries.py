@@ -13,6 +13,7 @@ from boresight.uplink.fields import bits_of
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 LONGEST_TEXT = 64
+MOST_BYTES = 16384  # cFE's own limit of one table, unless a mission raises it
 LARGEST = 2.0**64
 
 
@@ -158,8 +159,8 @@ class Entries:
             self.faults.add(f"{self.place} needs offset_bytes or offset_bits: give one of them")
             return 0
         if self.has("offset_bits"):
-            return int(self.whole("offset_bits", 0, 8 * 65536))
-        return 8 * int(self.whole("offset_bytes", 0, 65536))
+            return int(self.whole("offset_bits", 0, 8 * MOST_BYTES))
+        return 8 * int(self.whole("offset_bytes", 0, MOST_BYTES))
 
 
 def _shown(value: Any) -> str:

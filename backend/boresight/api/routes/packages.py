@@ -76,7 +76,7 @@ def list_packages(
     responses=refusals(404),
 )
 def get_package(package_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
-    """Read what a package was built of; `/content` is the file."""
+    """Read whose package it is and what it is for; `/content` is the file."""
     return json_response(schemas.written(schemas.Package, packages.get_package(session, package_id)))
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Any
+
+from pydantic import Field, model_validator
 
 from boresight.api.schemas.row import Document, Row
 
@@ -21,14 +23,32 @@ class TableDefinition(Row):
 
 
 class Package(Row):
-    """An uplink package: the ZIP is at `/content`."""
+    """An uplink package: the ZIP is at `/content`, and everything that its bytes follow from is in its manifest."""
 
     id: int
     parameter_set_id: int
     table_definition_id: int | None = Field(description="Null where none was in force: the package holds no table.")
+    flight_software_version: str | None
+    table_id: str | None
     sha256: str = Field(description="SHA-256 of the ZIP.")
-    inputs: Document = Field(
-        description="Everything that the bytes follow from, with the audit head of the first building."
-    )
+    backout: str = Field(description="The set that it goes back to, in the folder `backout/`.")
+    four_eyes: str = Field(description="Whether a second person approved the set.")
+    audit_head: str = Field(description="Head of the audit log when the package was first built.")
     created_utc: str
     created_by: int | None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_row(cls, row: Any) -> Any:
+        """Take what is shown out of the inputs of a stored package."""
+        if not hasattr(row, "inputs"):
+            return row
+        columns = ("id", "parameter_set_id", "table_definition_id", "sha256", "created_utc", "created_by")
+        document = (row.inputs["definition"] or {}).get("document", {})
+        return {name: getattr(row, name) for name in columns} | {
+            "flight_software_version": document.get("flight_software_version"),
+            "table_id": document.get("table_id"),
+            "backout": row.inputs["backout"]["name"],
+            "four_eyes": row.inputs["four_eyes"]["sentence"],
+            "audit_head": row.inputs["first_built"]["audit_head"],
+        }
