@@ -6,12 +6,12 @@ import re
 
 import pytest
 
-from boresight.pages.climb import LADDER, members_of, steps_of
+from boresight.pages.climb import LADDER, exported_of, members_of, steps_of
 from boresight.pages.runs import Names
 from boresight.pages.sensors import EXAMPLE
 from boresight.services import packages, parameter_sets
 from boresight.store.sessions import reading, writing
-from boresight.store.tables import Uplink
+from boresight.store.tables import Package, Uplink
 
 from .conftest import PASSWORD
 from .onboard import climb, define, send_dump, table, version
@@ -42,6 +42,16 @@ def _records(*states: str) -> list[Uplink]:
 )
 def test_the_ladder_shows_the_present_climb(states, words):
     assert [step.word for step in steps_of(None, _records(*states), NAMES)] == words
+
+
+def test_the_exported_package_is_the_one_that_was_sent_and_before_that_the_newest():
+    built = [Package(id=2), Package(id=1)]
+    assert exported_of(built, []).id == 2
+    assert exported_of([], []) is None
+    records = _records("SENT", "LOADED")
+    assert exported_of(built, records).id == 2
+    records[1].evidence = {"package": {"id": 1, "sha256": "ab"}}
+    assert exported_of(built, records).id == 1
 
 
 def test_the_fleet_shows_ground_and_board_side_by_side_and_active_only_where_it_was_recorded(house, read):

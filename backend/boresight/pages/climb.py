@@ -44,7 +44,7 @@ def steps_of(exported: Package | None, records: Sequence[Uplink], names: Names) 
     Parameters
     ----------
     exported
-        The set's newest package.
+        The package that the climb carries.
     records
         Everything recorded of the set, newest first.
     """
@@ -64,6 +64,20 @@ def climb_of(records: Sequence[Uplink]) -> Sequence[Uplink]:
     """Return what was recorded since the set was last sent, newest first."""
     sent = next((place for place, row in enumerate(records) if row.onboard_state == "SENT"), len(records) - 1)
     return records[: sent + 1]
+
+
+def exported_of(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
+    """Return the package that the present climb carries: the one that was sent, before that the newest; None where none is.
+
+    Parameters
+    ----------
+    packages, records
+        Of the set, newest first.
+    """
+    named = [(row.evidence or {}).get("package") for row in climb_of(records) if row.onboard_state == "SENT"]
+    if named and named[-1] is not None:
+        return next((package for package in packages if package.id == named[-1]["id"]), None)
+    return packages[0] if packages else None
 
 
 def _exported(package: Package | None, names: Names) -> Step | None:

@@ -6,7 +6,7 @@ list below it. The page offers the steps that the state allows, and says why it 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -19,7 +19,7 @@ from starlette.datastructures import UploadFile
 from boresight.api.dependencies import Who, csrf
 from boresight.errors import BoresightError, RefusedInputError
 from boresight.pages.attempts import Refusal, attempt
-from boresight.pages.climb import Member, climb_of, members_of, steps_of
+from boresight.pages.climb import Member, climb_of, exported_of, members_of, steps_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import packages, parameter_sets, read_backs, sensors, timeline, uplinks
@@ -57,7 +57,8 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
     with reading(request.app.state.engine) as session:
         row = parameter_sets.get_parameter_set(session, set_id)
         records = uplinks.list_uplinks(session, parameter_set_id=set_id, limit=RECORDS_SHOWN)
-        exported = packages.list_packages(session, parameter_set_id=set_id)
+        built = packages.list_packages(session, parameter_set_id=set_id)
+        exported = exported_of(built, records)
         names = read_names(session)
         reference, why = _reference(session, request.app.state.blobs, row)
         return render(
@@ -67,10 +68,11 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
             set=row,
             sensor=sensors.get_sensor(session, row.sensor_id),
             known=timeline.as_of(session, row.sensor_id),
-            steps=steps_of(exported[0] if exported else None, records, names),
+            steps=steps_of(exported, records, names),
             records=records,
             compared=next((it for it in climb_of(records) if it.method), None) if records else None,
-            packages=exported,
+            packages=built,
+            exported=exported,
             members=_members(session, request.app.state.blobs, exported),
             reference=reference,
             why_no_reference=why,
@@ -92,12 +94,12 @@ def _why_not_sent(row: ParameterSet) -> str | None:
     return f"{row.name} is {row.ground_state}: only the baseline is sent. Have it approved and promote it."
 
 
-def _members(session: Session, blobs: BlobStore, exported: Sequence[Package]) -> list[Member]:
-    """List what the newest package holds; nothing where its bytes cannot be read."""
-    if not exported:
+def _members(session: Session, blobs: BlobStore, exported: Package | None) -> list[Member]:
+    """List what a package holds; nothing where its bytes cannot be read."""
+    if exported is None:
         return []
     try:
-        return members_of(packages.read(session, blobs, exported[0].id))
+        return members_of(packages.read(session, blobs, exported.id))
     except BoresightError:
         return []
 
