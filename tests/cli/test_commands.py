@@ -16,7 +16,7 @@ from boresight.errors import BoresightError, Fault, RefusedInputError
 
 COMMANDS = (
     "calibrate", "match", "evaluate", "reproduce", "check", "simulate", "report", "export", "table", "bench",
-    "serve", "demo", "warm", "migrate", "user", "audit",
+    "serve", "demo", "warm", "migrate", "backup", "restore", "user", "audit",
 )  # fmt: skip
 PASSWORD = "correct horse battery"
 

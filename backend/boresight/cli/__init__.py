@@ -11,6 +11,7 @@ import click
 import boresight
 from boresight.cli.assess import assess
 from boresight.cli.audit import audit
+from boresight.cli.backup import backup, restore
 from boresight.cli.bench import bench
 from boresight.cli.calibrate import calibrate
 from boresight.cli.check import check
@@ -54,6 +55,8 @@ for command in (
     demo,
     warm,
     migrate,
+    backup,
+    restore,
     user,
     audit,
 ):
