@@ -219,3 +219,11 @@ def test_the_package_of_a_simulated_sensor_says_that_it_is_one(files):
     assert json.loads(simulated["MANIFEST.json"])["simulated"] is True
     assert b"SIMULATED: " in simulated["verification_sheet.html"]
     assert b"SIMULATED: " not in files["verification_sheet.html"]
+
+
+def test_the_sheet_names_the_way_back_with_its_crc_and_the_way_back_s_own_sheet_names_none(files):
+    told = json.loads(files["MANIFEST.json"])["tables"]["backout/"]["crc_told"]["value"]
+
+    assert "load the way back. backout/ is PS-FM1-1" in files["verification_sheet.html"].decode()
+    assert told in files["verification_sheet.html"].decode()
+    assert "load the way back" not in files["backout/verification_sheet.html"].decode()

@@ -59,7 +59,8 @@ def build_package(inputs: Inputs) -> bytes:
     files: dict[str, bytes] = {}
     for folder, made in tables.items():
         before = None if alone else backout if folder == "" else subject
-        held = _files(inputs, sensor, definition, sets[folder], before, made, tables["backout/"])
+        said = _said(inputs, folder) | {"back_to": tables["backout/"].facts}
+        held = _files(sensor, definition, sets[folder], before, made, said)
         files |= {f"{folder}{name}": content for name, content in held.items()}
     if definition is not None:
         files["table_definition.json"] = json_bytes(definition.document)
@@ -96,18 +97,16 @@ def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping
 
 
 def _files(
-    inputs: Inputs,
     sensor: Sensor,
     definition: TableDefinition | None,
     subject: Mapping[str, Any],
     before: Mapping[str, Any] | None,
     tables: _Tables,
-    back: _Tables,
+    said: Mapping[str, Any],
 ) -> dict[str, bytes]:
     """Return the files of one set."""
     parameters = subject["document"]["parameters"]
     held = {} if definition is None else held_by(definition, parameters)
-    said = _said(inputs) | {"back_to": back.facts}
     return {
         "parameter_set.json": canonical_bytes(subject["document"]),
         "parameters.json": parameters_json(sensor, subject, held),
@@ -137,13 +136,18 @@ def _quantisation(definition: TableDefinition, sensor: Sensor, parameters: Mappi
     }
 
 
-def _said(inputs: Inputs) -> dict[str, Any]:
-    """Return the sentences that hold for the whole package."""
+def _said(inputs: Inputs, folder: str) -> dict[str, Any]:
+    """Return the sentences that the sheets share; the way back's own sheet has none."""
     subject, sensor = inputs["subject"], inputs["sensor"]
+    of = {
+        "": "uplink package",
+        "backout/": "way back inside the uplink package",
+        "on_board/": "active set inside the uplink package",
+    }
     return {
-        "package": f"Sensor {sensor['name']}, uplink package of {subject['name']}.",
+        "package": f"Sensor {sensor['name']}, {of[folder]} of {subject['name']}.",
         "simulated": SIMULATED if inputs["simulated"] else None,
-        "backout": _way_back(inputs),
+        "backout": _way_back(inputs) if folder == "" else None,
         "four_eyes": inputs["four_eyes"]["sentence"],
         "audit_head": inputs["first_built"]["audit_head"],
     }

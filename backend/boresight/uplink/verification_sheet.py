@@ -36,7 +36,8 @@ def verification_sheet(
     definition, facts, quantisation
         The table on board, what to compare of it, and what its number format does; None without a table definition.
     said
-        `package`, `simulated`, `backout`, `back_to`, `four_eyes` and `audit_head`: what holds for the whole package.
+        `package`, `simulated`, `backout`, `back_to`, `four_eyes` and `audit_head`: what all sheets of a
+        package share; a sheet that is the way back itself has no `backout`.
     """
     environment = Environment(
         loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
