@@ -24,6 +24,8 @@ ADDRESSES = {
     "compare": "/compare?runs={batch},{filter}",
     "parameter-sets": "/parameter-sets",
     "parameter-set": "/parameter-sets/{parameters}",
+    "gates": "/sensors/{sensor}/gates",
+    "set-gates": "/parameter-sets/{parameters}/gates",
     "approvals": "/approvals?show=all",
     "approval": "/approvals/{request}",
     "uplink": "/uplink",
