@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from boresight.errors import StaleError, TooManyAttemptsError, UnauthenticatedError
-from boresight.services import approvals, audit, parameter_sets, sensors, telemetry_sets, uplinks, users
+from boresight.services import approvals, audit, parameter_sets, sensors, telemetry_sets, timeline, uplinks, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore
 from boresight.store.documents import canonical
@@ -116,6 +116,10 @@ def test_the_ladder_and_the_question_of_when_work(postgresql: Engine, people: Ma
     with reading(postgresql) as session:
         assert uplinks.baseline_at(session, 1, "2000-01-01") is None
         assert [row.name for row, _ in uplinks.onboard_at(session, 1, "2100-01-01")] == ["PS-ST16-1-0"]
+        assert timeline.as_of(session, 1).sentence == "baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same"
+        listed = timeline.events(session, 1)
+        assert [event.state for event in listed] == ["ACTIVE", "VERIFIED", "LOADED", "SENT", "BASELINE"]
+        assert timeline.events(session, 1, before_id=listed[1].id, limit=2) == listed[2:4]
         tile = sensors.fleet_overview(session)[0]
     assert (tile.status, tile.active is not None) == ("off", True)
 
