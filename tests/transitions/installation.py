@@ -15,6 +15,7 @@ from typing import Any
 
 import httpx
 import orjson
+from argon2 import PasswordHasher
 
 from boresight.services import api_keys, audit, parameter_sets, sensors, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
@@ -24,6 +25,7 @@ from boresight.store.sessions import Engine, Session, migrate, open_engine, read
 from boresight.store.tables import ParameterSet, Run, Sensor
 
 PASSWORD = "correct horse battery"
+CHEAP_HASH = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1).hash(PASSWORD)  # hundreds sign with it
 TRUST = ssl.create_default_context()  # once: to make it costs more than a request
 WORDS = {"meaning": "I reviewed the evidence.", "comment": "Seen.", "password": PASSWORD}
 
@@ -57,9 +59,10 @@ class Installation:
         migrate(self.engine)
         with writing(self.engine) as session:
             for name, roles in self.people.items():
-                users.create_user(
+                row = users.create_user(
                     session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
                 )
+                row.password_hash = CHEAP_HASH
 
     def actor(self, name: str) -> Actor:
         """Return a person as they act under a log-in."""

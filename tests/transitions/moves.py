@@ -77,7 +77,7 @@ ALLOWED = (
     | _allow("approver", "refuse, refuse-over-the-shoulder", "APPROVED")
     | _allow("operator, key of the operator", "promote", "APPROVED")
     | _allow(
-        "analyst, operator, approver, administrator, submitter, launcher, signer, newcomer",
+        "analyst, operator, approver, administrator, submitter, launcher, signer",
         "assign",
         "SUBMITTED, HALF",
     )
