@@ -79,6 +79,26 @@ def _sign(house: House) -> Made:
     return "alan", {"approval_id": approval["id"], "json": body, "headers": _versioned(approval)}
 
 
+def _sign_beside(house: House) -> Made:
+    _, options = _sign(house)
+    return "victor", {**options, "json": {**options["json"], "name": "alan", "decision": "APPROVE"}}
+
+
+def _roll_back(house: House) -> Made:
+    row = house.approved()
+    client = house.person("olga")
+    client.post(f"/api/v1/parameter-sets/{row['id']}:promote", headers=_versioned(row))
+    found = client.get("/api/v1/parameter-sets", params={"sensor_id": row["sensor_id"]}).json()["items"]
+    former = next(one for one in found if one["ground_state"] == "SUPERSEDED")
+    return "olga", {"parameter_set_id": former["id"], "json": {"reason": "It drifts."}, "headers": _versioned(former)}
+
+
+def _assign(house: House) -> Made:
+    approval = house.submitted()
+    alan = house.person("alan").get("/api/v1/sessions/current").json()["user_id"]
+    return "ada", {"approval_id": approval["id"], "json": {"user_id": alan}, "headers": _versioned(approval)}
+
+
 def _record(house: House) -> Made:
     client = house.person("ada")
     sensor = house.new_sensor()
@@ -182,6 +202,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "submit_parameter_set": _submit,
     "withdraw_parameter_set": _withdraw,
     "promote_parameter_set": _promote,
+    "roll_back_parameter_set": _roll_back,
     "list_gate_profiles": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
     "set_gate_profile": gates.set_profile,
     "try_gate_profile": gates.try_profile,
@@ -198,6 +219,12 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_approval": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
     "approve": _sign,
     "refuse": _sign,
+    "sign_over_the_shoulder": _sign_beside,
+    "assign_approval": _assign,
+    "list_remarks": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "remark": lambda house: ("ada", {"approval_id": house.submitted()["id"], "json": {"text": "Was the heater on?"}}),
+    "list_openings": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "record_opening": lambda house: ("alan", {"approval_id": house.submitted()["id"], "json": {"evidence": "radial"}}),
     "list_uplinks": lambda _: ("victor", {}),
     "record_uplink": _record,
     "get_uplink": onboard.uplink,

@@ -134,6 +134,13 @@ BODIES: dict[str, dict[str, Any]] = {
     "waive_gate": {
         "json": {"gate": "coverage", "code": "other", "reason": "x", "expires_utc": "2026-01-01", "password": PASSWORD}
     },
+    "roll_back_parameter_set": {"json": {"reason": "x"}},
+    "sign_over_the_shoulder": {
+        "json": {"meaning": "x", "password": PASSWORD, "comment": "x", "name": "alan", "decision": "APPROVE"}
+    },
+    "assign_approval": {"json": {"user_id": None}},
+    "remark": {"json": {"text": "x"}},
+    "record_opening": {"json": {"evidence": "x"}},
     "change_roles": {"json": {"roles": []}},
     "change_password": {"json": {"password": "another good one"}},
     "read_back": {"data": {"source": "x", "crc": "1"}},
