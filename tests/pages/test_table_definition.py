@@ -6,12 +6,13 @@ import re
 
 import pytest
 
-from boresight.pages.table_definition import example_for, written_as_text
+from boresight.pages.table_definition import written_as_text
 from boresight.services import table_definitions
 from boresight.store.sessions import reading
+from boresight.uplink.plain_table import plain_definition
 
 ADDRESS = "/sensors/1/table-definition"
-EXAMPLE = example_for("inverted_wang")
+EXAMPLE = plain_definition("inverted_wang")
 
 
 def _typed(page):

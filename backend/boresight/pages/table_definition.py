@@ -30,6 +30,7 @@ from boresight.store.sessions import Session, reading
 from boresight.store.tables import TableDefinition
 from boresight.uplink.checksum import CHECKSUMS
 from boresight.uplink.fields import Field
+from boresight.uplink.plain_table import plain_definition
 from boresight.uplink.table_definition import DecodedField
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -73,25 +74,6 @@ class Shown:
     reason: str = ""
     refusal: Refusal | None = None
     tried: bool = False
-
-
-def example_for(camera_model: str) -> dict[str, Any]:
-    """Return a definition that holds a camera model in single precision, to begin with."""
-    names = CAMERA_MODELS[camera_model].parameter_names
-    length = 4 * len(names) + 4
-    fields = [
-        {"name": name.upper(), "parameter": name, "offset_bytes": 4 * place, "type": "float32"}
-        for place, name in enumerate(names)
-    ]
-    return {
-        "table_id": "STR_CAM",
-        "flight_software_version": "1.0.0",
-        "byte_order": "big",
-        "length_bytes": length,
-        "fill": 0,
-        "fields": fields,
-        "crc": {"name": "CRC-16/CCITT-FALSE", "offset_bytes": length - 2, "over": [0, length - 2]},
-    }
 
 
 def written_as_text(document: Mapping[str, Any]) -> str:
@@ -141,7 +123,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
         versions = table_definitions.list_definitions(session, sensor_id, limit=MOST_VERSIONS)
         current = versions[0] if versions else None
         text = shown.text or written_as_text(
-            current.document if current else example_for(sensor.document["camera_model"])
+            current.document if current else plain_definition(sensor.document["camera_model"])
         )
         begun = bool(current or shown.text or shown.tried)
         layout, refusal = (
