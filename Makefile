@@ -21,7 +21,7 @@ export PYTHONUNBUFFERED := 1
 PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10
 # What starts processes, kills them or drives a browser has the machine for itself; the rest shares it.
 PARALLEL := --numprocesses 2 --dist loadfile
-ALONE := tests/workers tests/browser tests/test_wheel.py
+ALONE := tests/workers tests/browser tests/test_wheel.py tests/transitions/test_race.py tests/transitions/test_killed_server.py
 
 .PHONY: help demo test lint pytest bench clean lock machine
 

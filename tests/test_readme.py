@@ -71,7 +71,8 @@ def test_the_readme_names_exactly_the_commands_there_are():
 
 
 def test_the_readme_names_exactly_the_nouns_of_the_api():
-    nouns = {noun.router.prefix for noun in NOUNS}
+    paths = [route.path for noun in NOUNS for route in noun.router.routes]
+    nouns = {"/" + re.split("[/:]", path)[1] for path in paths}
     told = {
         noun for row in re.findall(r"^\| (`/[^|]*) \|", README, re.MULTILINE) for noun in re.findall("`(.*?)`", row)
     }

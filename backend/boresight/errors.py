@@ -65,6 +65,10 @@ class ForbiddenError(BoresightError):
     """The person or key may not do it; says who may."""
 
 
+class PasswordDueError(ForbiddenError):
+    """Somebody else set the person's password; they must set their own before anything else."""
+
+
 class UnauthenticatedError(BoresightError):
     """Nobody is logged in, or the log-in has expired."""
 

@@ -28,11 +28,14 @@ import boresight
 from boresight.api import static_files
 from boresight.api.broadcast import Broadcast
 from boresight.api.cookies import LogInCookie
+from boresight.api.deliveries import Deliveries
+from boresight.api.heartbeat import Heartbeat
 from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.routes import router as api_router
+from boresight.api.upkeep import Upkeep
 from boresight.errors import BoresightError
 from boresight.pages import router as pages_router
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
@@ -82,11 +85,15 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     state = app.state
     state.settings = settings
+    state.policy = settings.policy
     state.engine = open_engine(settings.database_url)
     state.blobs = BlobStore(settings.blob_folder)
     state.log_in_cookie = LogInCookie(settings)
     state.catalogue = _lazy_catalogue(settings)
     state.broadcast = Broadcast(state.engine)
+    state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
+    state.upkeep = Upkeep(state.engine)
+    state.deliveries = Deliveries(state.engine, local=bool(settings.webhooks_local))
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
@@ -118,6 +125,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     await run_in_threadpool(migrate, state.engine)
     state.write_lock = asyncio.Lock()
     state.broadcast.start()
+    state.heartbeat.start()
+    state.upkeep.start()
+    state.deliveries.start()
     state.workers = Engine(state.engine, state.settings, state.broadcast.hear)
     state.workers.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
@@ -125,6 +135,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         yield
     finally:
         await run_in_threadpool(state.workers.stop)
+        await run_in_threadpool(state.deliveries.close)
+        await run_in_threadpool(state.heartbeat.close)
+        await run_in_threadpool(state.upkeep.close)
         await run_in_threadpool(state.broadcast.close)
         state.engine.dispose()
 

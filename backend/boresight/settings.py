@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from boresight.errors import RefusedInputError
+from boresight.services.actors import Policy
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,11 @@ SETTINGS = (
     Setting("upload_limit_mb", "512", "MB", "Largest telemetry file that is accepted.", float),
     Setting("session_hours", "12", "h", "A log-in ends after so long.", float),
     Setting("login_attempts", "5", "per minute", "Failed log-ins a person may make before waiting.", int),
+    Setting("webhooks_local", "0", "0 or 1", "1 = webhooks may go to this machine and its link.", int),
+    Setting("four_eyes", "1", "0 or 1", "0 = one person works alone here and may sign what they submitted.", int),
+    Setting("approvals", "1", "people", "Approvals that a request needs; two at least where a gate is waived.", int),
+    Setting("approval_days", "30", "d", "A request that nobody decided on expires after so long.", float),
+    Setting("rollback_days", "3", "d", "The same for a request to go back to a former baseline.", float),
     Setting("secure_cookies", "0", "0 or 1", "1 = the session cookie is sent over HTTPS only.", int),
 )
 
@@ -62,7 +68,23 @@ class Settings:
     upload_limit_mb: float
     session_hours: float
     login_attempts: int
+    webhooks_local: int
+    four_eyes: int
+    approvals: int
+    approval_days: float
+    rollback_days: float
     secure_cookies: int
+
+    @property
+    def policy(self) -> Policy:
+        """What this installation asks of a request for approval."""
+        return Policy(
+            four_eyes=bool(self.four_eyes),
+            approval_days=self.approval_days,
+            rollback_days=self.rollback_days,
+            approvals=self.approvals,
+            login_attempts=self.login_attempts,
+        )
 
     @property
     def catalogue_folder(self) -> Path:

@@ -78,24 +78,8 @@ function upload(event) {
   request.send(new FormData(form));
 }
 
-function acceptDrops() {
-  const place = form.querySelector(".drop");
-  const input = document.getElementById("file");
-  const mark = (over) => (event) => {
-    event.preventDefault();
-    place.classList.toggle("over", over);
-  };
-  place.addEventListener("dragover", mark(true));
-  place.addEventListener("dragleave", mark(false));
-  place.addEventListener("drop", (event) => {
-    mark(false)(event);
-    if (event.dataTransfer.files.length) input.files = event.dataTransfer.files;
-  });
-}
-
 if (form) {
   form.addEventListener("submit", upload);
   stop.addEventListener("click", () => request?.abort());
   addEventListener("beforeunload", (event) => request && event.preventDefault());
-  acceptDrops();
 }

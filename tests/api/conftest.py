@@ -24,8 +24,8 @@ import uvicorn
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
 from boresight.server import _Server, create_app
-from boresight.services import users
-from boresight.services.actors import COMMAND_LINE
+from boresight.services import audit, users
+from boresight.services.actors import COMMAND_LINE, SYSTEM
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue, load_catalogue
@@ -162,6 +162,7 @@ class House:
             run = session.get_one(Run, run_id)
             run.state, run.result_sha256 = state, sha256
             write_event(session, run_id, 1, "state", f"{state}: ended by the test")
+            audit.append(session, SYSTEM, "ended", f"runs/{run_id}", None, {"state": state})
 
     def finished(self, launcher: str = "ada") -> int:
         """Return a run that has a result."""

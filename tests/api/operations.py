@@ -17,6 +17,7 @@ from boresight.api import schemas
 from boresight.api.paging import Page
 from boresight.server import create_app
 
+from . import gates, onboard
 from .conftest import PASSWORD, House, settings_in
 
 with tempfile.TemporaryDirectory() as _folder:
@@ -30,6 +31,8 @@ OPEN = ("health", "readiness", "metrics", "log_in")  # ask nobody who acts
 TRANSITIONS = [name for name, operation in OPERATIONS.items() if "428" in operation["responses"]]
 UNSAFE = [name for name, operation in OPERATIONS.items() if operation["method"] != "GET" and name != "log_in"]
 WITH_ID = [name for name, operation in OPERATIONS.items() if "_id}" in operation["path"]]
+
+HOOK = {"label": "Chat", "url": "https://mission.invalid/hooks"}  # a name that leads nowhere
 
 Made = tuple[str, dict[str, Any]]  # who asks, and path values with request options
 
@@ -76,12 +79,55 @@ def _sign(house: House) -> Made:
     return "alan", {"approval_id": approval["id"], "json": body, "headers": _versioned(approval)}
 
 
+def _sign_beside(house: House) -> Made:
+    _, options = _sign(house)
+    return "victor", {**options, "json": {**options["json"], "name": "alan", "decision": "APPROVE"}}
+
+
+def _roll_back(house: House) -> Made:
+    row = house.approved()
+    client = house.person("olga")
+    client.post(f"/api/v1/parameter-sets/{row['id']}:promote", headers=_versioned(row))
+    found = client.get("/api/v1/parameter-sets", params={"sensor_id": row["sensor_id"]}).json()["items"]
+    former = next(one for one in found if one["ground_state"] == "SUPERSEDED")
+    return "olga", {"parameter_set_id": former["id"], "json": {"reason": "It drifts."}, "headers": _versioned(former)}
+
+
+def _assign(house: House) -> Made:
+    approval = house.submitted()
+    alan = house.person("alan").get("/api/v1/sessions/current").json()["user_id"]
+    return "ada", {"approval_id": approval["id"], "json": {"user_id": alan}, "headers": _versioned(approval)}
+
+
 def _record(house: House) -> Made:
     client = house.person("ada")
     sensor = house.new_sensor()
     found = client.get("/api/v1/parameter-sets", params={"sensor_id": sensor["id"]}).json()["items"][0]
     step = {"parameter_set_id": found["id"], "onboard_state": "SENT", "source": "Pass 1"}
     return "olga", {"json": step, "headers": _versioned(found)}
+
+
+def _define(house: House) -> Made:
+    row = house.new_sensor()
+    fields = [
+        {"name": f"F{place}", "parameter": name, "offset_bytes": 4 * place, "type": "float32"}
+        for place, name in enumerate(row["document"]["initial"])
+    ]
+    document = {"table_id": "T", "flight_software_version": "1", "length_bytes": 32, "fields": fields}
+    body = {"document": document, "reason": "Flight software 1."}
+    return "ada", {"sensor_id": row["id"], "json": body, "headers": {"If-Match": '"v0"'}}
+
+
+def _export(house: House) -> Made:
+    sensor = house.new_sensor()
+    found = house.person("ada").get("/api/v1/parameter-sets", params={"sensor_id": sensor["id"]}).json()["items"][0]
+    return "olga", {"parameter_set_id": found["id"], "json": {}}
+
+
+def _package(house: House) -> Made:
+    number = _export(house)[1]["parameter_set_id"]
+    made = house.person("olga").post(f"/api/v1/parameter-sets/{number}:export")
+    return "victor", {"package_id": made.json()["id"]}
 
 
 def _new_user(house: House) -> dict[str, Any]:
@@ -112,6 +158,15 @@ def _key(house: House) -> Made:
     return "ada", {"key_id": client.post("/api/v1/api-keys", json={"label": "x"}).json()["id"]}
 
 
+def _webhook(house: House, **options: Any) -> Made:
+    return "adele", {"webhook_id": house.person("adele").post("/api/v1/webhooks", json=HOOK).json()["id"], **options}
+
+
+def _delivery(house: House) -> Made:
+    number = _webhook(house)[1]["webhook_id"]
+    return "adele", {"delivery_id": house.person("adele").post(f"/api/v1/webhooks/{number}:try").json()["id"]}
+
+
 GOOD: dict[str, Callable[[House], Made]] = {
     "health": lambda _: ("victor", {}),
     "readiness": lambda _: ("victor", {}),
@@ -124,6 +179,8 @@ GOOD: dict[str, Callable[[House], Made]] = {
         "victor",
         {"sensor_id": house.new_sensor()["id"], "params": {"at": "2099-01-01T00:00:00Z"}},
     ),
+    "get_sensor_as_of": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "list_sensor_timeline": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
     "list_telemetry_sets": lambda _: ("victor", {}),
     "upload_telemetry_set": _upload,
     "get_telemetry_set": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
@@ -149,15 +206,40 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "submit_parameter_set": _submit,
     "withdraw_parameter_set": _withdraw,
     "promote_parameter_set": _promote,
+    "roll_back_parameter_set": _roll_back,
+    "list_gate_profiles": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "set_gate_profile": gates.set_profile,
+    "try_gate_profile": gates.try_profile,
+    "assess_parameter_set": lambda house: ("ada", {"parameter_set_id": house.candidate()["id"]}),
+    "get_gate_report": lambda house: ("victor", {"parameter_set_id": gates.blocked(house)["id"]}),
+    "waive_gate": gates.waive,
+    "list_table_definitions": lambda house: ("victor", {"sensor_id": _define(house)[1]["sensor_id"]}),
+    "set_table_definition": _define,
+    "export_parameter_set": _export,
+    "list_packages": lambda _: ("victor", {}),
+    "get_package": _package,
+    "get_package_content": _package,
     "list_approvals": lambda _: ("victor", {}),
     "get_approval": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
     "approve": _sign,
     "refuse": _sign,
+    "sign_over_the_shoulder": _sign_beside,
+    "assign_approval": _assign,
+    "list_remarks": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "remark": lambda house: ("ada", {"approval_id": house.submitted()["id"], "json": {"text": "Was the heater on?"}}),
+    "list_openings": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "record_opening": lambda house: ("alan", {"approval_id": house.submitted()["id"], "json": {"evidence": "radial"}}),
     "list_uplinks": lambda _: ("victor", {}),
     "record_uplink": _record,
+    "get_uplink": onboard.uplink,
+    "get_uplink_dump": onboard.uplink,
+    "read_back": onboard.read_back,
+    "activate_parameter_set": onboard.activate,
     "stream_events": lambda _: ("victor", {}),
     "list_audit": lambda _: ("victor", {}),
     "verify_audit": lambda _: ("victor", {}),
+    "export_audit": lambda _: ("victor", {}),
+    "get_audit_verifier": lambda _: ("victor", {}),
     "list_users": lambda _: ("adele", {}),
     "create_user": lambda house: ("adele", {"json": _new_user(house)}),
     "get_user": lambda _: ("adele", {"user_id": 1}),
@@ -169,6 +251,14 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_api_keys": lambda _: ("ada", {}),
     "create_api_key": lambda _: ("ada", {"json": {"label": "nightly"}}),
     "revoke_api_key": _key,
+    "list_webhooks": lambda _: ("adele", {}),
+    "create_webhook": lambda _: ("adele", {"json": HOOK}),
+    "get_webhook": _webhook,
+    "disable_webhook": _webhook,
+    "enable_webhook": _webhook,
+    "try_webhook": _webhook,
+    "list_webhook_deliveries": _webhook,
+    "redeliver": _delivery,
     "log_in": lambda _: ("victor", {"json": {"name": "victor", "password": PASSWORD}}),
     "get_session": lambda _: ("victor", {}),
     "log_out": lambda _: ("victor", {}),

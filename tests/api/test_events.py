@@ -213,7 +213,8 @@ def test_pages_of_missed_records_follow_one_another_without_a_gap(
     engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
     migrate(engine)
     with writing(engine) as session:
-        made = [audit.append(session, SYSTEM, "did", f"thing/{k}").id for k in range(20)]
+        records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(20)]
+    made = [record.id for record in records]
     place, heard = Place(0, made[0] - 1), []
     with reading(engine) as session:
         while events := events_after(session, place):

@@ -115,15 +115,37 @@ def test_a_number_that_no_row_can_have_is_refused(name: str, house: House) -> No
     assert answer.status_code == 422, answer.text
 
 
-ABLE = {"approve": "alan", "refuse": "alan", "promote_parameter_set": "olga"}  # who may do it, where not the analyst
+ABLE = {
+    "approve": "alan",
+    "refuse": "alan",
+    "promote_parameter_set": "olga",
+    "read_back": "olga",
+    "activate_parameter_set": "olga",
+    "set_gate_profile": "adele",
+}  # who may do it, where not the analyst
 BODIES: dict[str, dict[str, Any]] = {
     "convert_parameter_set": {"params": {"to": "pinhole_radial"}},
     "edit_sensor": {"json": {"name": "x"}},
     "submit_parameter_set": {"json": {"reason": "x"}},
     "approve": {"json": {"meaning": "x", "password": PASSWORD}},
     "refuse": {"json": {"meaning": "x", "password": PASSWORD, "comment": "x"}},
+    "set_gate_profile": {"json": {"gates": [], "reason": "x"}},
+    "set_table_definition": {"json": {"document": {}, "reason": "x"}},
+    "try_gate_profile": {"json": {"gates": []}},
+    "waive_gate": {
+        "json": {"gate": "coverage", "code": "other", "reason": "x", "expires_utc": "2026-01-01", "password": PASSWORD}
+    },
+    "roll_back_parameter_set": {"json": {"reason": "x"}},
+    "sign_over_the_shoulder": {
+        "json": {"meaning": "x", "password": PASSWORD, "comment": "x", "name": "alan", "decision": "APPROVE"}
+    },
+    "assign_approval": {"json": {"user_id": None}},
+    "remark": {"json": {"text": "x"}},
+    "record_opening": {"json": {"evidence": "x"}},
     "change_roles": {"json": {"roles": []}},
     "change_password": {"json": {"password": "another good one"}},
+    "read_back": {"data": {"source": "x", "crc": "1"}},
+    "activate_parameter_set": {"json": {"source": "x", "meaning": "x", "password": PASSWORD}},
     "get_sensor_at": {"params": {"at": "2026-01-01"}},
     "get_figure": {"name": "radial"},
     "get_figure_data": {"name": "radial"},

@@ -173,3 +173,46 @@ def test_people_see_their_own_keys_and_administrators_everyones(house: House) ->
     assert len({key["user_id"] for key in ada}) <= 1
     assert {"test"} <= {key["label"] for key in adele}
     assert len({key["user_id"] for key in adele}) >= 2
+
+
+def test_who_was_given_a_password_is_told_so_and_refused_all_else_until_it_is_set(house: House) -> None:
+    given, own = "given by an administrator", "known to nobody else"
+    root = house.person("adele")
+    person = {"name": "fay", "printed_name": "Fay", "password": PASSWORD, "roles": ["approver"]}
+    row = root.post("/api/v1/users", json=person)
+    address = f"/api/v1/users/{row.json()['id']}"
+    stale = {"If-Match": row.headers["etag"]}
+    assert root.post(f"{address}:change-password", json={"password": given}, headers=stale).status_code == 200
+    assert root.post(f"{address}:change-password", json={"password": given}, headers=stale).status_code == 412
+    assert root.post(f"{address}:end-sessions", headers=stale).status_code == 412
+    fay = house.anybody()
+    log_in = fay.post("/api/v1/sessions", json={"name": "fay", "password": given}).json()
+    fay.headers["X-CSRF-Token"] = log_in["csrf_token"]
+    assert log_in["must_change_password"]
+    refused = fay.get("/api/v1/runs")
+    assert (refused.status_code, refused.json()["type"]) == (403, "urn:boresight:problem:password-to-be-set")
+    assert fay.get("/api/v1/sessions/current").json()["must_change_password"]
+    body = {"password": own, "current": given}
+    assert fay.post(f"{address}:change-password", json=body).json()["must_change_password"] is False
+    again = fay.post("/api/v1/sessions", json={"name": "fay", "password": own})
+    assert again.json()["must_change_password"] is False
+    assert fay.get("/api/v1/runs").status_code == 200
+
+
+def test_a_key_that_was_revoked_meanwhile_is_not_revoked_by_who_did_not_see_it(house: House) -> None:
+    client = house.person("ada")
+    made = client.post("/api/v1/api-keys", json={"label": "passes"})
+    address, seen = f"/api/v1/api-keys/{made.json()['id']}:revoke", {"If-Match": made.headers["etag"]}
+    assert client.post(address, headers=seen).status_code == 200
+    assert client.post(address, headers=seen).status_code == 412
+    assert client.post(address).status_code == 200
+
+
+def test_the_last_use_of_a_key_is_shown(house: House) -> None:
+    client = house.person("ada")
+    made = client.post("/api/v1/api-keys", json={"label": "reader"}).json()
+    assert made["last_used_utc"] is None
+    assert house.anybody().get("/api/v1/runs", headers={"Authorization": f"Bearer {made['secret']}"}).status_code == 200
+    house.app.state.upkeep.write_uses()
+    listed = client.get("/api/v1/api-keys").json()["items"]
+    assert next(key for key in listed if key["id"] == made["id"])["last_used_utc"] is not None

@@ -89,6 +89,7 @@ def people(installation, browser):
             form.get_by_label("Name as it is printed").fill(PRINTED_NAMES[name])
             form.get_by_label("First password").fill(password_of(name))
             form.get_by_role("checkbox", name=name).check()
+            form.get_by_role("checkbox", name="They set a password of their own").uncheck()
             form.get_by_role("button", name="Add this person").click()
             expect(window.page.get_by_role("table", name="People and their roles")).to_contain_text(PRINTED_NAMES[name])
     return made

@@ -15,8 +15,8 @@ from boresight.cli.progress import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
 
 COMMANDS = (
-    "calibrate", "match", "evaluate", "convert", "reproduce", "check", "simulate", "report", "bench",
-    "serve", "demo", "warm", "migrate", "user", "audit",
+    "calibrate", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table", "bench",
+    "serve", "demo", "warm", "migrate", "backup", "restore", "user", "audit",
 )  # fmt: skip
 PASSWORD = "correct horse battery"
 

@@ -22,7 +22,7 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.server import create_app
-from boresight.services import parameter_sets, users
+from boresight.services import audit, parameter_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
@@ -167,6 +167,7 @@ class House:
             run = Run(**{**values, **columns})
             session.add(run)
             session.flush()
+            audit.append(session, COMMAND_LINE, "brought in", f"runs/{run.id}")
             return run.id
 
     def actor(self, name: str) -> Actor:

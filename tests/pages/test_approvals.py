@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from boresight.figures.parameter_table import parameter_rows
-from boresight.pages.approvals import warnings_of
+from boresight.pages.approval import warnings_of
 
 PASSWORD = "correct horse battery"
 WORDS = {"decision": "APPROVE", "meaning": "I approve this set for baseline.", "comment": "Read all of it."}
@@ -38,9 +38,8 @@ def test_an_empty_inbox_says_what_will_appear(house, read):
 
 def test_the_request_is_read_in_the_order_of_a_review(house, request_page):
     page = house.visitor("alan").get(request_page)
-    places = [
-        page.index(f'id="{name}-title"') for name in ("reason", "change", "evidence", "warnings", "signed", "sign")
-    ]
+    order = ("reason", "change", "gates", "warnings", "evidence", "discussion", "signed", "sign")
+    places = [page.index(f'id="{name}-title"') for name in order]
     assert places == sorted(places)
     assert 'src="/api/v1/runs/1/figures/radial"' in page
 
@@ -93,7 +92,7 @@ def test_one_refusal_blocks(house, request_page, read):
 def test_who_may_not_sign_is_told_why_instead_of_a_form(house, request_page, read, name, said):
     page = house.visitor(name).get(request_page)
     assert said in read(page)
-    assert 'name="password"' not in page
+    assert 'id="password"' not in page
     assert said in read(house.visitor(name).post(f"{request_page}/sign", version="1", password=PASSWORD, **WORDS).text)
 
 

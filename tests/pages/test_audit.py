@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.pages.audit import changes, line_of
+from boresight.pages.audit import line_of
+from boresight.pages.audit_changes import changes
 from boresight.services import audit
 from boresight.store.sessions import reading, writing
 
@@ -43,9 +44,46 @@ def test_older_records_follow_where_the_page_ended(house):
             audit.append(session, house.actor("ada"), f"did-{number}", "runs/1")
     page = house.visitor("victor").get("/audit?object=runs/1")
     assert "did-59" in page
-    assert "did-9<" not in page
+    assert "<td>did-9<" not in page
     address = page.split("Older records")[0].rsplit('href="', 1)[1].split('"')[0].replace("&amp;", "&")
-    assert "did-9<" in house.visitor("victor").get(address)
+    assert "<td>did-9<" in house.visitor("victor").get(address)
+
+
+def test_filters_in_the_address_narrow_the_list_and_stay_in_the_form(house, read):
+    with writing(house.engine) as session:
+        audit.append(session, house.actor("ada"), "tested", "runs/1", None, {"state": "x"}, "why")
+        audit.append(session, house.actor("olga"), "tested", "runs/2")
+    visitor = house.visitor("victor")
+    page = read(visitor.get("/audit?action=tested&actor=Ada+Analyst"))
+    assert "runs/1" in page
+    assert "runs/2" not in page
+    assert "<option selected>tested</option>" in visitor.get("/audit?action=tested")
+    assert "No record is like this." in read(visitor.get("/audit?since=2100-01-01"))
+    assert "runs/2" in read(visitor.get("/audit?since=2020-01-01T00:00Z&until=2100-01-01&action=tested"))
+    assert "'soon' is no time" in read(visitor.get("/audit?since=soon"))
+
+
+def test_a_record_is_shown_whole_with_names_and_units(house, read):
+    before, after = {"initial": {"f_m": 0.016}, "version": 1}, {"initial": {"f_m": 0.0161}, "version": 2}
+    with writing(house.engine) as session:
+        record = audit.append(session, house.actor("ada"), "edited", "sensors/1", before, after, "focus moved")
+    page = read(house.visitor("victor").get(f"/audit/{record.id}"))
+    for said in ("Initial, f", "mm", "16.1", "focus moved", "Roles then analyst", "Rows sealed none by this record"):
+        assert said in page, said
+    assert house.visitor("victor").send("GET", "/audit/99999", headers={"accept": "text/html"}).status_code == 404
+
+
+def test_the_bar_tells_through_which_record_the_chain_was_verified(house):
+    visitor = house.visitor("victor")
+    assert "NOT YET" in visitor.get("/sensors").split("<main")[0]
+    house.app.state.upkeep.verify()
+    with reading(house.engine) as session:
+        last = audit.list_records(session, limit=1)[0].id
+    assert f"#{last} " in visitor.get("/sensors").split("<main")[0]
+    with house.engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE users SET roles = '[]' WHERE id = 1")
+    house.app.state.upkeep.verify()
+    assert "BROKEN" in visitor.get("/sensors").split("<main")[0]
 
 
 def test_only_what_differs_is_shown_and_nested_members_by_their_path():

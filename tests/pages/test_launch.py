@@ -8,7 +8,7 @@ import pytest
 
 from boresight.calibration.settings import CHOICES, CalibrationSettings
 from boresight.pages.methods import METHODS, WORDS
-from boresight.services import runs
+from boresight.services import audit, runs
 from boresight.store.sessions import reading, utc_now, writing
 from boresight.store.tables import Blob, TelemetrySet
 
@@ -54,6 +54,7 @@ def test_the_set_whose_page_one_came_from_is_chosen_for_its_purpose(house, numbe
                 TelemetrySet(name="TS", purpose=purpose, original_sha256=sha256, table_sha256=sha256, **columns)
             )
             session.flush()
+            audit.append(session, house.actor("ada"), "brought in", "telemetry-sets")
     page = house.visitor("ada").get(f"/runs/new?sensor=1&set={number}")
     newest = {"telemetry": 5, "validation": 6}[other]
     assert _chosen(page, f"{place}_set_id") == str(number)

@@ -22,7 +22,9 @@ def submitted(house):
     """Submit the set of run 1 as the analyst."""
     with writing(house.engine) as session:
         row = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
-        parameter_sets.submit(session, house.actor("ada"), row.id, "Focus moved with temperature.", row.version)
+        parameter_sets.submit(
+            session, house.actor("ada"), house.blobs, row.id, "Focus moved with temperature.", row.version
+        )
         return row.name
 
 

@@ -118,3 +118,18 @@ def test_an_approved_set_becomes_the_baseline_and_supersedes_the_old_one(house, 
 
 def test_a_set_that_does_not_exist_is_not_found(house):
     house.visitor("victor").get("/parameter-sets/99", status=404)
+
+
+def test_a_former_baseline_offers_a_roll_back_with_a_request_of_its_own(house, read):
+    ada, alan, olga = (house.visitor(name) for name in ("ada", "alan", "olga"))
+    place = ada.post("/runs/1/parameter-set").headers["location"]
+    request = ada.post(f"{place}/submit", version=version(ada.get(place)), reason="Better.").headers["location"]
+    words = {"decision": "APPROVE", "meaning": "", "comment": "", "password": "correct horse battery"}
+    alan.post(f"{request}/sign", version="1", **words)
+    olga.post(f"{place}/promote", version=version(olga.get(place)))
+    page = olga.get("/parameter-sets/1")
+    assert "Ask to roll back to PS-ST16-1-0" in read(page)
+    back = olga.post("/parameter-sets/1/roll-back", version=version(page), reason="The new one lost stars.")
+    text = read(alan.get(back.headers["location"]))
+    assert "Roll back to PS-ST16-1-0" in text
+    assert "The new one lost stars." in text

@@ -87,6 +87,24 @@ def test_a_revoked_key_stays_in_the_list_as_revoked(house, read):
 def test_a_changed_password_ends_every_log_in(house):
     visitor, elsewhere = house.visitor("ada"), house.visitor("ada")
     form = {"current": PASSWORD, "password": "another long one", "repeated": "another long one"}
-    assert visitor.post("/users/password", **(form | {"repeated": "typo"})).status_code == 422
-    assert visitor.post("/users/password", **form).headers["location"] == "/login"
+    assert visitor.post("/password", **(form | {"repeated": "typo"})).status_code == 422
+    assert visitor.post("/password", **form).headers["location"] == "/login"
     assert elsewhere.send("GET", "/audit", headers={"accept": "text/html"}).status_code == 303
+
+
+def test_who_was_given_a_password_sets_their_own_before_anything_else(house, read):
+    victim = house.visitor("victor")
+    page = house.visitor("adele").post("/users/5/password", password="a given password")
+    assert page.status_code == 303
+    assert "must set a password" in read(house.visitor("adele").get("/users"))
+    assert victim.send("GET", "/audit", headers={"accept": "text/html"}).headers["location"].startswith("/login")
+    victim.send("POST", "/login", data={"name": "victor", "password": "a given password"})
+    for path in ("/", "/audit", "/users", "/login"):
+        assert victim.send("GET", path, headers={"accept": "text/html"}).headers["location"] == "/password"
+    assert "Only a password that nobody else knows" in read(victim.get("/password"))
+
+
+def test_an_administrator_ends_the_log_ins_of_a_person(house):
+    victim = house.visitor("victor")
+    assert house.visitor("adele").post("/users/5/end-sessions").status_code == 303
+    assert victim.send("GET", "/audit", headers={"accept": "text/html"}).status_code == 303

@@ -10,7 +10,7 @@ from typing import Any
 import orjson
 import pytest
 
-from boresight.services import approvals, parameter_sets, sensors, users
+from boresight.services import approvals, audit, parameter_sets, sensors, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
@@ -118,6 +118,7 @@ def finished_run(blobs: BlobStore) -> Callable[..., Run]:
         )
         session.add(run)
         session.flush()
+        audit.append(session, COMMAND_LINE, "brought in", f"runs/{run.id}")
         return run
 
     return make
@@ -142,14 +143,14 @@ def candidate(
 
 @pytest.fixture
 def submitted(
-    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> Callable[[], ParameterSet]:
     """Make a candidate and have Ana submit it."""
 
     def make() -> ParameterSet:
         row = candidate()
         with writing(engine) as session:
-            parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+            parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
             return parameter_sets.get_parameter_set(session, row.id)
 
     return make

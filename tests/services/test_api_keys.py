@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping
 import pytest
 
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
-from boresight.services import api_keys, parameter_sets, users
+from boresight.services import api_keys, audit, parameter_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, utc_after, writing
 from boresight.store.tables import ApiKey, ParameterSet
 
@@ -101,16 +102,28 @@ def test_a_key_that_cannot_be_is_refused(
 
 
 def test_what_a_key_changed_is_on_record_as_the_key(
-    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> None:
     row = candidate()
     with writing(engine) as session:
         key, secret = api_keys.create_key(session, people["ana"], label="robot", scopes=["parameter-sets"])
     with writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
-        assert api_keys.last_changes(session) == {}
-        parameter_sets.submit(session, robot, row.id, "better", row.version)
+        parameter_sets.submit(session, robot, blobs, row.id, "better", row.version)
     with reading(engine) as session:
-        assert list(api_keys.last_changes(session)) == [key.prefix]
+        record = audit.last_change(session, f"parameter-sets/{row.id}")
+        assert record is not None
+        assert record.credential == f"key:{key.prefix}"
         assert [listed.id for listed in api_keys.list_keys(session, people["ana"].user_id)] == [key.id]
         assert api_keys.list_keys(session, people["bo"].user_id) == []
+
+
+def test_the_last_use_of_a_key_is_kept_and_only_ever_moves_on(engine: Engine, people: Mapping[str, Actor]) -> None:
+    with writing(engine) as session:
+        key, _ = api_keys.create_key(session, people["ana"], label="robot")
+    for at_utc in ("2026-11-21T10:00:00.000000Z", "2026-11-21T09:00:00.000000Z"):
+        with writing(engine) as session:
+            api_keys.record_uses(session, {key.prefix: at_utc, "unknown": at_utc})
+    with reading(engine) as session:
+        assert api_keys.get_key(session, key.id).last_used_utc == "2026-11-21T10:00:00.000000Z"
+        assert audit.verify(session).ok

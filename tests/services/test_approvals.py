@@ -19,21 +19,24 @@ from boresight.errors import (
 )
 from boresight.services import api_keys, approvals, audit, parameter_sets, users
 from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Approval, LoginFailure, ParameterSet, Signature
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, reading, utc_now, writing
+from boresight.store.tables import Approval, LoginFailure, ParameterSet, Signature, TableDefinition
 
 PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
 
 
 @pytest.fixture
-def request_of(engine: Engine, people: People, candidate: Callable[..., ParameterSet]) -> Callable[..., Approval]:
+def request_of(
+    engine: Engine, people: People, candidate: Callable[..., ParameterSet], blobs: BlobStore
+) -> Callable[..., Approval]:
     """Submit a candidate: by whom, of a run that whom launched."""
 
     def make(submitted_by: str = "ana", launched_by: str = "ana") -> Approval:
         row = candidate(launched_by)
         with writing(engine) as session:
-            return parameter_sets.submit(session, people[submitted_by], row.id, "better", row.version)
+            return parameter_sets.submit(session, people[submitted_by], blobs, row.id, "better", row.version)
 
     return make
 
@@ -64,7 +67,9 @@ def test_one_approval_by_a_second_person_approves(
         assert audit.verify(session).ok
 
 
-def test_one_refusal_blocks(engine: Engine, people: People, request_of: Callable[..., Approval]) -> None:
+def test_one_refusal_blocks(
+    engine: Engine, people: People, request_of: Callable[..., Approval], blobs: BlobStore
+) -> None:
     approval = request_of()
     _sign(engine, people["cy"], approval, "REFUSE", comment="too few stars at the rim")
     assert _states(engine, approval) == ("REJECTED", "REJECTED")
@@ -74,7 +79,7 @@ def test_one_refusal_blocks(engine: Engine, people: People, request_of: Callable
     assert record is not None
     assert "too few stars at the rim" in str(record.reason)
     with writing(engine) as session, pytest.raises(ConflictError, match="is REJECTED: Cy refused it"):
-        parameter_sets.submit(session, people["ana"], row.id, "once more", row.version)
+        parameter_sets.submit(session, people["ana"], blobs, row.id, "once more", row.version)
 
 
 def test_a_refusal_stops_even_what_another_approved(
@@ -139,14 +144,14 @@ def test_the_first_pair_of_eyes_is_not_the_second(
 
 
 def test_a_set_submitted_by_a_key_is_submitted_by_its_owner(
-    engine: Engine, people: People, candidate: Callable[..., ParameterSet]
+    engine: Engine, people: People, candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> None:
     row = candidate()
     with writing(engine) as session:
         secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
     with writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
-        approval = parameter_sets.submit(session, robot, row.id, "better", row.version)
+        approval = parameter_sets.submit(session, robot, blobs, row.id, "better", row.version)
     with pytest.raises(ForbiddenError, match="You submitted this set"):
         _sign(engine, people["bo"], approval)
 
@@ -212,10 +217,13 @@ def test_hashes_that_moved_make_the_request_stale_and_its_set_free(
     engine: Engine, people: People, request_of: Callable[..., Approval]
 ) -> None:
     approval = request_of()
-    with writing(engine) as session:  # as if the incumbent had been exchanged past the services
-        row = session.get_one(Approval, approval.id)
-        row.bound = row.bound | {"incumbent_sha256": "0" * 64}
-    with pytest.raises(StaleError, match=r"incumbent moved .* Submit it again"):
+    with writing(engine) as session:  # as if a table definition had been brought in past the services
+        definition = TableDefinition(
+            sensor_id=1, number=1, document={}, sha256="0" * 64, reason="", created_utc=utc_now()
+        )
+        session.add(definition)
+        audit.append(session, people["root"], "defined", "table-definitions/1")
+    with pytest.raises(StaleError, match=r"The table definition moved .* Submit it again"):
         _sign(engine, people["cy"], approval)
     assert _states(engine, approval) == ("STALE", "CANDIDATE")
     with pytest.raises(StaleError, match="is STALE"):

@@ -40,7 +40,7 @@ def test_a_set_of_every_model_is_approved_and_becomes_baseline(
         )  # fmt: skip
         run.sensor_id, run.sensor_document = sensor.id, sensor.document
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
-        parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+        parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
         approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
         promoted = parameter_sets.promote(session, people["dee"], row.id, row.version)

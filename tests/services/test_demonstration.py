@@ -5,7 +5,7 @@ import time
 import pytest
 
 from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.services import audit, runs, sensors, telemetry_sets, users
+from boresight.services import audit, runs, sensors, table_definitions, telemetry_sets, users
 from boresight.services.demonstration import LOG_INS, create_demonstration
 from boresight.services.telemetry_sets import load_telemetry
 from boresight.simulation.sensors import st16_truth
@@ -159,3 +159,10 @@ def test_each_step_is_reported(filled):
     assert sum("telemetry" in sentence for sentence in filled.said[:9]) == 6
     assert sum("its batch run is queued" in sentence for sentence in filled.said[:9]) == 6
     assert "ready after" in filled.said[8]
+
+
+def test_every_tracker_has_a_table_so_that_its_package_can_be_read_back(filled):
+    with reading(filled.engine) as session:
+        tables = [table_definitions.definition_in_force(session, row.id) for row in sensors.list_sensors(session)]
+    assert len(tables) == 6
+    assert all(table is not None and table.number == 1 for table in tables)

@@ -100,11 +100,11 @@ def test_an_older_failure_does_not_speak_for_the_sensor(engine: Engine, finished
 
 
 def test_a_request_that_waits_is_a_caution(
-    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
+    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> None:
     row = candidate()
     with writing(engine) as session:
-        parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+        parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
     tile = _tile(engine)
     assert (tile.status, tile.sentence) == ("caution", f"{row.name} waits for a signature.")
 

@@ -115,14 +115,14 @@ def test_only_an_analyst_makes_and_submits(
         parameter_sets.create_from_run(session, people[name], blobs, run.id)
     row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
     with pytest.raises(ForbiddenError, match="role analyst"):
-        parameter_sets.submit(session, people[name], row.id, "better", row.version)
+        parameter_sets.submit(session, people[name], blobs, row.id, "better", row.version)
     assert row.ground_state == "CANDIDATE"
 
 
-def test_nobody_in_particular_cannot_submit(engine: Engine, candidate: Candidate) -> None:
+def test_nobody_in_particular_cannot_submit(engine: Engine, candidate: Candidate, blobs: BlobStore) -> None:
     row = candidate()
     with writing(engine) as session, pytest.raises(ForbiddenError, match="answer for this"):
-        parameter_sets.submit(session, COMMAND_LINE, row.id, "better", row.version)
+        parameter_sets.submit(session, COMMAND_LINE, blobs, row.id, "better", row.version)
 
 
 def test_a_request_binds_set_run_and_incumbent(engine: Engine, submitted: Callable[[], ParameterSet]) -> None:
@@ -132,17 +132,22 @@ def test_a_request_binds_set_run_and_incumbent(engine: Engine, submitted: Callab
         incumbent = parameter_sets.baseline_of(session, row.sensor_id)
         run = session.get_one(Run, row.run_id)
         assert incumbent is not None
-    assert approval.bound == {
-        "set_sha256": row.sha256,
-        "run_result_sha256": run.result_sha256,
-        "incumbent_sha256": incumbent.sha256,
+    hashes = {"set_sha256": row.sha256, "run_result_sha256": run.result_sha256, "incumbent_sha256": incumbent.sha256}
+    assert hashes.items() <= approval.bound.items()
+    assert set(approval.bound) - set(hashes) == {
+        "gate_report_sha256",
+        "profile_sha256",
+        "table_definition_sha256",
+        "waivers",
     }
 
 
-def test_a_transition_needs_the_version_that_was_seen(engine: Engine, people: People, candidate: Candidate) -> None:
+def test_a_transition_needs_the_version_that_was_seen(
+    engine: Engine, people: People, candidate: Candidate, blobs: BlobStore
+) -> None:
     row = candidate()
     with writing(engine) as session, pytest.raises(PreconditionRequiredError, match="If-Match"):
-        parameter_sets.submit(session, people["ana"], row.id, "better", None)
+        parameter_sets.submit(session, people["ana"], blobs, row.id, "better", None)
 
 
 def test_an_old_version_is_told_who_changed_what_and_when(
@@ -155,29 +160,32 @@ def test_an_old_version_is_told_who_changed_what_and_when(
     assert "Ana submitted it at 20" in str(refusal.value)
 
 
-def test_a_submission_needs_its_reason(engine: Engine, people: People, candidate: Candidate) -> None:
+def test_a_submission_needs_its_reason(engine: Engine, people: People, candidate: Candidate, blobs: BlobStore) -> None:
     row = candidate()
     with writing(engine) as session, pytest.raises(RefusedInputError, match="Give the reason"):
-        parameter_sets.submit(session, people["ana"], row.id, "  ", row.version)
+        parameter_sets.submit(session, people["ana"], blobs, row.id, "  ", row.version)
 
 
 def test_what_is_submitted_is_not_submitted_again(
-    engine: Engine, people: People, submitted: Callable[[], ParameterSet]
+    engine: Engine, people: People, submitted: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     row = submitted()
     with writing(engine) as session, pytest.raises(ConflictError, match="is SUBMITTED: Ana submitted it"):
-        parameter_sets.submit(session, people["bo"], row.id, "better", row.version)
+        parameter_sets.submit(session, people["bo"], blobs, row.id, "better", row.version)
 
 
 def test_the_submitter_withdraws_and_may_submit_again(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     row = approved()
     with writing(engine) as session:
         withdrawn = parameter_sets.withdraw(session, people["ana"], row.id, row.version, "found a mistake")
         assert withdrawn.ground_state == "WITHDRAWN"
         assert approvals.list_approvals(session)[0].state == "WITHDRAWN"
-        assert parameter_sets.submit(session, people["ana"], row.id, "no mistake", withdrawn.version).state == "OPEN"
+        assert (
+            parameter_sets.submit(session, people["ana"], blobs, row.id, "no mistake", withdrawn.version).state
+            == "OPEN"
+        )
 
 
 def test_another_analyst_does_not_withdraw(

@@ -12,10 +12,11 @@ from boresight.errors import (
     ForbiddenError,
     StaleError,
 )
-from boresight.services import approvals, audit, parameter_sets
+from boresight.services import approvals, audit, parameter_sets, promotions
 from boresight.services.actors import Actor
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import Approval, ParameterSet, Promotion
+from boresight.store.tables import ParameterSet, Promotion
 
 PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
@@ -72,7 +73,7 @@ def test_a_promotion_that_fails_at_its_end_leaves_the_old_baseline(
     def break_down(*_: object) -> None:
         raise OSError("the disk is full")
 
-    monkeypatch.setattr(parameter_sets, "make_others_stale", break_down)
+    monkeypatch.setattr(promotions, "make_others_stale", break_down)
     with pytest.raises(OSError, match="disk"):
         _promote(engine, people["dee"], row)
     assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
@@ -111,38 +112,39 @@ def test_another_promotion_makes_every_request_of_the_sensor_stale(
 
 
 def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], candidate: Callable[..., ParameterSet]
 ) -> None:
-    row = approved()
+    row, other = approved(), candidate()
     with writing(engine) as session:  # as if the incumbent had been exchanged past the services
-        approval = session.scalars(sa.select(Approval)).one()
-        approval.bound = approval.bound | {"incumbent_sha256": "0" * 64}
-    with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-0: .* Submit it again"):
+        for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
+            session.get_one(ParameterSet, number).ground_state = state
+            audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
+    with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-2: Root exchanged it .* again"):
         _promote(engine, people["dee"], row)
     with reading(engine) as session:
         assert approvals.list_approvals(session)[0].state == "STALE"
-    assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "CANDIDATE"}
+    assert _states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "CANDIDATE", other.name: "BASELINE"}
 
 
 def test_rollback_is_a_new_request_for_an_older_set(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     row = approved()
     _promote(engine, people["dee"], row)
     with writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        parameter_sets.submit(session, people["ana"], ground.id, "the new one drifts", ground.version)
+        parameter_sets.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
         _approve(session, people["cy"], ground.id)
         parameter_sets.promote(session, people["dee"], ground.id, ground.version)
     assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "SUPERSEDED"}
 
 
 def test_a_rollback_withdrawn_stays_superseded(
-    engine: Engine, people: People, approved: Callable[[], ParameterSet]
+    engine: Engine, people: People, approved: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     _promote(engine, people["dee"], approved())
     with writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        parameter_sets.submit(session, people["ana"], ground.id, "the new one drifts", ground.version)
+        parameter_sets.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
         parameter_sets.withdraw(session, people["ana"], ground.id, ground.version)
         assert ground.ground_state == "SUPERSEDED"

@@ -24,7 +24,7 @@ def session(engine, people):  # noqa: ARG001 - people are made in a transaction 
 
 
 @pytest.fixture
-def add_set(session, blobs):
+def add_set(session, blobs, people):
     """Add telemetry sets; the first is number 1."""
 
     def add(sensor_id=1, **columns):
@@ -40,6 +40,7 @@ def add_set(session, blobs):
         )
         session.add(row)
         session.flush()
+        audit.append(session, people["ana"], "brought in", f"telemetry-sets/{row.id}")
         return row
 
     return add

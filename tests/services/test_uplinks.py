@@ -99,6 +99,7 @@ def _promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
     row.ground_state = "BASELINE"
     session.add(Promotion(sensor_id=row.sensor_id, parameter_set_id=row.id, at_utc=at_utc))
     session.flush()
+    audit.append(session, COMMAND_LINE, "promoted", f"parameter-sets/{row.id}")
 
 
 @pytest.fixture
@@ -146,6 +147,7 @@ def test_what_was_baseline_is_answered_for_any_time(engine: Engine, second: Para
 def test_a_time_on_the_second_counts_what_happened_within_it_as_later(engine: Engine) -> None:
     with writing(engine) as session:
         session.add(Promotion(sensor_id=1, parameter_set_id=1, at_utc="2020-01-01T00:00:00.500000Z"))
+        audit.append(session, COMMAND_LINE, "promoted", "parameter-sets/1")
     with reading(engine) as session:
         assert uplinks.baseline_at(session, 1, "2020-01-01T00:00:00Z") is None
         assert uplinks.baseline_at(session, 1, "2020-01-01T00:00:01Z") is not None

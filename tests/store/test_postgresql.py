@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from boresight.errors import StaleError, TooManyAttemptsError, UnauthenticatedError
-from boresight.services import approvals, audit, parameter_sets, sensors, telemetry_sets, uplinks, users
+from boresight.services import approvals, audit, parameter_sets, sensors, telemetry_sets, timeline, uplinks, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore
 from boresight.store.documents import canonical
@@ -78,10 +78,10 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
         return parameter_sets.create_from_run(session, ana, blobs, run.id)
 
 
-def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet) -> int:
+def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blobs: BlobStore) -> int:
     """Have a candidate submitted and signed, and return its version."""
     with writing(engine) as session:
-        approval = parameter_sets.submit(session, people["ana"], row.id, "better", row.version)
+        approval = parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
         return parameter_sets.get_parameter_set(session, row.id).version
 
@@ -91,7 +91,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
 ) -> None:
     blobs = BlobStore(tmp_path / "blobs")
     rows = [_candidate(postgresql, people["ana"], blobs, tmp_path, 0.016 + n * 1e-6) for n in range(3)]
-    versions = [_approve(postgresql, people, row) for row in rows]
+    versions = [_approve(postgresql, people, row, blobs) for row in rows]
 
     def promote(number: int) -> str:
         try:
@@ -116,6 +116,10 @@ def test_the_ladder_and_the_question_of_when_work(postgresql: Engine, people: Ma
     with reading(postgresql) as session:
         assert uplinks.baseline_at(session, 1, "2000-01-01") is None
         assert [row.name for row, _ in uplinks.onboard_at(session, 1, "2100-01-01")] == ["PS-ST16-1-0"]
+        assert timeline.as_of(session, 1).sentence == "baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same"
+        listed = timeline.events(session, 1)
+        assert [event.state for event in listed] == ["ACTIVE", "VERIFIED", "LOADED", "SENT", "BASELINE"]
+        assert timeline.events(session, 1, before_id=listed[1].id, limit=2) == listed[2:4]
         tile = sensors.fleet_overview(session)[0]
     assert (tile.status, tile.active is not None) == ("off", True)
 

@@ -12,7 +12,7 @@ import pytest
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
-from boresight.store import runs
+from boresight.store import chain, runs
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.run_events import events_of_run
 from boresight.store.sessions import migrate, open_engine, reading, utc_now, writing
@@ -68,6 +68,7 @@ class Store:
             )
             session.add(telemetry)
             session.flush()
+            chain.append_own(session, "furnished", "sensors/1")
             return sensor.id, telemetry.id
 
     def launch(self, behaviour: str, count: int = 1) -> list[int]:
@@ -88,11 +89,13 @@ class Store:
         )
         run.sensor_document = document | {"name": f"{behaviour}-{run.id}"}
         session.flush()
+        chain.append_own(session, "launched", f"runs/{run.id}")
         return run.id
 
     def cancel(self, run_id: int) -> str:
         """Ask for a run to be stopped; return the state it is in then."""
         with writing(self.database) as session:
+            chain.append_own(session, "cancelled", f"runs/{run_id}")
             return runs.request_cancel(session, run_id, "Cancelled in a test.").state
 
     def run(self, run_id: int) -> Run:

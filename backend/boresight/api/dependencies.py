@@ -29,11 +29,12 @@ from boresight.errors import (
     UnauthenticatedError,
 )
 from boresight.services import api_keys, users
-from boresight.services.actors import Actor
+from boresight.services.actors import Actor, Policy
 from boresight.store.sessions import Session, only_try, reading, writing
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
+WHILE_PASSWORD_IS_DUE = ("/api/v1/sessions/current", "/password", "/logout")  # what goes until one has set one's own
 CSRF_HEADER = "X-CSRF-Token"
 CSRF_FIELD = "csrf_token"
 DRY = "Check everything, change nothing: 200 with what would be, and `X-Validate-Only: true`."
@@ -52,6 +53,8 @@ def current_actor(request: Request) -> Actor:
     ------
     UnauthenticatedError
         When nobody is logged in, the log-in has ended, or the key is not valid.
+    PasswordDueError
+        When the person must set a password of their own first.
     """
     known = getattr(request.state, "actor", None)
     if known is None:
@@ -64,13 +67,17 @@ def _identify(request: Request) -> Actor:
     secret = _bearer(request.headers)
     if secret is not None:
         with reading(request.app.state.engine) as session:
-            return api_keys.actor_of_key(session, secret)
+            actor = api_keys.actor_of_key(session, secret)
+        request.app.state.upkeep.used(actor.credential)
+        return actor
     if SESSION_COOKIE not in request.cookies:
         raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
     log_in: LogIn = request.app.state.log_in_cookie.read(request.cookies[SESSION_COOKIE])
     request.state.csrf_token = log_in.csrf_token
+    due = f"/api/v1/users/{log_in.user_id}:change-password"
     with reading(request.app.state.engine) as session:
-        return users.actor_of_session(session, log_in.user_id, log_in.epoch)
+        sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
+        return users.actor_of_session(session, log_in.user_id, log_in.epoch, sets_password=sets_password)
 
 
 def still_known(request: Request) -> bool:
@@ -97,6 +104,7 @@ async def write_session(request: Request) -> AsyncIterator[Session]:
     async with state.write_lock, contextmanager_in_threadpool(writing(state.engine)) as session:
         yield session
     state.broadcast.nudge()
+    state.deliveries.nudge()
     state.workers.notify()
 
 
@@ -203,6 +211,16 @@ def etag(version: int) -> str:
     return f'"v{version}"'
 
 
+def maybe_seen_tag(
+    if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read, if you did.")] = None,
+) -> str | None:
+    """Return the tag in `If-Match`, where a transition may be asked without having looked."""
+    return None if if_match is None else if_match.strip()
+
+
+MaybeSeenTag = Annotated[str | None, Depends(maybe_seen_tag)]
+
+
 def tag_of(*parts: Any) -> str:
     """Return the entity tag of a row without a version, from the columns that its transitions change."""
     return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"'
@@ -218,6 +236,12 @@ def require_tag(given: str, current: str, name: str) -> None:
     """
     if given != current:
         raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
+
+
+def policy_of(request: Request) -> Policy:
+    """Return what this installation asks of a request for approval."""
+    policy: Policy = request.app.state.policy
+    return policy
 
 
 def log_in_person(
@@ -250,3 +274,4 @@ Reading = Annotated[Session, Depends(read_session, scope="function")]
 Writing = Annotated[Session, Depends(write_or_try, scope="function")]
 LoggingIn = Annotated[Session, Depends(write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]
+Held = Annotated[Policy, Depends(policy_of)]

@@ -43,6 +43,7 @@ KINDS: Mapping[type[Exception], Kind] = {
     errors.StaleError: Kind(412, "Stale"),
     errors.PreconditionRequiredError: Kind(428, "Precondition required"),
     errors.ForbiddenError: Kind(403, "Forbidden"),
+    errors.PasswordDueError: Kind(403, "Password to be set"),
     errors.UnauthenticatedError: Kind(401, "Unauthenticated"),
     errors.TooManyAttemptsError: Kind(429, "Too many attempts"),
     errors.TooLargeError: Kind(413, "Too large"),

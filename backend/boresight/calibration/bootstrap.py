@@ -116,6 +116,12 @@ def share_interval(share: float, shares: FloatArray, n_blocks: float) -> list[fl
     low, high = interval(share, shares, n_blocks)
     if low is None or high is None:
         return [None, None]
-    centre = (share + Z**2 / (2 * n_blocks)) / (1 + Z**2 / n_blocks)
-    half = Z / (1 + Z**2 / n_blocks) * math.sqrt(share * (1 - share) / n_blocks + (Z / (2 * n_blocks)) ** 2)
-    return [max(0.0, min(low, centre - half)), min(1.0, max(high, centre + half))]
+    lowest, highest = wilson(share, n_blocks)
+    return [max(0.0, min(low, lowest)), min(1.0, max(high, highest))]
+
+
+def wilson(share: float, n: float) -> tuple[float, float]:
+    """Wilson's score interval of a share of n independent trials."""
+    centre = (share + Z**2 / (2 * n)) / (1 + Z**2 / n)
+    half = Z / (1 + Z**2 / n) * math.sqrt(share * (1 - share) / n + (Z / (2 * n)) ** 2)
+    return centre - half, centre + half

@@ -9,12 +9,15 @@ from __future__ import annotations
 import click
 
 import boresight
+from boresight.cli.assess import assess
 from boresight.cli.audit import audit
+from boresight.cli.backup import backup, restore
 from boresight.cli.bench import bench
 from boresight.cli.calibrate import calibrate
 from boresight.cli.check import check
 from boresight.cli.convert import convert
 from boresight.cli.evaluate import evaluate
+from boresight.cli.export import export
 from boresight.cli.match import match
 from boresight.cli.migrate import migrate
 from boresight.cli.refusals import RefusingGroup
@@ -22,6 +25,7 @@ from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce
 from boresight.cli.serve import demo, serve
 from boresight.cli.simulate import simulate
+from boresight.cli.table import table
 from boresight.cli.users import user
 from boresight.cli.warm import warm
 
@@ -41,15 +45,20 @@ for command in (
     match,
     evaluate,
     convert,
+    assess,
     check,
     simulate,
     report,
+    export,
+    table,
     reproduce,
     bench,
     serve,
     demo,
     warm,
     migrate,
+    backup,
+    restore,
     user,
     audit,
 ):

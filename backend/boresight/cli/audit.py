@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
+from boresight.cli.output import check_writable
 from boresight.cli.refusals import REFUSED
+from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
 
 
@@ -17,7 +21,7 @@ def audit() -> None:
 @click.option("--head", metavar="HASH", help="A head from an earlier export, which must still be in the chain.")
 @click.pass_context
 def verify(context: click.Context, head: str | None) -> None:
-    """Walk the whole chain; exit code 1 when a record is not as it was written."""
+    """Walk the whole chain and every row that it seals; exit code 1 when one is not as it was written."""
     from boresight.services import audit as chain
     from boresight.store.sessions import migrate, open_engine, reading
 
@@ -29,3 +33,23 @@ def verify(context: click.Context, head: str | None) -> None:
         click.echo(f"boresight: {found.sentence}", err=True)
         context.exit(REFUSED)
     click.echo(f"{found.sentence}\nhead {found.head}")
+
+
+@audit.command()
+@click.option("--out", "file", metavar="FILE", required=True, help="A .zip with the verifier, or the .jsonl alone.")
+def export(file: str) -> None:
+    """Write the whole log to FILE, for others to keep and to verify without Boresight."""
+    check_writable(file)
+    from boresight.services.audit_export import write_export
+    from boresight.store.sessions import migrate, open_engine, reading
+
+    settings = read_settings()
+    engine = open_engine(settings.database_url)
+    migrate(engine)
+    form = "jsonl" if Path(file).suffix.lower() == ".jsonl" else "zip"
+    try:
+        with reading(engine) as session, Path(file).open("wb") as stream:
+            write_export(session, stream, form, settings.policy)
+    except OSError as error:
+        raise RefusedInputError(f"{file} cannot be written: {error.strerror}; choose another place.") from error
+    click.echo(file)

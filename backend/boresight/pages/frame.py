@@ -1,4 +1,4 @@
-"""What every page shows around its content: mode, fleet, approvals waiting, person, navigation, flash line.
+"""What every page shows around its content: mode, fleet, approvals, the audit's light, person, navigation, flash line.
 
 The values come from `request.state` (who is logged in), the settings, and one short read of the store, made by
 `know_fleet` before a page opens its own transaction: a page that held one connection while it waited for a second could
@@ -19,7 +19,8 @@ from urllib.parse import unquote
 from fastapi import Request
 
 from boresight.api.dependencies import current_actor
-from boresight.errors import UnauthenticatedError
+from boresight.api.upkeep import Light
+from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.pages.fleet import Standing, fleet_standing
 from boresight.pages.formats import day_of_year
 from boresight.pages.states import LEVELS
@@ -50,8 +51,11 @@ NAVIGATION = (
     Destination("/compare", "Compare", "c"),
     Destination("/parameter-sets", "Parameter sets", "p"),
     Destination("/approvals", "Approvals", "a"),
+    Destination("/uplink", "Uplink", "u"),
     Destination("/audit", "Audit", "h"),
-    Destination("/users", "Users and keys", "u"),
+    Destination("/webhooks", "Webhooks", "w"),
+    Destination("/users", "Users and keys", "k"),
+    Destination("/administration", "Administration", "m"),
 )
 
 
@@ -66,6 +70,8 @@ class Frame:
     now: str
     fleet: Standing
     approvals_waiting: int | None
+    light: Light
+    four_eyes: bool
     flash: tuple[str, str] | None
     navigation: tuple[Destination, ...]
 
@@ -96,7 +102,7 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None]
 
 def know_fleet(request: Request) -> None:
     """Read what the frame shows of the store, for a request by somebody who is logged in."""
-    with suppress(UnauthenticatedError):
+    with suppress(UnauthenticatedError, PasswordDueError):
         request.state.fleet = _fleet(request, current_actor(request))
 
 
@@ -112,6 +118,8 @@ def frame_of(request: Request) -> Frame:
         now=day_of_year(datetime.now(UTC)),
         fleet=fleet,
         approvals_waiting=waiting,
+        light=request.app.state.upkeep.light(),
+        four_eyes=request.app.state.policy.four_eyes,
         flash=_read_flash(request),
         navigation=NAVIGATION if actor else (),
     )

@@ -124,8 +124,10 @@ class Event:
 
 
 def _recorded(session: Session) -> Iterator[Event]:
-    """Yield the newest records of the audit log."""
+    """Yield the newest records of the audit log, but for the ends of runs, which tell more by their rows."""
     for record in audit.list_records(session, limit=RECENT_EVENTS):
+        if record.action == "ended":
+            continue
         line = line_of(record)
         yield Event(record.at_utc, record.actor, record.action, record.object, line.address, line.gist)
 

@@ -6,7 +6,7 @@ ground says nothing about what the sensor uses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,13 +16,15 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.measured import measured
 from boresight.errors import RefusedInputError
 from boresight.figures.parameter_table import set_rows
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.conversions import conversions_of
+from boresight.pages.gates_panel import panel_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
-from boresight.services import approvals, parameter_sets, runs, sensors, telemetry_sets, uplinks
+from boresight.services import approvals, gates, parameter_sets, runs, sensors, telemetry_sets, uplinks
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
 from boresight.store.tables import GROUND_STATES, Approval, ParameterSet
@@ -45,9 +47,16 @@ def actions_of(row: ParameterSet, actor: Actor, request: Approval | None) -> dic
     """Say which transitions a set's state has, and why the actor may not make one."""
     submitter = request is not None and request.submitted_by == actor.user_id
     submitted = row.ground_state in {"SUBMITTED", "APPROVED"}
+    submittable, was_baseline = row.ground_state in parameter_sets.SUBMITTABLE, row.baseline_from_utc is not None
     return {
+        "roll_back": Action(
+            submittable and was_baseline,
+            None
+            if actor.roles.intersection({"analyst", "operator"})
+            else "Only an analyst or an operator may ask for a roll-back; ask an administrator for the role.",
+        ),
         "submit": Action(
-            row.ground_state in parameter_sets.SUBMITTABLE,
+            submittable and not was_baseline,
             None
             if "analyst" in actor.roles
             else "Only an analyst may submit a set; ask an administrator for the role.",
@@ -147,6 +156,7 @@ def parameter_sets_page(
         chosen_sensor=sensor_id,
         chosen_state=state,
         next_before=shown[-1].id if len(found) > ROWS_A_PAGE else None,
+        verdicts=gates.verdicts(session, {row.id for row in shown}),
         actor=actor,
     )
 
@@ -178,6 +188,7 @@ def _page(
         signatures=[signature for known in requests for signature in approvals.signatures_of(session, known.id)],
         uplinks=uplinks.list_uplinks(session, parameter_set_id=set_id),
         conversions=conversions_of(session, row),
+        panel=panel_of(session, actor, row),
         lineage=lineage_of(session, row, requests),
         actions=actions_of(row, actor, requests[0] if requests else None),
         refusal=refusal,
@@ -206,11 +217,26 @@ def _seen(form: dict[str, str]) -> int:
 @router.post("/parameter-sets/{set_id:int}/submit")
 async def submit(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Ask that a set become baseline."""
+    return await _asked(request, session, actor, set_id, parameter_sets.submit)
+
+
+@router.post("/parameter-sets/{set_id:int}/roll-back")
+async def roll_back(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
+    """Ask that a former baseline become baseline again."""
+    return await _asked(request, session, actor, set_id, parameter_sets.roll_back)
+
+
+async def _asked(
+    request: Request, session: Session, actor: Actor, set_id: int, ask: Callable[..., Approval]
+) -> Response:
+    """Open a request, and show it or why it was refused."""
     form = await _form(request)
-    reason = form.get("reason", "")
+    reason, state = form.get("reason", ""), request.app.state
+    assessed = await run_in_threadpool(measured, request, actor, set_id)
 
     def change(session: Session) -> Approval:
-        return parameter_sets.submit(session, actor, set_id, reason, _seen(form))
+        asked = (state.blobs, set_id, reason, _seen(form), assessed)
+        return ask(session, actor, *asked, policy=state.policy)
 
     outcome = await attempt(request, change)
     if outcome.value is None:
@@ -238,7 +264,7 @@ async def promote(request: Request, session: Reading, actor: Who, set_id: int) -
     form = await _form(request)
 
     def change(session: Session) -> ParameterSet:
-        return parameter_sets.promote(session, actor, set_id, _seen(form))
+        return parameter_sets.promote(session, actor, set_id, _seen(form), policy=request.app.state.policy)
 
     return await _changed(
         request, session, actor, set_id, change, "{} is the baseline now; nothing on board has changed."

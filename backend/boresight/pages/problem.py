@@ -11,7 +11,7 @@ from starlette.exceptions import HTTPException
 
 from boresight.api.dependencies import current_actor
 from boresight.api.problems import problem_of
-from boresight.errors import UnauthenticatedError
+from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.pages.rendering import TEMPLATES, redirect, render
 
 SENTENCE = {404: "There is no page at this address.", 405: "This address does not take what was sent."}
@@ -41,6 +41,8 @@ def problem_page(request: Request, error: Exception) -> Response:
     error
         Any exception; one that is not a refusal is told without its words.
     """
+    if isinstance(error, PasswordDueError):
+        return redirect("/password")
     if isinstance(error, UnauthenticatedError):
         return redirect(f"/login?next={quote(_way_back(request), safe='')}")
     with suppress(Exception):  # an address that does not exist asked nobody who acts; a broken store cannot say

@@ -28,7 +28,7 @@ from boresight.pages.methods import title_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.run_parts import TITLES, marks_of, matching_of, tabs_of, trust_of
 from boresight.pages.runs import read_names, seconds_of
-from boresight.services import parameter_sets, runs, sensors, telemetry_sets
+from boresight.services import gates, parameter_sets, runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
 from boresight.store.tables import TERMINAL_RUN_STATES, ParameterSet, Run, TelemetrySet
@@ -169,6 +169,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
     is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
     result = None if is_void else runs.result(session, request.app.state.blobs, run_id)
     actions = actions_of(run, actor)
+    made = parameter_set_of(session, run)
     has_estimate = bool(result and result.get("parameters"))
     return render(
         request,
@@ -179,7 +180,8 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         method=title_of(run.method),
         actions=actions,
         blocked=sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
-        parameter_set=parameter_set_of(session, run),
+        parameter_set=made,
+        gates=gates.verdicts(session, [made.id]).get(made.id) if made else None,
         notices=notices_of(session, run),
         fraction=float((run.progress or {}).get("fraction") or 0.0),
         message=(run.progress or {}).get("message") or "",

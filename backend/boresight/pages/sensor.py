@@ -25,7 +25,7 @@ from boresight.pages.before_after import before_after
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import line_of, read_names
 from boresight.pages.sensors import read_document
-from boresight.services import parameter_sets, runs, sensors, telemetry_sets, uplinks
+from boresight.services import gates, parameter_sets, runs, sensors, telemetry_sets, uplinks
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session, reading, utc_now
 from boresight.store.tables import ParameterSet, Sensor, Uplink
@@ -152,6 +152,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
             tile=next(tile for tile in sensors.fleet_overview(session) if tile.sensor.id == sensor_id),
             names=names,
             baseline=baseline,
+            verdict_of_baseline=gates.verdicts(session, [baseline.id]).get(baseline.id) if baseline else None,
             values=values,
             has_truth=bool(sensor.truth),
             measured=baseline is not None and baseline.run_id is not None,

@@ -11,13 +11,13 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.dependencies import Reading, Who, csrf, log_out_person
+from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import RefusedInputError
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
 from boresight.services import api_keys, users
 from boresight.services.actors import SCOPES, Actor
-from boresight.services.users import MINIMUM_PASSWORD_LENGTH
+from boresight.services.passwords import MINIMUM_PASSWORD_LENGTH
 from boresight.store.sessions import Session, reading, utc_now
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -53,7 +53,6 @@ def _page(request: Request, actor: Actor, session: Session, shown: Shown) -> HTM
         names={person.id: person.printed_name for person in people},
         administrators=[p.printed_name for p in people if "administrator" in p.roles and p.disabled_utc is None],
         keys=api_keys.list_keys(session, None if administrator else actor.user_id),
-        last_changes=api_keys.last_changes(session),
         roles=WHAT_A_ROLE_MAY,
         scopes=SCOPES,
         minimum_length=MINIMUM_PASSWORD_LENGTH,
@@ -83,11 +82,18 @@ async def create(
     printed_name: Annotated[str, Form()] = "",
     password: Annotated[str, Form()] = "",
     roles: Annotated[list[str] | None, Form()] = None,
+    own_password: Annotated[str, Form()] = "",
 ) -> Response:
     """Add a person."""
     chosen = roles or []
     change = partial(
-        users.create_user, actor=actor, name=name, printed_name=printed_name, password=password, roles=chosen
+        users.create_user,
+        actor=actor,
+        name=name,
+        printed_name=printed_name,
+        password=password,
+        roles=chosen,
+        must_change_password=bool(own_password),
     )
     outcome = await attempt(request, change)
     if outcome.value is not None:
@@ -127,29 +133,34 @@ async def enable(request: Request, actor: Who, user_id: int) -> Response:
     return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
 
 
-@router.post("/users/password", response_class=HTMLResponse)
-async def change_password(
-    request: Request,
-    actor: Who,
-    current: Annotated[str, Form()] = "",
-    password: Annotated[str, Form()] = "",
-    repeated: Annotated[str, Form()] = "",
-) -> Response:
-    """Set one's own password; every log-in then ends, this one too."""
-    outcome = await attempt(request, partial(_set_password, actor, current, password, repeated))
-    if outcome.refusal is None:
-        response = redirect("/login", flash="Your password is changed; log in with the new one.")
-        log_out_person(request, response)
-        return response
-    return await run_in_threadpool(_again, request, actor, Shown("password", outcome.refusal))
+@router.post("/users/{user_id}/password", response_class=HTMLResponse)
+async def reset_password(request: Request, actor: Who, user_id: int, password: Annotated[str, Form()] = "") -> Response:
+    """Give a person a password that they must change at their next log-in."""
+    if user_id == actor.user_id:
+        return redirect("/password")
+    change = partial(users.change_password, actor=actor, user_id=user_id, password=password)
+    outcome = await attempt(request, change)
+    if outcome.value is not None:
+        return redirect(
+            "/users",
+            flash=f"{outcome.value.printed_name} is logged out and must set a password of their own at the next log-in.",
+        )
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
 
 
-def _set_password(actor: Actor, current: str, password: str, repeated: str, session: Session) -> None:
-    """Change the password of who acts, typed twice alike."""
-    if password != repeated:
-        raise RefusedInputError("The two new passwords differ; type the same one twice.")
-    if actor.user_id is not None:
-        users.change_password(session, actor, actor.user_id, password, current)
+@router.post("/users/{user_id}/end-sessions", response_class=HTMLResponse)
+async def end_sessions(request: Request, actor: Who, user_id: int) -> Response:
+    """End every log-in of a person."""
+    outcome = await attempt(request, partial(_end_sessions, actor, user_id))
+    if outcome.value is not None:
+        return redirect("/users", flash=f"{outcome.value} is logged out everywhere.")
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
+    """End every log-in of a person and return the name."""
+    users.end_sessions(session, actor, user_id)
+    return users.get_user(session, user_id).printed_name
 
 
 @router.post("/users/keys", response_class=HTMLResponse)

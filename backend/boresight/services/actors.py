@@ -15,6 +15,37 @@ SCOPES = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
 
 
 @dataclass(frozen=True)
+class Policy:
+    """What an installation asks of a request for approval.
+
+    Parameters
+    ----------
+    four_eyes
+        Whether who submitted a set or launched its run is kept from signing. False only where one person works alone;
+        every page and every export then says so.
+    approval_days, rollback_days
+        How long a request for a new set, and for a former baseline, may wait before it expires [d].
+    approvals
+        How many second persons must sign; where a gate is waived it is two at least.
+    login_attempts
+        Wrong passwords a minute before a signature has to wait, as a log-in has to.
+    """
+
+    four_eyes: bool = True
+    approval_days: float = 30.0
+    rollback_days: float = 3.0
+    approvals: int = 1
+    login_attempts: int = 5
+
+    def needed(self, *, waived: bool) -> int:
+        """Return how many approvals a request needs; one person alone gives one."""
+        return max(self.approvals, 2 if waived else 1) if self.four_eyes else 1
+
+
+POLICY = Policy()
+
+
+@dataclass(frozen=True)
 class Actor:
     """A person, a key of a person, or Boresight itself.
 

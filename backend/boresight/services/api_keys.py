@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import secrets
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
 from boresight.services import audit
@@ -97,9 +97,26 @@ def list_keys(session: Session, user_id: int | None = None) -> Sequence[ApiKey]:
     return rows.keys(session, user_id)
 
 
-def last_changes(session: Session) -> dict[str, str]:
-    """Return when each key last changed something, by prefix; a key that only read is not in it."""
-    return rows.last_changes(session)
+def get_key(session: Session, key_id: int) -> ApiKey:
+    """Return a key.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    key = session.get(ApiKey, key_id)
+    if key is None:
+        raise NotFoundError(f"There is no API key {key_id}.")
+    return key
+
+
+def record_uses(session: Session, used_utc: Mapping[str, str]) -> None:
+    """Write when keys were last used, by prefix; not a change that anybody made, so not in the audit log."""
+    for prefix, at_utc in used_utc.items():
+        key = rows.key_with_prefix(session, prefix)
+        if key is not None and at_utc > (key.last_used_utc or ""):
+            key.last_used_utc = at_utc
 
 
 def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
@@ -113,14 +130,14 @@ def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
         When it is another's, or a key asks.
     """
     refuse_key(actor, "revoke a key")
-    key = session.get(ApiKey, key_id)
-    if key is None:
-        raise NotFoundError(f"There is no API key {key_id}.")
+    key = get_key(session, key_id)
     if key.user_id != actor.user_id and "administrator" not in actor.roles:
         raise ForbiddenError("Only its owner or an administrator may revoke this API key.")
     if key.revoked_utc is None:
         key.revoked_utc = utc_now()
-        audit.append(session, actor, "revoked", _subject(key), None, {"label": key.label})
+        audit.append(
+            session, actor, "revoked", _subject(key), {"revoked": False}, {"revoked": True, "label": key.label}
+        )
     return key
 
 

@@ -1,41 +1,54 @@
 """Requests for approval, and the signatures that decide them.
 
-Four eyes, in the server's transaction: who signs is a person with the role approver who gives the password again, is no
-administrator, and neither submitted the set nor launched the run that it comes from. One approval approves, one refusal
-blocks, also after an approval, until the set is promoted. What was shown is bound by its hashes: if one moved, the
-request is STALE.
+Four eyes, in the server's transaction: `signers` says who may sign, the password is given again, and what was shown is
+bound by its hashes; if one moved, the request is STALE. As many approvals as the request needs approve it, one refusal
+blocks, also after an approval, until the set is promoted. A request that its gates stop can be refused, not approved.
+
+Over the shoulder a second person signs at the console of another, with name and password: the signature is theirs, the
+console's owner stands beside it, and the log-in of the console stays whose it was.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
+from boresight.errors import (
+    ConflictError,
+    ForbiddenError,
+    RefusedInputError,
+    StaleError,
+)
 from boresight.services import users
-from boresight.services.actors import Actor, require_person, require_role
-from boresight.services.staleness import refuse_moved
-from boresight.services.transitions import move, require_seen, resting_state, who_changed
+from boresight.services.actors import POLICY, Actor, Policy, require_person
+from boresight.services.discussions import assign, openings_of, record_opening, remark, remarks_of
+from boresight.services.evidence import refuse_blocked, shown_sha256
+from boresight.services.signers import refuse_signer, second_persons
+from boresight.services.staleness import any_due, expire_due, is_expired, refuse_expired, refuse_moved
+from boresight.services.transitions import get_approval, move, require_seen, resting_state, who_changed
 from boresight.services.words import refuse_control_characters
 from boresight.store import approvals as rows
-from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session, utc_now
-from boresight.store.tables import Approval, ParameterSet, Run, Signature
+from boresight.store.tables import Approval, ParameterSet, Signature
+
+__all__ = [
+    "DECISIONS",
+    "any_due",
+    "assign",
+    "expire_due",
+    "get_approval",
+    "list_approvals",
+    "openings_of",
+    "record_opening",
+    "remark",
+    "remarks_of",
+    "shown_sha256",
+    "sign",
+    "sign_over_the_shoulder",
+    "signatures_of",
+    "why_not_sign",
+]
 
 DECISIONS = ("APPROVE", "REFUSE")
-
-
-def get_approval(session: Session, approval_id: int) -> Approval:
-    """Return a request.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
-    row = session.get(Approval, approval_id)
-    if row is None:
-        raise NotFoundError(f"There is no request for approval {approval_id}.")
-    return row
 
 
 def list_approvals(
@@ -55,32 +68,20 @@ def signatures_of(session: Session, approval_id: int) -> Sequence[Signature]:
     return rows.signatures(session, approval_id)
 
 
-def shown_sha256(approval: Approval) -> str:
-    """Return the hash of what a signature stands for: the request with the hashes that it binds."""
-    return sha256_of(
-        {
-            "approval": approval.id,
-            "parameter_set": approval.parameter_set_id,
-            "reason": approval.reason,
-            "submitted_by": approval.submitted_by,
-            "submitted_utc": approval.submitted_utc,
-            "bound": approval.bound,
-        }
-    )
-
-
-def why_not_sign(session: Session, actor: Actor, approval_id: int) -> str | None:
+def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Policy = POLICY) -> str | None:
     """Say why this actor may not sign a request; None when nothing but a password is missing."""
     approval = get_approval(session, approval_id)
     try:
         _refuse_decided(session, approval, "REFUSE")
-        _refuse_signer(session, actor, approval)
+        refuse_signer(session, actor, approval, policy)
     except (ForbiddenError, ConflictError, StaleError) as refusal:
         return str(refusal)
+    if is_expired(approval):
+        return f"Request {approval.id} expired at {approval.expires_utc}; the set must be submitted again."
     return None
 
 
-def sign(
+def sign(  # noqa: PLR0913 - a signature has that many parts
     session: Session,
     actor: Actor,
     approval_id: int,
@@ -89,6 +90,8 @@ def sign(
     comment: str,
     password: str,
     seen_version: int | None,
+    *,
+    policy: Policy = POLICY,
 ) -> Signature:
     """Approve or refuse a request, as a person who gives the password again.
 
@@ -110,38 +113,66 @@ def sign(
     RefusedInputError
         When decision, meaning or comment is missing.
     PreconditionRequiredError, ConflictError
-        When no version was given, or the request is decided.
+        When no version was given, the request is decided or expired, or its gates stop the set.
     StaleError
         When the version, or what the request is bound to, has moved; then it is STALE from now on.
     """
     approval = get_approval(session, approval_id)
-    _refuse_signer(session, actor, approval)
+    refuse_signer(session, actor, approval, policy)
+    _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
+    users.verify_password(session, actor, password, attempts_per_minute=policy.login_attempts)
+    return _sign(session, actor, approval, decision, meaning.strip(), comment.strip(), policy, None)
+
+
+def sign_over_the_shoulder(  # noqa: PLR0913, PLR0917 - a signature has that many parts, and two persons
+    session: Session,
+    console: Actor,
+    approval_id: int,
+    decision: str,
+    meaning: str,
+    comment: str,
+    name: str,
+    password: str,
+    seen_version: int | None,
+    *,
+    policy: Policy = POLICY,
+) -> Signature:
+    """Approve or refuse a request as a second person, at the console where another one is logged in.
+
+    Parameters
+    ----------
+    console
+        Who is logged in at the console.
+    name, password
+        Of the person who signs.
+
+    Raises
+    ------
+    ForbiddenError, UnauthenticatedError, TooManyAttemptsError, RefusedInputError, PreconditionRequiredError, ConflictError
+        As `sign`; wrong names and passwords count as failed log-ins. Who is logged in signs without a name.
+    StaleError
+        When the version, or what the request is bound to, has moved; then it is STALE from now on.
+    """
+    owner_id = require_person(console, "lend a console")
+    approval = get_approval(session, approval_id)
+    _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
+    refuse_control_characters(name=name)
+    attempts = policy.login_attempts
+    actor = users.authenticate(session, name, password, attempts_per_minute=attempts, request_id=console.request_id)
+    if actor.user_id == owner_id:
+        raise ForbiddenError("This is your own console; sign without a name, or have another approver give theirs.")
+    refuse_signer(session, actor, approval, policy)
+    return _sign(session, actor, approval, decision, meaning.strip(), comment.strip(), policy, console.printed_name)
+
+
+def _refuse_undecidable(
+    session: Session, approval: Approval, decision: str, meaning: str, comment: str, seen_version: int | None
+) -> None:
+    """Refuse a decision on what was not seen as it is, without its words, or on what is decided."""
     require_seen(session, approval, seen_version)
     _refuse_words(decision, meaning, comment)
     _refuse_decided(session, approval, decision)
     refuse_control_characters(meaning=meaning, comment=comment)
-    users.verify_password(session, actor, password)
-    parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
-    refuse_moved(session, actor, approval, parameter_set)
-    signature = _add_signature(session, actor, approval, decision, meaning.strip(), comment.strip())
-    _decide(session, actor, approval, parameter_set, signature)
-    return signature
-
-
-def _refuse_signer(session: Session, actor: Actor, approval: Approval) -> None:
-    """Refuse whoever is not a second person, with the reason."""
-    user_id = require_person(actor, "sign")
-    if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; an approver who is no administrator must.")
-    require_role(actor, "approver")
-    parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
-    if user_id == approval.submitted_by:
-        raise ForbiddenError("You submitted this set; another approver must sign.")
-    run = None if parameter_set.run_id is None else session.get(Run, parameter_set.run_id)
-    if run is not None and user_id == run.launched_by:
-        raise ForbiddenError(f"You launched run {run.id}, which this set comes from; another approver must sign.")
-    if (earlier := rows.signature_of(session, approval.id, user_id)) is not None:
-        raise ConflictError(f"You signed this request already, at {earlier.signed_utc}; its submitter can withdraw it.")
 
 
 def _refuse_words(decision: str, meaning: str, comment: str) -> None:
@@ -166,10 +197,22 @@ def _refuse_decided(session: Session, approval: Approval, decision: str) -> None
         raise ConflictError(f"Request {approval.id} is {approval.state}: {who_changed(session, approval)}.")
 
 
-def _add_signature(
-    session: Session, actor: Actor, approval: Approval, decision: str, meaning: str, comment: str
+def _sign(
+    session: Session,
+    actor: Actor,
+    approval: Approval,
+    decision: str,
+    meaning: str,
+    comment: str,
+    policy: Policy,
+    console: str | None,
 ) -> Signature:
-    """Keep the signature with the hash of what was shown."""
+    """Keep the signature of a person who proved to be one, if the evidence still stands, and decide by it."""
+    parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
+    refuse_expired(session, approval, parameter_set)
+    refuse_moved(session, actor, approval, parameter_set)
+    if decision == "APPROVE":
+        refuse_blocked(session, parameter_set)
     signature = Signature(
         approval_id=approval.id,
         user_id=require_person(actor, "sign"),
@@ -179,20 +222,35 @@ def _add_signature(
         comment=comment,
         shown_sha256=shown_sha256(approval),
         signed_utc=utc_now(),
+        console=console,
     )
     session.add(signature)
     session.flush()
+    _decide(session, actor, approval, parameter_set, signature, policy)
     return signature
 
 
 def _decide(
-    session: Session, actor: Actor, approval: Approval, parameter_set: ParameterSet, signature: Signature
+    session: Session,
+    actor: Actor,
+    approval: Approval,
+    parameter_set: ParameterSet,
+    signature: Signature,
+    policy: Policy,
 ) -> None:
     """Bring request and set into the state that the signature gives them."""
-    approved = signature.decision == "APPROVE"
-    action = "approved" if approved else "refused"
-    approval.closed_utc = signature.signed_utc
+    told = {"shown_sha256": signature.shown_sha256, "console": signature.console, "four_eyes": policy.four_eyes}
     reason = f"{signature.meaning}: {signature.comment}" if signature.comment else signature.meaning
-    move(session, actor, approval, "APPROVED" if approved else "REJECTED", action, reason=reason)
-    state = "APPROVED" if approved else resting_state(parameter_set, "REJECTED")
-    move(session, actor, parameter_set, state, action, reason=reason)
+    if signature.decision == "REFUSE":
+        approval.closed_utc = signature.signed_utc
+        move(session, actor, approval, "REJECTED", "refused", reason=reason, **told)
+        move(session, actor, parameter_set, resting_state(parameter_set, "REJECTED"), "refused", reason=reason)
+        return
+    signed = len(second_persons(session, approval, policy))
+    told["approvals"] = f"{signed} of {approval.needed}"
+    if signed < approval.needed:
+        move(session, actor, approval, "OPEN", "approved", reason=reason, **told)
+        return
+    approval.closed_utc = signature.signed_utc
+    move(session, actor, approval, "APPROVED", "approved", reason=reason, **told)
+    move(session, actor, parameter_set, "APPROVED", "approved", reason=reason)

@@ -1,47 +1,53 @@
-"""The audit log: append-only and hash-chained.
+"""The audit log: append-only, hash-chained, and a seal on every row that it tells of.
 
-With `canon` the canonical JSON of a record's columns except `id`, `previous_hash` and `hash`::
-
-    hash_0 = 64 zeros,   hash_n = SHA-256(hash_(n-1) || canon(record_n))
-
-Changing, removing or reordering a record breaks the chain at that record. The chain is tamper-evident, not
-tamper-proof: whoever owns the database can rebuild it from any point, and can cut its tail unseen, unless someone
-outside holds a later head. So every export carries the head, and `verify` takes a head that must still be there.
+`boresight.store.chain` says how records are chained, `boresight.store.seals` what a seal is. Changing, removing or
+reordering a record breaks the chain at that record; changing, removing or inserting a sealed row by hand leaves it
+without its seal. The log is tamper-evident, not tamper-proof: whoever owns the database can rebuild it from any point,
+and can cut its tail unseen where no row was sealed in it, unless someone outside holds a later head. So every export
+carries the head, and `verify` takes a head that must still be there.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
+from boresight.errors import NotFoundError, RefusedInputError
 from boresight.services.actors import Actor
 from boresight.store import audit as rows
-from boresight.store.documents import canonical
-from boresight.store.sessions import Session, utc_now
+from boresight.store import chain, verification
+from boresight.store.audit import Sought
+from boresight.store.sessions import Session, utc_text
 from boresight.store.tables import AuditRecord
+from boresight.store.verification import Findings
 
-FIRST_HASH = "0" * 64
-HASHED = ("at_utc", "actor_id", "actor", "credential", "action", "object", "before", "after", "reason", "request_id")
+FIRST_HASH = chain.FIRST_HASH
 
 
 @dataclass(frozen=True)
 class ChainReport:
-    """What a walk along the chain found.
+    """What a verification found.
 
     Parameters
     ----------
     ok
-        Whether every record is as it was written and the expected head is among them.
+        Whether every record and every sealed row is as it was written, and the expected head is in the chain.
     records
         How many records were found good, from the first on.
     head
         Hash of the last good record.
     first_broken_id
-        The first record that is not as it was written; None when all are.
+        The first record that is not as it was written, or whose row is not as it left it; None when all are.
     sentence
         The finding in words.
+    rows
+        How many sealed rows were held against the chain.
+    first_broken_row
+        The row that is not as the chain has it, as `table/id`; None when all are.
+    last_id
+        Number of the last good record.
     """
 
     ok: bool
@@ -49,6 +55,9 @@ class ChainReport:
     head: str
     first_broken_id: int | None
     sentence: str
+    rows: int = 0
+    first_broken_row: str | None = None
+    last_id: int = 0
 
 
 def append(
@@ -60,7 +69,7 @@ def append(
     after: Mapping[str, Any] | None = None,
     reason: str | None = None,
 ) -> AuditRecord:
-    """Write one record at the end of the chain, in the caller's transaction.
+    """Put one record at the end of the chain; it is written with the commit of the caller's transaction.
 
     Parameters
     ----------
@@ -73,9 +82,9 @@ def append(
     reason
         In the actor's words.
     """
-    last = rows.last_record(session)
-    record = AuditRecord(
-        at_utc=utc_now(),
+    session.flush()
+    return chain.append(
+        session,
         actor_id=actor.user_id,
         actor=actor.printed_name,
         credential=actor.credential,
@@ -85,24 +94,14 @@ def append(
         after=None if after is None else dict(after),
         reason=reason,
         request_id=actor.request_id,
-        previous_hash=FIRST_HASH if last is None else last.hash,
+        roles=sorted(actor.roles),
     )
-    record.hash = _hash(record, record.previous_hash)
-    session.add(record)
-    session.flush()
-    return record
-
-
-def _hash(record: AuditRecord, previous_hash: str) -> str:
-    """Compute the hash that chains a record to the one before."""
-    content = canonical({name: getattr(record, name) for name in HASHED})
-    return hashlib.sha256((previous_hash + content).encode()).hexdigest()
 
 
 def head(session: Session) -> str:
     """Return the head of the chain, to be carried by exports."""
-    last = rows.last_record(session)
-    return FIRST_HASH if last is None else last.hash
+    chain.write_out(session)
+    return chain.head(session)
 
 
 def last_change(session: Session, subject: str) -> AuditRecord | None:
@@ -111,32 +110,109 @@ def last_change(session: Session, subject: str) -> AuditRecord | None:
 
 
 def list_records(
-    session: Session, *, before_id: int | None = None, subject: str | None = None, limit: int = 100
+    session: Session,
+    *,
+    before_id: int | None = None,
+    subject: str | None = None,
+    sought: Sought | None = None,
+    limit: int = 100,
 ) -> Sequence[AuditRecord]:
     """Return a page of records, newest first; the next page starts before the last one's id."""
-    return rows.records(session, before_id=before_id, subject=subject, limit=limit)
+    return rows.records(session, before_id=before_id, sought=sought or Sought(object=subject), limit=limit)
+
+
+def get_record(session: Session, record_id: int) -> AuditRecord:
+    """Return a record.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    record = rows.record(session, record_id)
+    if record is None:
+        raise NotFoundError(f"There is no audit record {record_id}.")
+    return record
+
+
+def words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
+    """Return who acted and what was done lately, to choose from."""
+    return rows.words(session)
+
+
+def sought(
+    *,
+    object: str | None = None,  # noqa: A002 - the name of the column
+    actor: str | None = None,
+    action: str | None = None,
+    since: str | None = None,
+    until: str | None = None,
+) -> Sought:
+    """Say what a list of records is narrowed to; times in ISO 8601, UTC where they name no zone.
+
+    Raises
+    ------
+    RefusedInputError
+        When a time cannot be read.
+    """
+    return Sought(object, actor, action, _time(since), _time(until))
+
+
+def _time(text: str | None) -> str | None:
+    """Read a time as the store writes it."""
+    if text is None:
+        return None
+    try:
+        return utc_text(datetime.fromisoformat(text))
+    except ValueError as error:
+        raise RefusedInputError(f"{text!r} is no time; write it like 2026-11-21T03:04:05Z.") from error
 
 
 def verify(session: Session, expected_head: str | None = None) -> ChainReport:
-    """Walk the whole chain and name the first record that is not as it was written.
+    """Walk the whole chain and every sealed row, and name the first that is not as it was written.
 
     Parameters
     ----------
     expected_head
         A head from an earlier export; not finding it means that the tail was cut and rewritten.
     """
-    previous, count, met = FIRST_HASH, 0, expected_head in (None, FIRST_HASH)
-    for record in rows.walk(session):
-        if record.previous_hash != previous or record.hash != _hash(record, previous):
-            sentence = (
-                f"Record {record.id} is not as it was written, or one before it was removed; {count} before it are."
-            )
-            return ChainReport(ok=False, records=count, head=previous, first_broken_id=record.id, sentence=sentence)
-        previous, count, met = record.hash, count + 1, met or record.hash == expected_head
-    if not met:
-        sentence = (
+    found = verification.verify(session, expected_head)
+    misfit = found.misfit
+    broken_id = found.broken_id if misfit is None else misfit.record_id
+    return ChainReport(
+        ok=found.broken_id is None and misfit is None and found.met,
+        records=found.records,
+        head=found.head,
+        first_broken_id=broken_id,
+        sentence=_sentence(found, expected_head),
+        rows=found.rows,
+        first_broken_row=None if misfit is None else misfit.row,
+        last_id=found.last_id,
+    )
+
+
+def _sentence(found: Findings, expected_head: str | None) -> str:
+    """Say in words what was found, the worst of it."""
+    count = found.records
+    if found.broken_id is not None:
+        return (
+            f"Record {found.broken_id} is not as it was written, or one before it was removed; {count} before it are."
+        )
+    if found.misfit is not None:
+        more = f", and {found.misfits - 1} more are not as they were written" if found.misfits > 1 else ""
+        where = f"Record {found.misfit.record_id} sealed it otherwise"
+        if found.misfit.record_id is None:
+            where = "no record put it there"
+        return (
+            f"{_capital(where)}: {found.misfit.row} was {found.misfit.what} outside Boresight{more}; "
+            f"the chain of {count} records itself holds together."
+        )
+    if not found.met:
+        return (
             f"The chain of {count} records holds together, but the head {expected_head} is not in it: it was rewritten."
         )
-        return ChainReport(ok=False, records=count, head=previous, first_broken_id=None, sentence=sentence)
-    sentence = f"All {count} records are as they were written."
-    return ChainReport(ok=True, records=count, head=previous, first_broken_id=None, sentence=sentence)
+    return f"All {count} records and the {found.rows} rows that they sealed are as they were written."
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.services import runs, sensors, telemetry_sets, users
+from boresight.services import runs, sensors, table_definitions, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
@@ -29,6 +29,7 @@ from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.telemetry.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
+from boresight.uplink.plain_table import plain_definition
 
 WATCHED_NUMBER, WATCHED_FRAMES_PER_S = 1, 3.5
 OTHER_FRAMES_PER_S = 20.0
@@ -145,7 +146,12 @@ class _Fleet:
                 if row.name == sensor.name:
                     return row.id
             document = sensor_document(sensor)
-            return sensors.register_sensor(session, self.analyst, document, simulated=True, truth=truth).id
+            sensor_id = sensors.register_sensor(session, self.analyst, document, simulated=True, truth=truth).id
+            table = plain_definition(sensor.camera_model)
+            table_definitions.set_definition(
+                session, self.analyst, sensor_id, table, "The simulated flight software's.", 0
+            )
+            return sensor_id
 
     def add_sets(self, sensor_id: int, number: int) -> None:
         """Give a sensor its calibration and its validation set."""

@@ -1,26 +1,47 @@
-"""When the ground under a request moves: what it binds is not what was shown any more, so nobody may decide on it.
+"""When the ground under a request moves, or its time runs out: nobody may decide on it any more.
 
-A request binds the hashes of the set, of its run's result and of the baseline that it would replace. Promoting a set
-makes the sensor's other requests STALE at once; `refuse_moved` asks again at every signature and promotion, for
-whatever else may have happened to the rows.
+Promoting a set, a new gate profile and a new table definition make the sensor's other requests STALE at once, a waiver
+those of its set. `refuse_moved` asks again at every signature and promotion, for whatever else may have happened to
+the rows. A request that nobody decided on in time is EXPIRED by the server's heartbeat, or by whoever comes too late.
 """
 
 from __future__ import annotations
 
-from boresight.errors import StaleError
-from boresight.services.actors import Actor
-from boresight.services.transitions import bound_hashes, move, resting_state, who_changed
+from collections.abc import Sequence
+
+from boresight.errors import ConflictError, StaleError
+from boresight.services.actors import SYSTEM, Actor
+from boresight.services.evidence import moved
+from boresight.services.transitions import move, resting_state, who_changed
 from boresight.store import approvals as approval_rows
 from boresight.store import parameter_sets as rows
-from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session, keep_despite_refusal, utc_now
 from boresight.store.tables import Approval, ParameterSet
 
 
 def make_others_stale(session: Session, actor: Actor, promoted: ParameterSet) -> None:
     """Void the requests that compare with the baseline of before."""
-    for approval in approval_rows.undecided_of_sensor(session, promoted.sensor_id):
-        _make_stale(session, actor, approval, f"{promoted.name} became baseline")
+    make_stale_of_sensor(session, actor, promoted.sensor_id, f"{promoted.name} became baseline")
+
+
+def make_stale_of_sensor(session: Session, actor: Actor, sensor_id: int, why: str) -> None:
+    """Void every request of a sensor that is not decided, or approved and not promoted yet.
+
+    Parameters
+    ----------
+    why
+        What moved, as the audit log and the refusals tell it: "the gate profile became version 3".
+    """
+    for approval in approval_rows.undecided_of_sensor(session, sensor_id):
+        _make_stale(session, actor, approval, why)
+
+
+def make_stale_of_set(session: Session, actor: Actor, parameter_set_id: int, why: str) -> None:
+    """Void the request of one set, if it has one that is not decided, or approved and not promoted yet."""
+    row = session.get_one(ParameterSet, parameter_set_id)
+    for approval in approval_rows.undecided_of_sensor(session, row.sensor_id):
+        if approval.parameter_set_id == parameter_set_id:
+            _make_stale(session, actor, approval, why)
 
 
 def _make_stale(session: Session, actor: Actor, approval: Approval, reason: str) -> None:
@@ -39,15 +60,55 @@ def refuse_moved(session: Session, actor: Actor, approval: Approval, row: Parame
     StaleError
         Says what moved; the request stays STALE although the refusal is raised.
     """
-    current = bound_hashes(session, row)
-    current["set_sha256"] = sha256_of(row.document)
-    moved = [
-        name.removesuffix("_sha256").replace("_", " ") for name in current if current[name] != approval.bound[name]
-    ]
-    if not moved:
+    names = moved(session, approval, row)
+    if not names:
         return
     incumbent = rows.baseline(session, row.sensor_id)
     since = f" The baseline is {incumbent.name}: {who_changed(session, incumbent)}." if incumbent else ""
-    _make_stale(session, actor, approval, f"the {' and the '.join(moved)} moved")
+    _make_stale(session, actor, approval, f"the {' and the '.join(names)} moved")
     keep_despite_refusal(session)
-    raise StaleError(f"The {' and the '.join(moved)} moved since {row.name} was submitted.{since} Submit it again.")
+    raise StaleError(f"The {' and the '.join(names)} moved since {row.name} was submitted.{since} Submit it again.")
+
+
+def is_expired(approval: Approval) -> bool:
+    """Whether the time of a request is over, be it written down yet or not."""
+    return approval.expires_utc is not None and approval.expires_utc <= utc_now()
+
+
+def any_due(session: Session) -> bool:
+    """Whether there are requests whose time is over and that still stand open."""
+    return bool(approval_rows.due(session, utc_now()))
+
+
+def expire_due(session: Session) -> Sequence[Approval]:
+    """Close every request whose time is over, and return them; their sets may be submitted again."""
+    due = approval_rows.due(session, utc_now())
+    for approval in due:
+        _expire(session, approval)
+    return due
+
+
+def _expire(session: Session, approval: Approval) -> None:
+    """Close a request as EXPIRED."""
+    row = session.get_one(ParameterSet, approval.parameter_set_id)
+    approval.closed_utc = utc_now()
+    reason = f"nobody decided on it before {approval.expires_utc}"
+    if approval.state == "APPROVED":
+        reason = f"it was approved and not promoted before {approval.expires_utc}"
+    move(session, SYSTEM, approval, "EXPIRED", "let expire", reason=reason)
+    move(session, SYSTEM, row, resting_state(row, "EXPIRED"), "returned", reason=f"its request expired: {reason}")
+
+
+def refuse_expired(session: Session, approval: Approval, row: ParameterSet) -> None:
+    """Close a request as EXPIRED and refuse, when its time is over.
+
+    Raises
+    ------
+    ConflictError
+        The request stays EXPIRED although the refusal is raised.
+    """
+    if not is_expired(approval):
+        return
+    _expire(session, approval)
+    keep_despite_refusal(session)
+    raise ConflictError(f"Request {approval.id} expired at {approval.expires_utc}. Submit {row.name} again.")

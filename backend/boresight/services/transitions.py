@@ -1,17 +1,44 @@
-"""What every change of state has in common: the version that was seen, the move, the hashes an approval binds."""
+"""What every change of state has in common: the row, the version that was seen, the move with its audit record."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from boresight.errors import PreconditionRequiredError, StaleError
+from boresight.errors import NotFoundError, PreconditionRequiredError, StaleError
 from boresight.services import audit
 from boresight.services.actors import Actor
-from boresight.store import parameter_sets as set_rows
 from boresight.store.sessions import Session
-from boresight.store.tables import Approval, ParameterSet, Run, Sensor
+from boresight.store.tables import Approval, ParameterSet, Sensor
 
 Versioned = Approval | ParameterSet | Sensor
+
+
+def get_approval(session: Session, approval_id: int) -> Approval:
+    """Return a request.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Approval, approval_id)
+    if row is None:
+        raise NotFoundError(f"There is no request for approval {approval_id}.")
+    return row
+
+
+def get_parameter_set(session: Session, parameter_set_id: int) -> ParameterSet:
+    """Return a set.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(ParameterSet, parameter_set_id)
+    if row is None:
+        raise NotFoundError(f"There is no parameter set {parameter_set_id}.")
+    return row
 
 
 def subject_of(row: Versioned) -> str:
@@ -51,14 +78,27 @@ def who_changed(session: Session, row: Versioned) -> str:
 
 
 def move(
-    session: Session, actor: Actor, row: Approval | ParameterSet, state: str, action: str, *, reason: str | None = None
+    session: Session,
+    actor: Actor,
+    row: Approval | ParameterSet,
+    state: str,
+    action: str,
+    *,
+    reason: str | None = None,
+    **told: Any,
 ) -> None:
-    """Bring a row into a state, one version further, with its audit record."""
+    """Bring a row into a state, one version further, with its audit record.
+
+    Parameters
+    ----------
+    told
+        What else the record says of the row as it is now.
+    """
     column = "state" if isinstance(row, Approval) else "ground_state"
     before = {column: getattr(row, column), "version": row.version}
     setattr(row, column, state)
     row.version += 1
-    after: dict[str, Any] = {column: state, "version": row.version}
+    after: dict[str, Any] = {column: state, "version": row.version, **told}
     if isinstance(row, ParameterSet):
         after["sha256"] = row.sha256
     audit.append(session, actor, action, subject_of(row), before, after, reason)
@@ -67,14 +107,3 @@ def move(
 def resting_state(parameter_set: ParameterSet, otherwise: str) -> str:
     """Return where a set goes when its request ends without a promotion: a former baseline stays SUPERSEDED."""
     return otherwise if parameter_set.baseline_from_utc is None else "SUPERSEDED"
-
-
-def bound_hashes(session: Session, parameter_set: ParameterSet) -> dict[str, str | None]:
-    """Return the hashes of what an approver is shown: the set, its run's result, the baseline it would replace."""
-    run = None if parameter_set.run_id is None else session.get(Run, parameter_set.run_id)
-    incumbent = set_rows.baseline(session, parameter_set.sensor_id)
-    return {
-        "set_sha256": parameter_set.sha256,
-        "run_result_sha256": None if run is None else run.result_sha256,
-        "incumbent_sha256": None if incumbent is None else incumbent.sha256,
-    }

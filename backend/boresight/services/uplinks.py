@@ -4,24 +4,30 @@
 
 One step at a time, each with its source. ACTIVE therefore always follows a verified read-back. MISMATCH and UNKNOWN can
 be recorded for anything that was sent, and are left by sending again or by a read-back. One set is active: when another
-is recorded as ACTIVE, the one before becomes UNKNOWN.
+is recorded as ACTIVE, the one before becomes UNKNOWN. Nothing on the ground moves these states: a set that is promoted or
+rolled back says nothing about what the sensor runs with.
+
+What a record rests on is kept with it: a comparison (`read_backs`), a signature (`activate`), or somebody's statement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
+from typing import Any
 
-from boresight.errors import ConflictError, RefusedInputError
-from boresight.services import audit
-from boresight.services.actors import Actor, require_role, require_scope, require_user
-from boresight.services.parameter_sets import get_parameter_set
-from boresight.services.transitions import require_seen, subject_of
+from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.services import users
+from boresight.services.actors import Actor, require_person
+from boresight.services.onboard import Basis, add_entry, set_for_entry
+from boresight.services.table_definitions import definition_in_force
+from boresight.services.timeline import happened_on, read_time
+from boresight.services.transitions import require_seen
 from boresight.services.words import refuse_control_characters
 from boresight.store import parameter_sets as set_rows
 from boresight.store import uplinks as rows
-from boresight.store.sessions import Session, utc_now, utc_text
-from boresight.store.tables import ParameterSet, Promotion, Uplink
+from boresight.store.documents import sha256_of
+from boresight.store.sessions import Session
+from boresight.store.tables import Package, ParameterSet, Promotion, Uplink
 
 NEXT: dict[str, tuple[str, ...]] = {
     "NOT SENT": ("SENT",),
@@ -41,6 +47,9 @@ def record(
     onboard_state: str,
     source: str,
     seen_version: int | None = None,
+    *,
+    package_id: int | None = None,
+    happened: str | None = None,
 ) -> Uplink:
     """Record the next on-board state of a set, with where it is known from.
 
@@ -50,6 +59,10 @@ def record(
         Pass, procedure or read-back file that it is known from; needed.
     seen_version
         Version of the set that was looked at; None where a form shows the next steps itself.
+    package_id
+        The uplink package that was sent or loaded, where one was built.
+    happened
+        When it happened, ISO 8601, where that is earlier than now.
 
     Raises
     ------
@@ -58,29 +71,81 @@ def record(
     StaleError
         When the set changed since.
     RefusedInputError
-        When the state does not exist or the source is missing.
+        When the state does not exist, the source is missing, the package is another set's, or the time is none.
     ConflictError
-        When the state does not follow the one recorded, or the set to be sent is not the baseline.
+        When the state does not follow the one recorded, or what is to be sent is not the baseline, or its package was built
+        for a table definition that is no longer in force.
     """
-    require_role(actor, "operator")
-    require_scope(actor, "uplinks")
-    require_user(actor, "record an uplink")
-    refuse_control_characters(source=source)
-    row = get_parameter_set(session, parameter_set_id)
-    if seen_version is not None:
-        require_seen(session, row, seen_version)
-    _refuse_step(row, onboard_state, source)
-    if onboard_state == "ACTIVE" and (active := set_rows.active_set(session, row.sensor_id)) is not None:
-        _write(session, actor, active, "UNKNOWN", f"{row.name} was read back as active: {source.strip()}")
-    return _write(session, actor, row, onboard_state, source.strip())
+    row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    _refuse_step(row, onboard_state)
+    evidence = _package(session, row, package_id, onboard_state) | happened_on(happened)
+    if onboard_state == "ACTIVE":
+        _retire_active(session, actor, row, source.strip())
+    return add_entry(session, actor, row, onboard_state, source, Basis(evidence))
 
 
-def _refuse_step(row: ParameterSet, onboard_state: str, source: str) -> None:
+def activate(
+    session: Session,
+    actor: Actor,
+    parameter_set_id: int,
+    source: str,
+    meaning: str,
+    password: str,
+    seen_version: int | None,
+    *,
+    happened: str | None = None,
+) -> Uplink:
+    """Record that a verified set is what the sensor runs with: an entry signed by a person who gives the password again.
+
+    Parameters
+    ----------
+    source
+        Where it is known from: the telemetry page, the pass, the procedure.
+    meaning
+        What the signature means, in words that are kept with it.
+    happened
+        When it became active, ISO 8601, where that is earlier than now.
+
+    Raises
+    ------
+    ForbiddenError, UnauthenticatedError, TooManyAttemptsError
+        When this person may not sign, or the password is wrong.
+    PreconditionRequiredError, StaleError
+        When no version was given, or the set changed since.
+    RefusedInputError
+        When source or meaning is missing.
+    ConflictError
+        When the set is not VERIFIED.
+    """
+    require_person(actor, "sign that a set is active")
+    if "administrator" in actor.roles:
+        raise ForbiddenError("An administrator cannot sign; an operator who is no administrator must.")
+    if users.must_change_password(session, actor):
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
+    row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    require_seen(session, row, seen_version)
+    _refuse_step(row, "ACTIVE")
+    refuse_control_characters(meaning=meaning)
+    if not meaning.strip():
+        raise RefusedInputError("Say what your signature means, such as: I saw this table active in telemetry.")
+    evidence = happened_on(happened) | {"shown_sha256": shown_sha256(session, row)}
+    users.verify_password(session, actor, password)
+    _retire_active(session, actor, row, source.strip())
+    signed = Basis(evidence, printed_name=actor.printed_name, meaning=meaning.strip())
+    return add_entry(session, actor, row, "ACTIVE", source, signed)
+
+
+def shown_sha256(session: Session, row: ParameterSet) -> str:
+    """Return the hash of what a signature that a set is active stands for: the set, and the record that verified it."""
+    newest = rows.uplinks(session, parameter_set_id=row.id, sensor_id=None, before_id=None, limit=1)
+    verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in newest]
+    return sha256_of({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
+
+
+def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
     """Refuse a step off the ladder."""
     if onboard_state not in NEXT:
         raise RefusedInputError(f"There is no on-board state {onboard_state!r}; the states are {', '.join(NEXT)}.")
-    if not source.strip():
-        raise RefusedInputError("Say where this is known from: the pass, the procedure or the read-back file.")
     if onboard_state not in NEXT[row.onboard_state]:
         steps = ", ".join(NEXT[row.onboard_state])
         raise ConflictError(f"{row.name} is {row.onboard_state} on board; next can be {steps}, not {onboard_state}.")
@@ -90,23 +155,54 @@ def _refuse_step(row: ParameterSet, onboard_state: str, source: str) -> None:
         )
 
 
-def _write(session: Session, actor: Actor, row: ParameterSet, onboard_state: str, source: str) -> Uplink:
-    """Add the record and show its state on the set."""
-    uplink = Uplink(
-        parameter_set_id=row.id,
-        onboard_state=onboard_state,
-        source=source,
-        recorded_utc=utc_now(),
-        recorded_by=require_user(actor, "record an uplink"),
-    )
-    before = {"onboard_state": row.onboard_state, "version": row.version}
-    row.onboard_state = onboard_state
-    row.version += 1
-    session.add(uplink)
-    session.flush()
-    after = {"onboard_state": onboard_state, "version": row.version}
-    audit.append(session, actor, f"recorded {onboard_state} for", subject_of(row), before, after, source)
-    return uplink
+def _package(session: Session, row: ParameterSet, package_id: int | None, onboard_state: str) -> dict[str, Any]:
+    """Return what is kept of the package that was sent; refuse another set's, and to send one for another table."""
+    if package_id is None:
+        return {}
+    package = session.get(Package, package_id)
+    if package is None or package.parameter_set_id != row.id:
+        raise RefusedInputError(f"There is no package {package_id} of {row.name}; name one that was built for it.")
+    definition = definition_in_force(session, row.sensor_id)
+    if onboard_state == "SENT" and package.table_definition_id != (definition.id if definition else None):
+        raise ConflictError(
+            f"Package {package_id} was built for another table definition than the one in force: "
+            "build the package again and send that."
+        )
+    return {"package": {"id": package.id, "sha256": package.sha256}}
+
+
+def _retire_active(session: Session, actor: Actor, row: ParameterSet, source: str) -> None:
+    """Make the set that was active UNKNOWN: another is active now."""
+    if (active := set_rows.active_set(session, row.sensor_id)) is not None and active.id != row.id:
+        add_entry(session, actor, active, "UNKNOWN", f"{row.name} was read back as active: {source}")
+
+
+def get_uplink(session: Session, uplink_id: int) -> Uplink:
+    """Return a record.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Uplink, uplink_id)
+    if row is None:
+        raise NotFoundError(f"There is no uplink record {uplink_id}.")
+    return row
+
+
+def dump_of(session: Session, uplink_id: int) -> str:
+    """Return the SHA-256 of the dump that a record rests on.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such record, or none of bytes.
+    """
+    dump = (get_uplink(session, uplink_id).evidence or {}).get("dump")
+    if dump is None:
+        raise NotFoundError(f"Uplink record {uplink_id} rests on no dump; see its method and evidence.")
+    return str(dump["sha256"])
 
 
 def list_uplinks(
@@ -136,7 +232,7 @@ def baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | N
     RefusedInputError
         When the time cannot be read.
     """
-    return set_rows.baseline_at(session, sensor_id, _time(time))
+    return set_rows.baseline_at(session, sensor_id, read_time(time))
 
 
 def onboard_at(session: Session, sensor_id: int, time: str) -> Sequence[tuple[ParameterSet, Uplink]]:
@@ -147,17 +243,9 @@ def onboard_at(session: Session, sensor_id: int, time: str) -> Sequence[tuple[Pa
     RefusedInputError
         When the time cannot be read.
     """
-    return rows.records_until(session, sensor_id, _time(time))
+    return rows.records_until(session, sensor_id, read_time(time))
 
 
 def promotions_of(session: Session, sensor_id: int) -> Sequence[Promotion]:
     """Return every promotion of a sensor, newest first."""
     return set_rows.promotions(session, sensor_id)
-
-
-def _time(time: str) -> str:
-    """Read a time as the store writes it."""
-    try:
-        return utc_text(datetime.fromisoformat(time))
-    except ValueError as error:
-        raise RefusedInputError(f"{time!r} is no time; write it like 2026-11-21T03:04:05Z.") from error

@@ -1,48 +1,42 @@
 """People: who they are, how they log in, what they may do.
 
-Passwords are kept as argon2id hashes. A name that does not exist costs the same hash as one that does, and too many
-failures make a name wait, whether it exists or not, so that an answer does not tell who has an account.
+Who was given a password by somebody else must set their own before anything else, and cannot sign until then: an
+administrator gives roles and passwords, and must not come to sign with them.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Sequence
-from datetime import UTC, datetime, timedelta
 
-from argon2 import PasswordHasher
-from argon2.exceptions import InvalidHashError, VerificationError
-
-from boresight.errors import (
-    ConflictError,
-    NotFoundError,
-    RefusedInputError,
-    TooManyAttemptsError,
-    UnauthenticatedError,
-)
+from boresight.errors import ConflictError, NotFoundError, PasswordDueError, RefusedInputError, UnauthenticatedError
 from boresight.services import audit
 from boresight.services.actors import Actor, refuse_key, require_person, require_role
+from boresight.services.passwords import (
+    LOGIN_ATTEMPTS_PER_MINUTE,
+    check_password,
+    hash_password,
+)
 from boresight.services.roles import known_roles
 from boresight.services.words import refuse_control_characters
 from boresight.store import users as rows
-from boresight.store.sessions import Session, keep_despite_refusal, utc_after, utc_now
-from boresight.store.tables import LoginFailure, User
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import User
 
-MINIMUM_PASSWORD_LENGTH = 12
-MAXIMUM_PASSWORD_LENGTH = 256  # a longer one only costs time
-LOGIN_ATTEMPTS_PER_MINUTE = 5
-FAILURE_COUNTS_S = 60.0
 LOGIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
-
-_HASHER = PasswordHasher()
-_UNKNOWN = _HASHER.hash("nobody has this password")
 
 
 def create_user(
-    session: Session, actor: Actor, *, name: str, printed_name: str, password: str, roles: Collection[str]
+    session: Session,
+    actor: Actor,
+    *,
+    name: str,
+    printed_name: str,
+    password: str,
+    roles: Collection[str],
+    must_change_password: bool = False,
 ) -> User:
-    """Add a person.
+    """Add a person, who with `must_change_password` sets a password of their own at the first log-in.
 
     Raises
     ------
@@ -66,28 +60,13 @@ def create_user(
         password_hash=hash_password(name, password),
         roles=known_roles(roles),
         created_utc=utc_now(),
+        must_change_password=int(must_change_password),
     )
     session.add(user)
     session.flush()
-    audit.append(session, actor, "created", _subject(user), None, {"name": name, "roles": user.roles})
+    after = {"name": name, "printed_name": user.printed_name, "roles": user.roles}
+    audit.append(session, actor, "created", _subject(user), None, after)
     return user
-
-
-def hash_password(name: str, password: str) -> str:
-    """Return the argon2id hash of a password that may be used.
-
-    Raises
-    ------
-    RefusedInputError
-        When the password is too short, too long, or is made from the name or one character.
-    """
-    if len(password) < MINIMUM_PASSWORD_LENGTH:
-        raise RefusedInputError(f"The password has {len(password)} characters; use at least {MINIMUM_PASSWORD_LENGTH}.")
-    if len(password) > MAXIMUM_PASSWORD_LENGTH:
-        raise RefusedInputError(f"The password is over {MAXIMUM_PASSWORD_LENGTH} characters; use a shorter one.")
-    if len(set(password)) == 1 or password.lower().replace(name.lower(), "") == "":
-        raise RefusedInputError("The password repeats one character or the log-in name; use another one.")
-    return _HASHER.hash(password)
 
 
 def authenticate(
@@ -108,39 +87,10 @@ def authenticate(
         When there were too many failures within a minute.
     """
     user = rows.user_named(session, name.strip())
-    _check_password(session, name.strip(), user, password, attempts_per_minute)
+    check_password(session, name.strip(), user, password, attempts_per_minute)
     if user is None or user.disabled_utc is not None:
         raise UnauthenticatedError("Name and password do not fit; try again or ask an administrator.")
     return _actor(user, request_id)
-
-
-def _check_password(session: Session, name: str, user: User | None, password: str, attempts_per_minute: int) -> None:
-    """Refuse a wrong password, after as much work as a right one costs, and count the failure."""
-    _refuse_too_many(rows.failures_since(session, name, utc_after(-FAILURE_COUNTS_S)), attempts_per_minute)
-    if _fits(user.password_hash if user else _UNKNOWN, password) and user is not None:
-        return
-    rows.forget_failures(session, before_utc=utc_after(-3600.0))
-    session.add(LoginFailure(name=name, at_utc=utc_now()))
-    keep_despite_refusal(session)
-    raise UnauthenticatedError("Name and password do not fit; try again or ask an administrator.")
-
-
-def _refuse_too_many(failed_utc: Sequence[str], attempts_per_minute: int) -> None:
-    """Refuse while so many failures count, the newest first, until so few do that another attempt is allowed."""
-    if len(failed_utc) < attempts_per_minute:
-        return
-    last_to_lapse = failed_utc[attempts_per_minute - 1] if attempts_per_minute else utc_now()
-    lapsed = datetime.fromisoformat(last_to_lapse) + timedelta(seconds=FAILURE_COUNTS_S)
-    wait_s = math.ceil((lapsed - datetime.now(UTC)).total_seconds())
-    raise TooManyAttemptsError("Too many failed log-ins with this name; wait a minute and try again.", max(wait_s, 1))
-
-
-def _fits(password_hash: str, password: str) -> bool:
-    """Whether a password is the one of a hash."""
-    try:
-        return _HASHER.verify(password_hash, password[: MAXIMUM_PASSWORD_LENGTH + 1])
-    except (VerificationError, InvalidHashError):
-        return False
 
 
 def _actor(user: User, request_id: str | None) -> Actor:
@@ -153,18 +103,40 @@ def session_epoch(session: Session, actor: Actor) -> int:
     return get_user(session, require_person(actor, "log in")).session_epoch
 
 
-def actor_of_session(session: Session, user_id: int, epoch: int, request_id: str | None = None) -> Actor:
+def actor_of_session(
+    session: Session, user_id: int, epoch: int, request_id: str | None = None, *, sets_password: bool = False
+) -> Actor:
     """Return the person of a log-in cookie, with the roles held now.
+
+    Parameters
+    ----------
+    sets_password
+        Whether what is asked is part of setting one's own password, which is all that a person may do who must.
 
     Raises
     ------
     UnauthenticatedError
         When the person is gone or disabled, or the log-ins of before were ended.
+    PasswordDueError
+        When the person must set a password of their own first.
     """
     user = session.get(User, user_id)
     if user is None or user.disabled_utc is not None or user.session_epoch != epoch:
         raise UnauthenticatedError("This log-in has ended; log in again.")
+    if not sets_password:
+        _refuse_password_of_another(user)
     return _actor(user, request_id)
+
+
+def _refuse_password_of_another(user: User) -> None:
+    """Refuse a person whose password somebody else knows."""
+    if user.must_change_password:
+        raise PasswordDueError("Somebody else set your password: set your own first, then go on.")
+
+
+def must_change_password(session: Session, actor: Actor) -> bool:
+    """Whether somebody else set the password of this person."""
+    return actor.user_id is not None and bool(get_user(session, actor.user_id).must_change_password)
 
 
 def verify_password(
@@ -174,17 +146,22 @@ def verify_password(
 
     Raises
     ------
+    PasswordDueError
+        When somebody else set the password: it is no proof of the person.
     UnauthenticatedError
         When the password is wrong.
     TooManyAttemptsError
         When there were too many failures within a minute.
     """
     user = get_user(session, require_person(actor, "confirm with a password"))
-    _check_password(session, user.name, user, password, attempts_per_minute)
+    _refuse_password_of_another(user)
+    check_password(session, user.name, user, password, attempts_per_minute)
 
 
 def change_password(session: Session, actor: Actor, user_id: int, password: str, current: str = "") -> User:
     """Set a password: one's own, knowing the current one, or as an administrator another's. Every log-in then ends.
+
+    Who is given a password by an administrator must set their own at the next log-in.
 
     Raises
     ------
@@ -193,14 +170,26 @@ def change_password(session: Session, actor: Actor, user_id: int, password: str,
     """
     refuse_key(actor, "set a password")
     user = get_user(session, user_id)
-    if actor.user_id == user_id:
-        verify_password(session, actor, current)
+    own = actor.user_id == user_id
+    if own:
+        require_person(actor, "set a password")
+        check_password(session, user.name, user, current, LOGIN_ATTEMPTS_PER_MINUTE)
+        _refuse_the_same(password, current)
     else:
         _require_administrator(actor)
+    before = {"must_change_password": bool(user.must_change_password)}
     user.password_hash = hash_password(user.name, password)
     user.session_epoch += 1
-    audit.append(session, actor, "changed the password of", _subject(user))
+    user.must_change_password = int(not own)
+    action = "changed the password of" if own else "reset the password of"
+    audit.append(session, actor, action, _subject(user), before, {"must_change_password": not own})
     return user
+
+
+def _refuse_the_same(password: str, current: str) -> None:
+    """Refuse to change a password into itself: the one of before may be known to others."""
+    if password == current:
+        raise RefusedInputError("The new password is the current one; use another.")
 
 
 def end_sessions(session: Session, actor: Actor, user_id: int) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import sqlalchemy as sa
 
 from boresight.store.sessions import Session
-from boresight.store.tables import ApiKey, AuditRecord
+from boresight.store.tables import ApiKey
 
 
 def key_with_prefix(session: Session, prefix: str) -> ApiKey | None:
@@ -21,10 +21,3 @@ def keys(session: Session, user_id: int | None) -> Sequence[ApiKey]:
     if user_id is not None:
         query = query.where(ApiKey.user_id == user_id)
     return session.scalars(query).all()
-
-
-def last_changes(session: Session) -> dict[str, str]:
-    """Return when each key last changed something, by its prefix, as the audit log knows it."""
-    query = sa.select(AuditRecord.credential, sa.func.max(AuditRecord.at_utc))
-    query = query.where(AuditRecord.credential.like("key:%")).group_by(AuditRecord.credential)
-    return {credential.removeprefix("key:"): at_utc for credential, at_utc in session.execute(query)}

@@ -1,4 +1,4 @@
-"""Queries on requests for approval and their signatures."""
+"""Queries on requests for approval, their signatures, their discussion and the evidence that they bind."""
 
 from __future__ import annotations
 
@@ -7,7 +7,17 @@ from collections.abc import Sequence
 import sqlalchemy as sa
 
 from boresight.store.sessions import Session
-from boresight.store.tables import Approval, ParameterSet, Signature
+from boresight.store.tables import (
+    Approval,
+    GateProfile,
+    GateReport,
+    Opening,
+    ParameterSet,
+    Remark,
+    Signature,
+    TableDefinition,
+    Waiver,
+)
 
 UNDECIDED = ("OPEN", "APPROVED")  # states that a promotion of another set makes stale
 
@@ -20,11 +30,20 @@ def latest_of(session: Session, parameter_set_id: int, *states: str) -> Approval
 
 def undecided_of_sensor(session: Session, sensor_id: int) -> Sequence[Approval]:
     """Return a sensor's requests that are not decided, with those approved and not yet promoted."""
-    query = sa.select(Approval).join(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
+    return session.scalars(_undecided().where(ParameterSet.sensor_id == sensor_id)).all()
+
+
+def due(session: Session, now_utc: str) -> Sequence[Approval]:
+    """Return the requests that are not decided, or approved and not yet promoted, and whose time is over."""
+    return session.scalars(_undecided().where(Approval.expires_utc <= now_utc)).all()
+
+
+def _undecided() -> sa.Select[tuple[Approval]]:
+    """Select the requests that are not decided, with those approved and not yet promoted, and their sets."""
     live = ParameterSet.ground_state.in_(("SUBMITTED", "APPROVED"))
     newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # an older one had its promotion
-    query = query.where(Approval.state.in_(UNDECIDED), live, Approval.id.in_(newest))
-    return session.scalars(query.order_by(Approval.id)).all()
+    query = sa.select(Approval).join(ParameterSet).where(Approval.state.in_(UNDECIDED), live, Approval.id.in_(newest))
+    return query.order_by(Approval.id)
 
 
 def approvals(
@@ -52,3 +71,43 @@ def signature_of(session: Session, approval_id: int, user_id: int) -> Signature 
     """Return a person's signature on a request."""
     query = sa.select(Signature).where(Signature.approval_id == approval_id)
     return session.scalar(query.where(Signature.user_id == user_id))
+
+
+def remarks(session: Session, approval_id: int) -> Sequence[Remark]:
+    """Return what was said about a request, in order."""
+    return session.scalars(sa.select(Remark).where(Remark.approval_id == approval_id).order_by(Remark.id)).all()
+
+
+def openings(session: Session, approval_id: int) -> Sequence[Opening]:
+    """Return who opened which evidence of a request, in order."""
+    return session.scalars(sa.select(Opening).where(Opening.approval_id == approval_id).order_by(Opening.id)).all()
+
+
+def opening_of(session: Session, approval_id: int, user_id: int, evidence: str) -> Opening | None:
+    """Return when a person first opened a piece of evidence."""
+    query = sa.select(Opening).where(Opening.approval_id == approval_id, Opening.user_id == user_id)
+    return session.scalar(query.where(Opening.evidence == evidence))
+
+
+def newest_report(session: Session, parameter_set_id: int) -> GateReport | None:
+    """Return a set's newest gate report, whether or not what it judged has moved since."""
+    query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id)
+    return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
+
+
+def newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
+    """Return the gate profile that is in force."""
+    query = sa.select(GateProfile).where(GateProfile.sensor_id == sensor_id)
+    return session.scalar(query.order_by(GateProfile.number.desc()).limit(1))
+
+
+def newest_definition(session: Session, sensor_id: int) -> TableDefinition | None:
+    """Return the definition of the table on board that is in force."""
+    query = sa.select(TableDefinition).where(TableDefinition.sensor_id == sensor_id)
+    return session.scalar(query.order_by(TableDefinition.number.desc()).limit(1))
+
+
+def waivers_in_force(session: Session, parameter_set_id: int, now_utc: str) -> Sequence[Waiver]:
+    """Return a set's waivers that have not expired, in order."""
+    query = sa.select(Waiver).where(Waiver.parameter_set_id == parameter_set_id, Waiver.expires_utc > now_utc)
+    return session.scalars(query.order_by(Waiver.id)).all()

@@ -3,35 +3,86 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import sqlalchemy as sa
 
+from boresight.store import chain
 from boresight.store.sessions import Session
 from boresight.store.tables import AuditRecord
 
+RAW_AT_A_TIME = 1000
+LATELY = 2000
 
-def last_record(session: Session) -> AuditRecord | None:
-    """Return the newest record, whose hash is the head of the chain."""
-    return session.scalar(sa.select(AuditRecord).order_by(AuditRecord.id.desc()).limit(1))
+
+@dataclass(frozen=True)
+class Sought:
+    """What a list of records is narrowed to; None is everything.
+
+    Parameters
+    ----------
+    object, actor, action
+        As they stand in the record.
+    since_utc, until_utc
+        Times as the store writes them; from the first on, before the second.
+    """
+
+    object: str | None = None
+    actor: str | None = None
+    action: str | None = None
+    since_utc: str | None = None
+    until_utc: str | None = None
 
 
 def last_change(session: Session, subject: str) -> AuditRecord | None:
-    """Return the newest record about an object, such as `parameter-sets/3`."""
+    """Return the newest record about an object, such as `parameter-sets/3`, written or still to be."""
+    waiting = (record for record in reversed(chain.pending(session)) if record.object == subject)
+    if (newest := next(waiting, None)) is not None:
+        return newest
     query = sa.select(AuditRecord).where(AuditRecord.object == subject)
     return session.scalar(query.order_by(AuditRecord.id.desc()).limit(1))
 
 
-def records(session: Session, *, before_id: int | None, subject: str | None, limit: int) -> Sequence[AuditRecord]:
-    """Return records, newest first, older than a cursor and about one object where asked."""
+def records(session: Session, *, before_id: int | None, sought: Sought, limit: int) -> Sequence[AuditRecord]:
+    """Return records, newest first, older than a cursor and only those sought."""
     query = sa.select(AuditRecord).order_by(AuditRecord.id.desc()).limit(limit)
     if before_id is not None:
         query = query.where(AuditRecord.id < before_id)
-    if subject is not None:
-        query = query.where(AuditRecord.object == subject)
+    for field in fields(Sought):
+        if (value := getattr(sought, field.name)) is not None:
+            query = query.where(_condition(field.name, value))
     return session.scalars(query).all()
 
 
-def walk(session: Session) -> Iterator[AuditRecord]:
-    """Yield every record in the order it was written, without holding them all."""
-    query = sa.select(AuditRecord).order_by(AuditRecord.id).execution_options(yield_per=500, populate_existing=True)
-    yield from session.scalars(query)
+def _condition(name: str, value: str) -> sa.ColumnElement[bool]:
+    """Say one part of what is sought in SQL."""
+    if name == "since_utc":
+        return AuditRecord.at_utc >= value
+    if name == "until_utc":
+        return AuditRecord.at_utc < value
+    return getattr(AuditRecord, name) == value  # type: ignore[no-any-return]  # a column by its name
+
+
+def record(session: Session, record_id: int) -> AuditRecord | None:
+    """Return the record with a number."""
+    return session.get(AuditRecord, record_id)
+
+
+def words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
+    """Return who acted lately, and what was done lately: a long log is not read for two lists of words."""
+    newest = sa.select(AuditRecord.actor, AuditRecord.action).order_by(AuditRecord.id.desc()).limit(LATELY).subquery()
+    actors = session.scalars(sa.select(newest.c.actor).distinct().order_by(newest.c.actor)).all()
+    return actors, session.scalars(sa.select(newest.c.action).distinct().order_by(newest.c.action)).all()
+
+
+def walk(session: Session, *, after_id: int = 0) -> Iterator[dict[str, Any]]:
+    """Yield every record in the order it was written, documents as their text, without holding them all."""
+    chain.write_out(session)
+    columns = [
+        sa.type_coerce(column, sa.Text) if column.key in chain.DOCUMENTS else column
+        for column in (AuditRecord.__table__.columns[name] for name in chain.COLUMNS)
+    ]
+    query = sa.select(*columns).where(AuditRecord.id > after_id).order_by(AuditRecord.id)
+    for row in session.execute(query, execution_options={"yield_per": RAW_AT_A_TIME}):
+        yield dict(zip(chain.COLUMNS, row, strict=True))

@@ -12,6 +12,7 @@ Fencing: whoever computes writes back `WHERE id AND attempt AND state IN (RUNNIN
 to `attempt`. So a late result of an old attempt matches no row, and a terminal state is written once. A run that was
 asked to stop never ends as anything but CANCELLED. An event of kind `lost` is written for every attempt that died; as
 many of them as allowed end the run: FAILED when its worker processes died, LOST when only its servers were seen to go.
+The end is put on record in the transaction that writes it; what passes before it is not.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import aliased
 
+from boresight.store import chain, seals
 from boresight.store.run_events import write_event
 from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import TERMINAL_RUN_STATES, Blob, Run, RunEvent, TelemetrySet
@@ -81,10 +83,12 @@ def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
             state=sa.case((Run.state == "QUEUED", "CANCELLED"), else_="CANCELLING"),
         )
         .returning(Run.attempt, Run.state)
-        .execution_options(synchronize_session=False)
+        .execution_options(synchronize_session=False, **seals.BULK)
     ).first()
     if row is not None:
         write_event(session, run_id, row.attempt, "state", f"{row.state}: {reason}")
+        if row.state in TERMINAL_RUN_STATES:
+            seals.note(session, Run, run_id)
     return find_run(session, run_id)
 
 
@@ -123,7 +127,7 @@ def claim(
             progress=sa.null(),
         )
         .returning(Run.id, Run.attempt)
-        .execution_options(synchronize_session=False)
+        .execution_options(synchronize_session=False, **seals.BULK)
     ).all()
     for run_id, attempt in taken:
         write_event(session, run_id, attempt, "state", f"RUNNING: attempt {attempt} on {owner}")
@@ -156,7 +160,7 @@ def _fenced(held: Held) -> sa.Update:
     return (
         sa.update(Run)
         .where(Run.id == run_id, Run.attempt == attempt, Run.state.in_(HELD))
-        .execution_options(synchronize_session=False)
+        .execution_options(synchronize_session=False, **seals.BULK)
     )
 
 
@@ -167,7 +171,7 @@ def renew(session: Session, owner: str, lease_s: float, run_ids: Collection[int]
         .where(Run.id.in_(run_ids), Run.owner == owner, Run.state.in_(HELD))
         .values(lease_until_utc=utc_after(lease_s))
         .returning(Run.id, Run.attempt, Run.state)
-        .execution_options(synchronize_session=False)
+        .execution_options(synchronize_session=False, **seals.BULK)
     )
     return {(run_id, attempt): state for run_id, attempt, state in rows}
 
@@ -222,6 +226,9 @@ def finish(
     if not _matched(session, write):
         return None
     write_event(session, run_id, attempt, "state", f"{state}: {reason}" if reason else state)
+    seals.note(session, Run, run_id)
+    after = {"state": state, "result_sha256": result_sha256}
+    chain.append_own(session, "ended", f"runs/{run_id}", after=after, reason=reason)
     return state
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,13 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from alembic.util import CommandError
 from sqlalchemy import Engine
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session as OrmSession
 
 from boresight.errors import BoresightError, ConflictError, RefusedInputError
 from boresight.resources import folder
+from boresight.store.chain import forget, seal, seal_everything, write_before_reading
+from boresight.store.seals import note_flushed, refuse_bulk
+from boresight.store.times import utc_after, utc_now, utc_text
 
 __all__ = [
     "Engine",
@@ -52,22 +54,18 @@ PRAGMAS = (
 WRITER_LOCK = 0x626F7265  # "bore": the advisory lock that makes one writer at a time on PostgreSQL
 KEPT = "kept despite refusal"
 TRIED = "only tried"
+FIRST_WITH_SEALS = "0003"
 
 
-def utc_now() -> str:
-    """Return the time as the store writes it, `2026-11-21T03:04:05.123456Z`; sorts as time."""
-    return utc_after(0.0)
+class Session(OrmSession):
+    """A transaction on the store; its commit seals in the audit log what it changed."""
 
 
-def utc_after(seconds: float) -> str:
-    """Return the time so many seconds from now, in the same form; negative seconds are in the past."""
-    return utc_text(datetime.now(UTC) + timedelta(seconds=seconds))
-
-
-def utc_text(moment: datetime) -> str:
-    """Return a moment as the store writes it; one without a zone is UTC already."""
-    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
-    return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+sa.event.listen(Session, "after_flush", note_flushed)
+sa.event.listen(Session, "do_orm_execute", refuse_bulk)
+sa.event.listen(Session, "do_orm_execute", write_before_reading)
+sa.event.listen(Session, "before_commit", seal)
+sa.event.listen(Session, "after_rollback", forget)
 
 
 def open_engine(url: str) -> Engine:
@@ -154,7 +152,7 @@ def writing(engine: Engine) -> Iterator[Session]:
 def _end(session: Session) -> None:
     """Commit what was written; what was only tried is checked against the schema and rolled back."""
     if session.info.get(TRIED):
-        session.flush()
+        seal(session)
         session.rollback()
     else:
         session.commit()
@@ -219,7 +217,7 @@ def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
 
 
 def migrate(engine: Engine) -> None:
-    """Bring the schema up to date; does nothing when it is.
+    """Bring the schema up to date; does nothing when it is. Rows from before there were seals are sealed as they are.
 
     Raises
     ------
@@ -227,7 +225,12 @@ def migrate(engine: Engine) -> None:
         When the database was written by a newer version of Boresight.
     """
     with _changing_schema(engine) as connection:
+        before = MigrationContext.configure(connection).get_current_revision()
         command.upgrade(_config(connection), "head")
+        if before is not None and before < FIRST_WITH_SEALS:
+            with Session(connection, join_transaction_mode="rollback_only") as session:
+                seal_everything(session)
+                session.commit()  # its own part; the connection's transaction goes on
 
 
 def downgrade(engine: Engine, revision: str) -> None:

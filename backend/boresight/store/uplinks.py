@@ -35,3 +35,17 @@ def records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[t
     query = sa.select(ParameterSet, Uplink).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
     rows = session.execute(query.where(Uplink.id.in_(newest)).order_by(Uplink.id))
     return [(parameter_set, uplink) for parameter_set, uplink in rows]
+
+
+def newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:
+    """Return what was recorded last of a set, or last in a state."""
+    query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id).order_by(Uplink.id.desc()).limit(1)
+    return session.scalar(query if onboard_state is None else query.where(Uplink.onboard_state == onboard_state))
+
+
+def other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
+    """Return the other sets of a set's sensor that were ever baseline, newest first: what may be on board instead."""
+    query = sa.select(ParameterSet).where(ParameterSet.sensor_id == row.sensor_id, ParameterSet.id != row.id)
+    return session.scalars(
+        query.where(ParameterSet.baseline_from_utc.is_not(None)).order_by(ParameterSet.id.desc())
+    ).all()

@@ -10,12 +10,13 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, Who, Writing
+from boresight.api.dependencies import MaybeSeenTag, Reading, Who, Writing, require_tag, tag_of
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.services import api_keys
 from boresight.services.actors import SCOPES
+from boresight.store.tables import ApiKey
 
 router = APIRouter(prefix="/api-keys", tags=["API keys"])
 
@@ -48,7 +49,8 @@ def create_api_key(wanted: NewKey, actor: Who, once: Idempotent, session: Writin
             session, actor, label=wanted.label, scopes=wanted.scopes, expires_days=wanted.expires_days
         )
         key = schemas.written(schemas.ApiKey, row)
-        return Answer({**key, "secret": secret}, 201, {"Cache-Control": "no-store"}, kept={**key, "secret": None})
+        headers = {"Cache-Control": "no-store", "ETag": _tag(row)}
+        return Answer({**key, "secret": secret}, 201, headers, kept={**key, "secret": None})
 
     return once.answer(session, actor, act)
 
@@ -58,12 +60,20 @@ def create_api_key(wanted: NewKey, actor: Who, once: Idempotent, session: Writin
     name="revoke_api_key",
     summary="Revoke a key",
     response_model=schemas.ApiKey,
-    responses=refusals(404),
+    responses=refusals(404, 412),
 )
-def revoke_api_key(key_id: Id, actor: Who, once: Idempotent, session: Writing) -> Response:
+def revoke_api_key(key_id: Id, actor: Who, seen: MaybeSeenTag, once: Idempotent, session: Writing) -> Response:
     """End a key at once."""
-    return once.answer(
-        session,
-        actor,
-        lambda: Answer(schemas.written(schemas.ApiKey, api_keys.revoke_key(session, actor, key_id))),
-    )
+
+    def act() -> Answer:
+        if seen is not None:
+            key = api_keys.get_key(session, key_id)
+            require_tag(seen, _tag(key), f"The API key {key.label!r}")
+        row = api_keys.revoke_key(session, actor, key_id)
+        return Answer(schemas.written(schemas.ApiKey, row), headers={"ETag": _tag(row)})
+
+    return once.answer(session, actor, act)
+
+
+def _tag(key: ApiKey) -> str:
+    return tag_of(key.id, key.revoked_utc)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
@@ -10,12 +10,12 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, etag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
 from boresight.services import approvals
-from boresight.services.actors import Actor
+from boresight.services.actors import Actor, Policy
 from boresight.store.sessions import Session
 
 router = APIRouter(prefix="/approvals", tags=["approvals"])
@@ -30,6 +30,13 @@ class Signing(BaseModel):
     meaning: str = Field(examples=["I reviewed the evidence and approve this set for baseline."])
     password: SecretStr = Field(description="The signer's own, given again.")
     comment: str = Field("", description="Needed to refuse.")
+
+
+class SigningByName(Signing):
+    """A second person's signature at another's console: who it is, and the decision, beside the rest."""
+
+    name: str = Field(description="Log-in name of who signs.", examples=["alan"])
+    decision: Literal["APPROVE", "REFUSE"]
 
 
 def _shown(session: Session, row: Any) -> schemas.Document:
@@ -79,10 +86,10 @@ def get_approval(approval_id: Id, actor: Who, session: Reading) -> Response:  # 
     responses=TRANSITION,
 )
 def approve(
-    approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, policy: Held, session: Writing
 ) -> Response:
     """Approve, as a second person: not the submitter, not who launched the run, no administrator, no API key."""
-    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "APPROVE", signing, seen))
+    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "APPROVE", signing, seen, policy))
 
 
 @router.post(
@@ -93,14 +100,43 @@ def approve(
     responses=TRANSITION,
 )
 def refuse(
-    approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, policy: Held, session: Writing
 ) -> Response:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
-    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "REFUSE", signing, seen))
+    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "REFUSE", signing, seen, policy))
 
 
-def _signed(session: Session, actor: Actor, approval_id: Id, decision: str, signing: Signing, seen: int) -> Answer:
+def _signed(
+    session: Session, actor: Actor, approval_id: Id, decision: str, signing: Signing, seen: int, policy: Policy
+) -> Answer:
     """Sign, and tell how the request now stands."""
     password = signing.password.get_secret_value()
-    approvals.sign(session, actor, approval_id, decision, signing.meaning, signing.comment, password, seen)
+    words = (decision, signing.meaning, signing.comment)
+    approvals.sign(session, actor, approval_id, *words, password, seen, policy=policy)
     return _answer(session, approvals.get_approval(session, approval_id))
+
+
+@router.post(
+    "/{approval_id}:sign-over-the-shoulder",
+    name="sign_over_the_shoulder",
+    summary="Sign at another's console",
+    response_model=schemas.Approval,
+    responses=TRANSITION,
+)
+def sign_over_the_shoulder(
+    approval_id: Id,
+    signing: SigningByName,
+    actor: Who,
+    seen: SeenVersion,
+    once: Idempotent,
+    policy: Held,
+    session: Writing,
+) -> Response:
+    """Approve or refuse as a second person who gives name and password where another is logged in."""
+
+    def act() -> Answer:
+        words = (signing.decision, signing.meaning, signing.comment, signing.name, signing.password.get_secret_value())
+        approvals.sign_over_the_shoulder(session, actor, approval_id, *words, seen, policy=policy)
+        return _answer(session, approvals.get_approval(session, approval_id))
+
+    return once.answer(session, actor, act)

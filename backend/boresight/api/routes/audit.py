@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+import tempfile
+from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from starlette.responses import Response
+from starlette.background import BackgroundTask
+from starlette.responses import FileResponse, PlainTextResponse, Response
 
 from boresight.api import schemas
 from boresight.api.answers import json_response
-from boresight.api.dependencies import Reading, Who
+from boresight.api.dependencies import Held, Reading, Who
 from boresight.api.paging import Page, Paged
-from boresight.services import audit
+from boresight.services import audit, audit_export
 
 router = APIRouter(prefix="/audit", tags=["audit"])
+MEDIA_TYPES = {"zip": "application/zip", "jsonl": "application/x-ndjson"}
+
+
+class Form(StrEnum):
+    """How the log is exported."""
+
+    ZIP = "zip"
+    JSONL = "jsonl"
 
 
 @router.get("", name="list_audit", summary="List records", response_model=Page[schemas.AuditRecord])
@@ -22,9 +34,14 @@ def list_audit(
     session: Reading,
     page: Paged,
     subject: Annotated[str | None, Query(alias="object", examples=["parameter-sets/3"])] = None,
+    person: Annotated[str | None, Query(alias="actor", examples=["Ana Lima"])] = None,
+    action: Annotated[str | None, Query(examples=["promoted"])] = None,
+    since: Annotated[str | None, Query(description="ISO 8601; from this time on.")] = None,
+    until: Annotated[str | None, Query(description="ISO 8601; before this time.")] = None,
 ) -> Response:
     """List records, newest first, with what each changed."""
-    found = audit.list_records(session, before_id=page.last_id, subject=subject, limit=page.limit + 1)
+    sought = audit.sought(object=subject, actor=person, action=action, since=since, until=until)
+    found = audit.list_records(session, before_id=page.last_id, sought=sought, limit=page.limit + 1)
     return json_response(page.cut(found, lambda row: schemas.written(schemas.AuditRecord, row)))
 
 
@@ -34,5 +51,26 @@ def verify_audit(
     session: Reading,
     expected_head: Annotated[str | None, Query(description="A head from an earlier export.")] = None,
 ) -> Response:
-    """Walk the whole chain; say whether every record is as it was written, else which is the first that is not."""
+    """Walk the whole chain and every row that it seals; say whether all is as it was written, else what is not."""
     return json_response(schemas.written(schemas.ChainReport, audit.verify(session, expected_head)))
+
+
+@router.get("/export", name="export_audit", summary="Export the log", response_class=FileResponse)
+def export_audit(
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    policy: Held,
+    form: Annotated[Form, Query(description="A ZIP with its verifier, or the JSON Lines alone.")] = Form.ZIP,
+) -> FileResponse:
+    """Export every record as JSON Lines, with the program that verifies them without Boresight."""
+    with tempfile.NamedTemporaryFile(prefix="boresight-audit-", delete=False) as stream:
+        audit_export.write_export(session, stream, form.value, policy)
+    path = Path(stream.name)
+    name = f"boresight-audit-{audit.head(session)[:12]}.{form.value}"
+    return FileResponse(path, media_type=MEDIA_TYPES[form], filename=name, background=BackgroundTask(path.unlink))
+
+
+@router.get("/verifier", name="get_audit_verifier", summary="The program that verifies an export")
+def get_audit_verifier(actor: Who) -> PlainTextResponse:  # noqa: ARG001 - whoever is known may read
+    """Return the program that verifies an export; it runs on any Python 3.8 or newer, without Boresight."""
+    return PlainTextResponse(audit_export.verifier(), media_type="text/x-python; charset=utf-8")

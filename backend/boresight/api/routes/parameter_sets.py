@@ -1,4 +1,4 @@
-"""Parameter sets: make one of a run, submit, withdraw, promote."""
+"""Parameter sets: make one of a run, submit, roll back, withdraw, promote."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, etag
+from boresight.api.measured import Measured
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -32,6 +33,13 @@ class Submission(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     reason: str = Field(examples=["Focal length moved by 4 sigma since launch; held-out RMS is 12 % lower."])
+
+
+class RollBack(BaseModel):
+    """Why the sensor should go back to this set."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(examples=["PS-ST-1-4 loses stars at the rim since the pass of this morning."])
 
 
 class Withdrawal(BaseModel):
@@ -115,6 +123,11 @@ def convert_parameter_set(
     return json_response(conversions.conversion_of(session, parameter_set_id, to, allow_px))
 
 
+def _opened(row: Any) -> Answer:
+    headers = {"ETag": etag(row.version), "Location": f"/api/v1/approvals/{row.id}"}
+    return Answer(schemas.written(schemas.Approval, row), 201, headers)
+
+
 @router.post(
     "/{parameter_set_id}:submit",
     name="submit_parameter_set",
@@ -124,16 +137,47 @@ def convert_parameter_set(
     responses=refusals(404, 409, 412, 428),
 )
 def submit_parameter_set(
-    parameter_set_id: Id, submission: Submission, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    parameter_set_id: Id,
+    submission: Submission,
+    actor: Who,
+    seen: SeenVersion,
+    once: Idempotent,
+    measured: Measured,
+    session: Writing,
+    request: Request,
 ) -> Response:
-    """Ask that this set become the baseline. The request binds the hashes of set, run and incumbent."""
+    """Ask that this set become the baseline. It is held against its gates, and the request binds what was found."""
+    state = request.app.state
+    asked = (state.blobs, parameter_set_id, submission.reason, seen, measured)
+    return once.answer(
+        session, actor, lambda: _opened(parameter_sets.submit(session, actor, *asked, policy=state.policy))
+    )
 
-    def act() -> Answer:
-        row = parameter_sets.submit(session, actor, parameter_set_id, submission.reason, seen)
-        headers = {"ETag": etag(row.version), "Location": f"/api/v1/approvals/{row.id}"}
-        return Answer(schemas.written(schemas.Approval, row), 201, headers)
 
-    return once.answer(session, actor, act)
+@router.post(
+    "/{parameter_set_id}:roll-back",
+    name="roll_back_parameter_set",
+    summary="Ask to go back to a former baseline",
+    status_code=201,
+    response_model=schemas.Approval,
+    responses=refusals(404, 409, 412, 428),
+)
+def roll_back_parameter_set(
+    parameter_set_id: Id,
+    back: RollBack,
+    actor: Who,
+    seen: SeenVersion,
+    once: Idempotent,
+    measured: Measured,
+    session: Writing,
+    request: Request,
+) -> Response:
+    """Ask that a superseded set become the baseline again; it is signed and promoted like any other, in less time."""
+    state = request.app.state
+    asked = (state.blobs, parameter_set_id, back.reason, seen, measured)
+    return once.answer(
+        session, actor, lambda: _opened(parameter_sets.roll_back(session, actor, *asked, policy=state.policy))
+    )
 
 
 @router.post(
@@ -166,7 +210,11 @@ def withdraw_parameter_set(
     responses=refusals(404, 409, 412, 428),
 )
 def promote_parameter_set(
-    parameter_set_id: Id, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    parameter_set_id: Id, actor: Who, seen: SeenVersion, once: Idempotent, policy: Held, session: Writing
 ) -> Response:
     """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
-    return once.answer(session, actor, lambda: _answer(parameter_sets.promote(session, actor, parameter_set_id, seen)))
+
+    def act() -> Answer:
+        return _answer(parameter_sets.promote(session, actor, parameter_set_id, seen, policy=policy))
+
+    return once.answer(session, actor, act)

@@ -9,8 +9,9 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import json_response
-from boresight.api.dependencies import LoggingIn, Who, log_in_person, log_out_person, never_tried
+from boresight.api.dependencies import LoggingIn, Reading, Who, log_in_person, log_out_person, never_tried
 from boresight.api.openapi import refusals
+from boresight.services import users
 from boresight.services.actors import Actor
 
 router = APIRouter(prefix="/sessions", tags=["sessions"], dependencies=[Depends(never_tried)])
@@ -24,7 +25,7 @@ class Credentials(BaseModel):
     password: SecretStr
 
 
-def _shown(actor: Actor, csrf_token: str | None) -> Response:
+def _shown(actor: Actor, csrf_token: str | None, *, must_change_password: bool) -> Response:
     body = {
         "user_id": actor.user_id,
         "name": actor.name,
@@ -32,6 +33,7 @@ def _shown(actor: Actor, csrf_token: str | None) -> Response:
         "roles": sorted(actor.roles),
         "credential": actor.credential,
         "scopes": None if actor.scopes is None else sorted(actor.scopes),
+        "must_change_password": must_change_password,
         "csrf_token": csrf_token,
     }
     return json_response(body, headers={"Cache-Control": "no-store"})
@@ -45,16 +47,17 @@ def log_in(credentials: Credentials, session: LoggingIn, request: Request) -> Re
     carrier = Response()
     password = credentials.password.get_secret_value()
     actor, opened = log_in_person(request, carrier, session, credentials.name, password)
-    response = _shown(actor, opened.csrf_token)
+    response = _shown(actor, opened.csrf_token, must_change_password=users.must_change_password(session, actor))
     response.status_code = 201
     response.headers["Set-Cookie"] = carrier.headers["Set-Cookie"]
     return response
 
 
 @router.get("/current", name="get_session", summary="Who am I", response_model=schemas.Session)
-def get_session(actor: Who, request: Request) -> Response:
+def get_session(actor: Who, session: Reading, request: Request) -> Response:
     """Say who acts, with which roles and scopes, and give the CSRF token again."""
-    return _shown(actor, getattr(request.state, "csrf_token", None))
+    due = not actor.is_key and users.must_change_password(session, actor)
+    return _shown(actor, getattr(request.state, "csrf_token", None), must_change_password=due)
 
 
 @router.delete("/current", name="log_out", summary="Log out", status_code=204)

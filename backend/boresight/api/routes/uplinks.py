@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
-from starlette.responses import Response
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
@@ -26,6 +27,8 @@ class Record(BaseModel):
     source: str = Field(
         description="The pass, the procedure or the read-back file.", examples=["Pass 4711, TC log line 88"]
     )
+    package_id: Id | None = Field(None, description="The uplink package that was sent, where one was built.")
+    happened_utc: str | None = Field(None, description="When it happened, where that is earlier than now.")
 
 
 @router.get("", name="list_uplinks", summary="List records", response_model=Page[schemas.Uplink])
@@ -52,13 +55,50 @@ def list_uplinks(
     responses=refusals(404, 409, 412, 428),
 )
 def record_uplink(record: Record, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing) -> Response:
-    """Record the next on-board state of a set: NOT SENT, SENT, LOADED, VERIFIED, ACTIVE; MISMATCH or UNKNOWN.
+    """Record the next on-board state of a set by statement: SENT, LOADED, VERIFIED, ACTIVE; MISMATCH or UNKNOWN.
 
-    `If-Match` is the ETag of the parameter set.
+    `If-Match` is the ETag of the parameter set. A comparison of what was read back is `:read-back` of the set, and a signed
+    entry that it is active `:activate`.
     """
 
     def act() -> Answer:
-        row = uplinks.record(session, actor, record.parameter_set_id, record.onboard_state, record.source, seen)
-        return Answer(schemas.written(schemas.Uplink, row), 201)
+        row = uplinks.record(
+            session,
+            actor,
+            record.parameter_set_id,
+            record.onboard_state,
+            record.source,
+            seen,
+            package_id=record.package_id,
+            happened=record.happened_utc,
+        )
+        return Answer(schemas.written(schemas.Uplink, row), 201, {"Location": f"/api/v1/uplinks/{row.id}"})
 
     return once.answer(session, actor, act)
+
+
+@router.get(
+    "/{uplink_id}", name="get_uplink", summary="Read a record", response_model=schemas.Uplink, responses=refusals(404)
+)
+def get_uplink(uplink_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Read a record with its evidence."""
+    return json_response(schemas.written(schemas.Uplink, uplinks.get_uplink(session, uplink_id)))
+
+
+@router.get(
+    "/{uplink_id}/dump",
+    name="get_uplink_dump",
+    summary="Download the dump",
+    response_class=FileResponse,
+    responses=refusals(404),
+)
+def get_uplink_dump(
+    uplink_id: Id,
+    actor: Who,  # noqa: ARG001 - whoever is known may read
+    session: Reading,
+    request: Request,
+) -> FileResponse:
+    """Download the bytes that a read-back compared, as they were uploaded."""
+    sha256 = uplinks.dump_of(session, uplink_id)
+    path = request.app.state.blobs.path(sha256)
+    return FileResponse(path, filename=f"uplink-{uplink_id}-dump.bin", headers={"ETag": f'"{sha256}"'})

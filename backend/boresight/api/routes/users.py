@@ -10,7 +10,7 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenTag, Who, Writing, require_tag, tag_of
+from boresight.api.dependencies import MaybeSeenTag, Reading, SeenTag, Who, Writing, require_tag, tag_of
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -28,6 +28,9 @@ class NewUser(BaseModel):
     printed_name: str = Field(description="As signatures and the audit log show it.", examples=["Ana Lima"])
     password: SecretStr
     roles: list[str] = Field(examples=[["analyst"]])
+    must_change_password: bool = Field(
+        False, description="Whether they set a password of their own at the first log-in."
+    )
 
 
 class Roles(BaseModel):
@@ -50,13 +53,14 @@ def _answer(row: Any, status: int = 200, **headers: str) -> Answer:
 
 
 def _tag(row: Any) -> str:
-    return tag_of(row.id, row.roles, row.disabled_utc, row.session_epoch)
+    return tag_of(row.id, row.roles, row.disabled_utc, row.session_epoch, row.must_change_password)
 
 
-def _require_seen(session: Session, user_id: int, seen: str) -> None:
+def _require_seen(session: Session, user_id: int, seen: str | None) -> None:
     """Refuse a change by someone who did not see the person's roles and state as they are."""
     row = users.get_user(session, user_id)
-    require_tag(seen, _tag(row), row.printed_name)
+    if seen is not None:
+        require_tag(seen, _tag(row), row.printed_name)
 
 
 @router.get("", name="list_users", summary="List people", response_model=Page[schemas.User])
@@ -84,6 +88,7 @@ def create_user(person: NewUser, actor: Who, once: Idempotent, session: Writing)
             printed_name=person.printed_name,
             password=person.password.get_secret_value(),
             roles=person.roles,
+            must_change_password=person.must_change_password,
         )
         return _answer(row, 201, Location=f"/api/v1/users/{row.id}")
 
@@ -154,14 +159,22 @@ def enable_user(user_id: Id, actor: Who, seen: SeenTag, once: Idempotent, sessio
     name="change_password",
     summary="Set a password",
     response_model=schemas.User,
-    responses=refusals(404, 429),
+    responses=refusals(404, 412, 429),
 )
-def change_password(user_id: Id, given: Password, actor: Who, once: Idempotent, session: Writing) -> Response:
-    """Set one's own password, knowing the current one, or as an administrator another's. Every log-in then ends."""
+def change_password(
+    user_id: Id, given: Password, actor: Who, seen: MaybeSeenTag, once: Idempotent, session: Writing
+) -> Response:
+    """Set one's own password, knowing the current one, or as an administrator another's. Every log-in then ends.
+
+    Who is given a password by an administrator must set their own before anything else.
+    """
     password, current = given.password.get_secret_value(), given.current.get_secret_value()
-    return once.answer(
-        session, actor, lambda: _answer(users.change_password(session, actor, user_id, password, current))
-    )
+
+    def act() -> Answer:
+        _require_seen(session, user_id, seen)
+        return _answer(users.change_password(session, actor, user_id, password, current))
+
+    return once.answer(session, actor, act)
 
 
 @router.post(
@@ -169,12 +182,13 @@ def change_password(user_id: Id, given: Password, actor: Who, once: Idempotent, 
     name="end_sessions",
     summary="End every log-in",
     status_code=204,
-    responses=refusals(404),
+    responses=refusals(404, 412),
 )
-def end_sessions(user_id: Id, actor: Who, once: Idempotent, session: Writing) -> Response:
+def end_sessions(user_id: Id, actor: Who, seen: MaybeSeenTag, once: Idempotent, session: Writing) -> Response:
     """End every log-in of a person: one's own, or as an administrator another's."""
 
     def act() -> Answer:
+        _require_seen(session, user_id, seen)
         users.end_sessions(session, actor, user_id)
         return Answer({}, 204)
 

@@ -1,0 +1,138 @@
+"""Sends webhooks' messages: one thread a server, one message after another, each with a deadline of its own.
+
+Where a name leads is looked up before every attempt, and the connection goes to the address that was judged, not to one
+looked up again. Addresses of this machine and of its link are refused unless the operator of the server allows them: a
+webhook must not become a way to what only the server can reach. Redirects are not followed, for the same reason.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import socket
+import threading
+import time
+from urllib.parse import urlsplit, urlunsplit
+
+import httpx
+
+import boresight
+from boresight.services import webhooks
+from boresight.services.webhooks import Message
+from boresight.store import webhooks as rows
+from boresight.store.sessions import Engine, reading, utc_now, writing
+
+log = logging.getLogger(__name__)
+
+LOOK_EVERY_S = 1.0
+AT_ONCE = 20
+TIMEOUT_S = 10.0
+HEARD = 200  # characters of a refusing answer that the log keeps
+
+
+class Deliveries:
+    """The postman of one server.
+
+    Parameters
+    ----------
+    database
+        The store that messages are read from and outcomes are kept in.
+    local
+        Whether messages may go to this machine and its link.
+    """
+
+    def __init__(self, database: Engine, *, local: bool) -> None:
+        self._database = database
+        self._local = local
+        self._nudge = threading.Event()
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to look for messages."""
+        self._closing.clear()
+        self._thread = threading.Thread(target=self._work, name="boresight-deliveries", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop after the attempt that is under way; safe to call twice."""
+        self._closing.set()
+        self._nudge.set()
+        if self._thread is not None:
+            self._thread.join(TIMEOUT_S + 1.0)
+            self._thread = None
+
+    def nudge(self) -> None:
+        """Look now."""
+        self._nudge.set()
+
+    def _work(self) -> None:
+        """Deliver until closed; an error is logged and the next look tries again."""
+        while not self._closing.is_set():
+            try:
+                self.deliver()
+            except Exception:
+                log.exception("Webhooks could not be delivered; the next look tries again")
+            self._nudge.wait(LOOK_EVERY_S)
+            self._nudge.clear()
+
+    def deliver(self) -> None:
+        """Send everything that is due now."""
+        with reading(self._database) as session:
+            if not rows.is_any_due(session, utc_now()):
+                return
+        with writing(self._database) as session:
+            webhooks.queue_new(session)
+            messages = webhooks.take_due(session, AT_ONCE)
+        for message in messages:
+            if self._closing.is_set():
+                return
+            status, outcome = self._send(message)
+            with writing(self._database) as session:
+                webhooks.settle(session, message.delivery_id, status=status, outcome=outcome)
+
+    def _send(self, message: Message) -> tuple[int | None, str]:
+        """Make one attempt; return the answer's status, None where there was none, and what came of it."""
+        try:
+            answer = self._post(message)
+        except (OSError, httpx.HTTPError) as error:
+            return None, f"No answer: {str(error) or type(error).__name__}."
+        if answer.is_success:
+            return answer.status_code, f"Delivered in {answer.elapsed.total_seconds():.2f} s."
+        return answer.status_code, f"Refused with {answer.status_code}: {answer.text[:HEARD]}".rstrip(": ")
+
+    def _post(self, message: Message) -> httpx.Response:
+        """Post a message to the address that its name leads to now."""
+        parts = urlsplit(message.url)
+        host = str(parts.hostname)
+        port = parts.port or (443 if parts.scheme == "https" else 80)
+        address = self._allowed_address(host, port)
+        netloc = f"[{address}]:{port}" if ":" in address else f"{address}:{port}"
+        identity, now_s = webhooks.message_id(message.delivery_id), int(time.time())
+        headers = {
+            "Host": parts.netloc,
+            "Content-Type": "application/json",
+            "User-Agent": f"Boresight/{boresight.__version__}",
+            "webhook-id": identity,
+            "webhook-timestamp": str(now_s),
+            "webhook-signature": webhooks.signature(message.secret, identity, now_s, message.body),
+        }
+        with httpx.Client(timeout=TIMEOUT_S, trust_env=False, follow_redirects=False) as client:
+            request = client.build_request(
+                "POST",
+                urlunsplit((parts.scheme, netloc, parts.path or "/", parts.query, "")),
+                content=message.body.encode(),
+                headers=headers,
+                extensions={"sni_hostname": host},
+            )
+            return client.send(request)
+
+    def _allowed_address(self, host: str, port: int) -> str:
+        """Return the first address of a name; refuse one of this machine or its link unless that is allowed."""
+        found = [str(known[4][0]) for known in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+        for text in found:
+            address = ipaddress.ip_address(text.partition("%")[0])
+            mapped = getattr(address, "ipv4_mapped", None) or address
+            if not self._local and (mapped.is_loopback or mapped.is_link_local or mapped.is_unspecified):
+                raise ConnectionRefusedError(f"{host} is an address of this machine or its link, which is not allowed")
+        return found[0]

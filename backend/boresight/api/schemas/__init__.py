@@ -1,0 +1,59 @@
+"""The shapes of answers, as the OpenAPI document shows them: a row of the store as JSON, one noun a file.
+
+A list and a single item show the same members. Times are ISO 8601 in UTC. Large documents (a calibration, a figure) have
+addresses of their own.
+"""
+
+from __future__ import annotations
+
+from boresight.api.schemas.approvals import Approval, Opening, Remark, Signature
+from boresight.api.schemas.audit import AuditRecord, ChainReport
+from boresight.api.schemas.fleet import Sensor, TelemetrySet
+from boresight.api.schemas.gates import DryRunOfProfile, GateProfile, GateReport, TriedProfile, Waiver
+from boresight.api.schemas.packages import Package, TableDefinition
+from boresight.api.schemas.parameter_sets import ParameterSet
+from boresight.api.schemas.people import ApiKey, NewApiKey, Session, User
+from boresight.api.schemas.row import Document, Row, written
+from boresight.api.schemas.runs import DryRun, LogLine, Run, RunProgress, RunState
+from boresight.api.schemas.uplinks import AsOf, Event, OnBoard, Promotion, Uplink, Version
+from boresight.api.schemas.webhooks import NewWebhook, Webhook, WebhookDelivery
+
+__all__ = [
+    "ApiKey",
+    "Approval",
+    "AsOf",
+    "AuditRecord",
+    "ChainReport",
+    "Document",
+    "DryRun",
+    "DryRunOfProfile",
+    "Event",
+    "GateProfile",
+    "GateReport",
+    "LogLine",
+    "NewApiKey",
+    "NewWebhook",
+    "OnBoard",
+    "Opening",
+    "Package",
+    "ParameterSet",
+    "Promotion",
+    "Remark",
+    "Row",
+    "Run",
+    "RunProgress",
+    "RunState",
+    "Sensor",
+    "Session",
+    "Signature",
+    "TableDefinition",
+    "TelemetrySet",
+    "TriedProfile",
+    "Uplink",
+    "User",
+    "Version",
+    "Waiver",
+    "Webhook",
+    "WebhookDelivery",
+    "written",
+]

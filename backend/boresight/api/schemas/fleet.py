@@ -1,0 +1,39 @@
+"""Star trackers and their telemetry."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from boresight.api.schemas.row import Document, Row
+
+
+class Sensor(Row):
+    """A star tracker."""
+
+    id: int
+    name: str
+    version: int = Field(description='Counts edits; the ETag is `"v<version>"`.')
+    document: Document = Field(description="The sensor file.")
+    simulated: bool = Field(description="Whether its telemetry was made here.")
+    truth: Document | None = Field(description="True parameters of a simulated sensor.")
+    created_utc: str
+    created_by: int | None
+
+
+class TelemetrySet(Row):
+    """An uploaded telemetry file."""
+
+    id: int
+    sensor_id: int
+    name: str
+    purpose: Literal["calibration", "validation"]
+    frames: int
+    stars: int
+    quality: Document = Field(description="What the file is good for: counts, gaps, coverage, warnings.")
+    original_sha256: str = Field(description="SHA-256 of the bytes that were uploaded.")
+    table_sha256: str = Field(description="SHA-256 of the Parquet table that runs work on.")
+    uploaded_utc: str
+    uploaded_by: int | None
+    archived_utc: str | None

@@ -1,0 +1,26 @@
+"""Parameter sets."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from boresight.api.schemas.row import Document, Row
+
+
+class ParameterSet(Row):
+    """Camera parameters with their covariance, immutable; only the two states move."""
+
+    id: int
+    name: str
+    sensor_id: int
+    number: int
+    run_id: int | None = Field(description="Null for the ground calibration.")
+    sha256: str = Field(description="SHA-256 of the canonical JSON of `document`.")
+    document: Document
+    ground_state: str
+    onboard_state: str = Field(description="From recorded read-backs only.")
+    version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
+    created_utc: str
+    created_by: int | None
+    baseline_from_utc: str | None
+    baseline_to_utc: str | None

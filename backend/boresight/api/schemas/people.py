@@ -1,0 +1,52 @@
+"""People, their keys and their log-ins."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, Field
+
+from boresight.api.schemas.row import Row
+
+
+class User(Row):
+    """A person."""
+
+    id: int
+    name: str
+    printed_name: str
+    roles: list[str]
+    created_utc: str
+    disabled_utc: str | None
+    must_change_password: bool = Field(description="Somebody else set the password; nothing else goes until it is set.")
+
+
+class ApiKey(Row):
+    """A key, without its secret."""
+
+    id: int
+    user_id: int
+    label: str
+    prefix: str
+    scopes: list[str]
+    created_utc: str
+    expires_utc: str | None
+    revoked_utc: str | None
+    last_used_utc: str | None = Field(description="To the minute.")
+
+
+class NewApiKey(ApiKey):
+    """A key just made."""
+
+    secret: str | None = Field(description="Shown this once; null when the answer is replayed.")
+
+
+class Session(BaseModel):
+    """Who is acting, and the token that unsafe requests repeat."""
+
+    user_id: int | None
+    name: str
+    printed_name: str
+    roles: list[str]
+    credential: str
+    scopes: list[str] | None = Field(description="Of an API key; null for a person.")
+    must_change_password: bool = Field(description="Set your own password before anything else.")
+    csrf_token: str | None = Field(description="For `X-CSRF-Token`; null with an API key.")

@@ -1,0 +1,64 @@
+"""Runs, their logs, and what a run would be."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from boresight.api.schemas.row import Document, Row
+
+RunState = Literal["QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST"]
+
+
+class RunProgress(Row):
+    """How far a run is."""
+
+    fraction: float | None = Field(None, description="0 to 1.")
+    message: str | None = None
+
+
+class Run(Row):
+    """A calibration; this is also the job resource to poll."""
+
+    id: int
+    sensor_id: int
+    telemetry_set_id: int
+    validation_set_id: int | None
+    label: str
+    method: str
+    settings: Document
+    state: RunState
+    reason: str | None = Field(description="Why it failed, was lost or was cancelled.")
+    attempt: int = Field(description="Grows when a worker or server was lost under it.")
+    progress: RunProgress | None
+    summary: Document | None = Field(description="The figures of a finished run that lists show.")
+    result_sha256: str | None
+    launched_utc: str
+    launched_by: int | None
+    started_utc: str | None
+    ended_utc: str | None
+
+
+class LogLine(Row):
+    """One line of a run's log."""
+
+    id: int
+    attempt: int
+    at_utc: str
+    kind: str = Field(description="`state`, `log` or `lost`.")
+    message: str
+
+
+class DryRun(BaseModel):
+    """What a run would be, from `validate_only=true`."""
+
+    model_config = ConfigDict(extra="allow")
+    sensor: str
+    telemetry_set: str
+    frames: int
+    stars: int
+    pairs: int
+    free: list[str]
+    predicted_s: float
+    warnings: list[str]

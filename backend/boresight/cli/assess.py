@@ -1,0 +1,110 @@
+"""`boresight assess`: hold a calibration against the gates, before it goes near a store."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from boresight.cli.output import aligned, check_writable, json_option, write_json
+from boresight.cli.progress import progress
+from boresight.errors import RefusedInputError
+from boresight.settings import read_settings, use_kernel_folder
+
+FILE = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("calibration", type=FILE)
+@click.option("--sensor", "sensor_file", type=FILE, required=True, help="Sensor file, JSON.")
+@click.option("--against", type=FILE, help="The incumbent's parameters; the sensor file's if left out.")
+@click.option("--validate", "telemetry", type=FILE, help="Held-out telemetry; the calibration's own if left out.")
+@click.option("--profile", "profile_file", type=FILE, help="Gate profile, JSON; the default limits if left out.")
+@json_option
+def assess(
+    calibration: Path,
+    sensor_file: Path,
+    against: Path | None,
+    telemetry: Path | None,
+    profile_file: Path | None,
+    json_file: str | None,
+) -> None:
+    """Hold CALIBRATION, a JSON of `boresight calibrate`, against limits and against the incumbent.
+
+    Every gate answers PASS, MARGINAL, NO-DATA or FAIL, and the worst is the verdict. The exit code is 0 whatever the
+    verdict is: judging is what was asked. Scripts read `verdict` and `blocking` from --json.
+    """
+    check_writable(json_file)
+    use_kernel_folder(read_settings())
+    with progress("reading the calibration") as report:
+        document = _assess((calibration, sensor_file, against, telemetry, profile_file), report)
+    write_json(document, json_file)
+    if json_file != "-":
+        click.echo("\n".join(_lines(document)))
+
+
+def _assess(files: tuple[Path, Path, Path | None, Path | None, Path | None], report: Any) -> dict[str, Any]:
+    """Read the files and judge."""
+    from boresight.gates import parse_profile
+    from boresight.gates.assessment import as_set, assess, ground_set
+    from boresight.telemetry.sensors import read_sensor
+
+    calibration, sensor_file, against, telemetry, profile_file = files
+    sensor = read_sensor(sensor_file)
+    profile = parse_profile({} if profile_file is None else _read_object(profile_file, "a gate profile"))
+    result = _read_object(calibration, "a calibration JSON")
+    if result.get("schema") != "boresight.calibration/1":
+        raise RefusedInputError(f"{calibration.name} is no calibration: give what `boresight calibrate --json` wrote.")
+    incumbent = ground_set(sensor) if against is None else as_set(_read_object(against, "parameters"), sensor)
+    frames = None if telemetry is None else _frames(telemetry, sensor, report)
+    report("measuring and judging")
+    return {**assess(result, sensor, incumbent, profile, frames), "sensor": sensor.name}
+
+
+def _frames(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any]:
+    """Read held-out frames and the catalogue for their directions."""
+    from boresight.sky.catalogue import load_catalogue
+    from boresight.telemetry.detector import check_against_sensor
+    from boresight.telemetry.readers import read_telemetry
+
+    stars = read_telemetry(telemetry)
+    check_against_sensor(stars, sensor)
+    report("loading the star catalogue")
+    return stars, load_catalogue(read_settings().catalogue_folder)
+
+
+def _read_object(path: Path, what: str) -> dict[str, Any]:
+    """Read a JSON object from a file."""
+    from boresight.telemetry.formats import read_bytes, text_of
+
+    try:
+        document = json.loads(text_of(path.name, read_bytes(path, path.name)))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise RefusedInputError(f"{path.name} is not JSON: give {what}, one JSON object.") from error
+    if not isinstance(document, dict):
+        raise RefusedInputError(f"{path.name} is not a JSON object: give {what}.")
+    return document
+
+
+def _lines(document: dict[str, Any]) -> Iterator[str]:
+    """Lay a report out for a terminal: the table, then a sentence for every gate that does not pass."""
+    from boresight.gates.table import gate_rows
+
+    rows = gate_rows(document)
+    head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")
+    table = [
+        (row.title, row.status, row.value, row.interval, row.limit, row.marginal, row.incumbent, row.unit)
+        for row in rows
+    ]
+    yield aligned([head, *table], left=(0, 1, 7))
+    yield ""
+    failing = [row for row in rows if row.status != "PASS"]
+    for sentence in dict.fromkeys(row.sentence for row in failing):
+        named = [f"{row.title} {row.status}" for row in failing if row.sentence == sentence]
+        yield f"{'; '.join(named)}: {sentence}"
+    yield ""
+    blocking = f"; it would be blocked by {', '.join(document['blocking'])}" if document["blocking"] else ""
+    yield f"{document['sensor']}: {document['words']}{blocking}"

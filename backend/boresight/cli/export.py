@@ -1,0 +1,52 @@
+"""`boresight export`: the uplink package of a parameter set, from the store of the data folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from boresight.cli.output import check_writable
+from boresight.errors import RefusedInputError
+from boresight.settings import read_settings
+
+
+@click.command()
+@click.argument("parameter_set")
+@click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write.")
+@click.option("--flight-software", help="Version that the spacecraft has; the table is refused for another.")
+@click.option("--table-id", help="Table that the spacecraft has; refused for another.")
+def export(parameter_set: str, file: str, flight_software: str | None, table_id: str | None) -> None:
+    """Write the uplink package of PARAMETER_SET, an approved set or the baseline: PS-<sensor>-<n>, or its number.
+
+    The package holds the parameters, the table as the mission defined it, sheets for people, and the way back. Built
+    again of the same set it is the same file.
+    """
+    check_writable(file)
+    from boresight.services import packages
+    from boresight.services.actors import COMMAND_LINE
+    from boresight.store.blobs import BlobStore
+    from boresight.store.sessions import migrate, open_engine, writing
+
+    settings = read_settings()
+    engine = open_engine(settings.database_url)
+    migrate(engine)
+    blobs = BlobStore(settings.blob_folder)
+    with writing(engine) as session:
+        row = packages.set_named(session, parameter_set)
+        package = packages.build(
+            session,
+            COMMAND_LINE,
+            blobs,
+            row.id,
+            flight_software_version=flight_software,
+            table_id=table_id,
+            policy=settings.policy,
+        )
+        content = packages.read(session, blobs, package.id)
+    try:
+        Path(file).write_bytes(content)
+    except OSError as error:
+        raise RefusedInputError(f"{file} cannot be written: {error.strerror}; choose another place.") from error
+    click.echo(f"{row.name}: {package.sha256}  {file}")
+    click.echo(f"back to {package.inputs['backout']['name']}; audit head {package.inputs['first_built']['audit_head']}")

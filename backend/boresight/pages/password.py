@@ -1,0 +1,65 @@
+"""Setting one's own password: what a person must do first to whom somebody else gave one."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.api.dependencies import Who, csrf, log_out_person
+from boresight.errors import RefusedInputError
+from boresight.pages.attempts import attempt
+from boresight.pages.rendering import redirect, render
+from boresight.services import users
+from boresight.services.actors import Actor
+from boresight.services.passwords import MINIMUM_PASSWORD_LENGTH
+from boresight.store.sessions import Session
+
+router = APIRouter(prefix="/password", dependencies=[Depends(csrf)])
+
+
+@router.get("", response_class=HTMLResponse)
+def password_page(request: Request, actor: Who) -> HTMLResponse:  # noqa: ARG001 - who is not logged in has none to set
+    """Show the form."""
+    return _page(request, "")
+
+
+def _page(request: Request, refusal: str) -> HTMLResponse:
+    """Render the form, with why it was refused."""
+    code = 422 if refusal else 200
+    values = {"refusal": refusal, "minimum_length": MINIMUM_PASSWORD_LENGTH}
+    return render(request, "password.html", status_code=code, **values)
+
+
+@router.post("", response_class=HTMLResponse)
+async def change_password(
+    request: Request,
+    actor: Who,
+    current: Annotated[str, Form()] = "",
+    password: Annotated[str, Form()] = "",
+    repeated: Annotated[str, Form()] = "",
+) -> Response:
+    """Set one's own password; every log-in then ends, this one too."""
+    outcome = await attempt(request, partial(set_password, actor, current, password, repeated))
+    if outcome.refusal is not None:
+        return await run_in_threadpool(_page, request, outcome.refusal.sentence)
+    response = redirect("/login", flash="Your password is changed; log in with the new one.")
+    log_out_person(request, response)
+    return response
+
+
+def set_password(actor: Actor, current: str, password: str, repeated: str, session: Session) -> None:
+    """Change the password of who acts, typed twice alike.
+
+    Raises
+    ------
+    RefusedInputError
+        When the two differ, or the new one cannot be used.
+    """
+    if password != repeated:
+        raise RefusedInputError("The two new passwords differ; type the same one twice.")
+    if actor.user_id is not None:
+        users.change_password(session, actor, actor.user_id, password, current)

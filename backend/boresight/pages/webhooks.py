@@ -1,0 +1,124 @@
+"""Webhooks: who is told what happens, the trial, and the log of every message with its outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.api.dependencies import Reading, Who, csrf
+from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.rendering import redirect, render
+from boresight.services import webhooks
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session, reading
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+ROWS_A_PAGE = 50
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a form left behind: its refusal, what was typed, a secret that is shown once."""
+
+    refusal: Refusal | None = None
+    typed: Mapping[str, str] = field(default_factory=dict)
+    secret: str = ""
+
+
+@router.get("/webhooks", response_class=HTMLResponse)
+def webhooks_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show every webhook, and the form for another."""
+    return _page(request, session, actor, Shown())
+
+
+def _page(request: Request, session: Session, actor: Actor, shown: Shown) -> HTMLResponse:
+    """Render the list, or to whom it is not shown who may see it."""
+    may = "administrator" in actor.roles
+    return render(
+        request,
+        "webhooks.html",
+        status_code=shown.refusal.status if shown.refusal else 200,
+        may=may,
+        hooks=webhooks.list_webhooks(session, actor) if may else [],
+        shown=shown,
+    )
+
+
+def _again(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
+    """Render the list after a form was refused, or with a secret."""
+    with reading(request.app.state.engine) as session:
+        return _page(request, session, actor, shown)
+
+
+@router.post("/webhooks", response_class=HTMLResponse)
+async def create(
+    request: Request,
+    actor: Who,
+    label: Annotated[str, Form()] = "",
+    url: Annotated[str, Form()] = "",
+    actions: Annotated[str, Form()] = "",
+) -> Response:
+    """Make a webhook and show its secret, this once."""
+    wanted = actions.replace(",", " ").split()
+    change = partial(webhooks.create_webhook, actor=actor, label=label, url=url, actions=wanted)
+    outcome = await attempt(request, change)
+    typed = {"label": label, "url": url, "actions": actions}
+    shown = Shown(outcome.refusal, typed) if outcome.value is None else Shown(secret=outcome.value.secret)
+    return await run_in_threadpool(_again, request, actor, shown)
+
+
+@router.get("/webhooks/{webhook_id:int}", response_class=HTMLResponse)
+def webhook_page(request: Request, session: Reading, actor: Who, webhook_id: int, before: str = "") -> HTMLResponse:
+    """Show a webhook with its messages, newest first."""
+    before_id = int(before) if before.isdecimal() else None
+    found = webhooks.list_deliveries(session, actor, webhook_id, before_id=before_id, limit=ROWS_A_PAGE + 1)
+    return render(
+        request,
+        "webhook.html",
+        hook=webhooks.get_webhook(session, actor, webhook_id),
+        deliveries=found[:ROWS_A_PAGE],
+        next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
+    )
+
+
+@router.post("/webhooks/{webhook_id:int}/try", response_class=HTMLResponse)
+async def try_webhook(request: Request, actor: Who, webhook_id: int) -> Response:
+    """Queue a trial."""
+    change = partial(webhooks.try_webhook, actor=actor, webhook_id=webhook_id)
+    return await _done(request, webhook_id, change, "A trial is on its way: reload to see what came of it.")
+
+
+@router.post("/webhooks/{webhook_id:int}/disable", response_class=HTMLResponse)
+async def disable(request: Request, actor: Who, webhook_id: int) -> Response:
+    """Tell an address nothing more."""
+    change = partial(webhooks.disable_webhook, actor=actor, webhook_id=webhook_id)
+    return await _done(request, webhook_id, change, "Disabled: it is told nothing more.")
+
+
+@router.post("/webhooks/{webhook_id:int}/enable", response_class=HTMLResponse)
+async def enable(request: Request, actor: Who, webhook_id: int) -> Response:
+    """Tell an address again."""
+    change = partial(webhooks.enable_webhook, actor=actor, webhook_id=webhook_id)
+    return await _done(request, webhook_id, change, "Enabled: it is told what happens from now on.")
+
+
+@router.post("/webhooks/{webhook_id:int}/deliveries/{delivery_id:int}/redeliver", response_class=HTMLResponse)
+async def redeliver(request: Request, actor: Who, webhook_id: int, delivery_id: int) -> Response:
+    """Queue a message once more."""
+    change = partial(webhooks.redeliver, actor=actor, delivery_id=delivery_id)
+    return await _done(request, webhook_id, change, "The message is on its way once more.")
+
+
+async def _done(request: Request, webhook_id: int, change: Callable[..., Any], words: str) -> Response:
+    """Make a change and go back to the webhook with what came of it."""
+    outcome = await attempt(request, change)
+    if outcome.refusal is not None:
+        return redirect(f"/webhooks/{webhook_id}", flash=outcome.refusal.sentence, level="serious")
+    return redirect(f"/webhooks/{webhook_id}", flash=words)

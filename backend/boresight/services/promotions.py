@@ -1,0 +1,77 @@
+"""Promotion: an approved set becomes its sensor's baseline, the one before is superseded, all in one transaction.
+
+Rolling back is the same move with an older set. The signatures are counted again here, by the policy that holds now, so
+that what was signed while four-eyes was off does not pass once it is on.
+"""
+
+from __future__ import annotations
+
+from boresight.errors import ConflictError
+from boresight.services.actors import POLICY, Actor, Policy, require_role, require_scope
+from boresight.services.evidence import refuse_blocked
+from boresight.services.signers import second_persons
+from boresight.services.staleness import make_others_stale, refuse_expired, refuse_moved
+from boresight.services.transitions import get_parameter_set, move, require_seen, who_changed
+from boresight.store import approvals as approval_rows
+from boresight.store import parameter_sets as rows
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import Approval, ParameterSet, Promotion
+
+
+def promote(
+    session: Session, actor: Actor, parameter_set_id: int, seen_version: int | None, *, policy: Policy = POLICY
+) -> ParameterSet:
+    """Make an approved set the baseline, supersede the old one and make every other request stale, all in one.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, ConflictError
+        When the actor, the version, the state or the gates do not allow it, or the approval's time is over.
+    StaleError
+        When the version, or what the approval was bound to, has moved; then the request is stale from now on.
+    """
+    require_role(actor, "operator")
+    require_scope(actor, "parameter-sets")
+    row = get_parameter_set(session, parameter_set_id)
+    require_seen(session, row, seen_version)
+    approval = approval_rows.latest_of(session, row.id, "APPROVED")
+    if row.ground_state != "APPROVED" or approval is None:
+        raise ConflictError(f"{row.name} is {row.ground_state}, not APPROVED: {who_changed(session, row)}.")
+    refuse_expired(session, approval, row)
+    refuse_moved(session, actor, approval, row)
+    refuse_blocked(session, row)
+    _refuse_lone(session, approval, policy)
+    incumbent = rows.baseline(session, row.sensor_id)
+    now = utc_now()
+    if incumbent is not None:
+        incumbent.baseline_to_utc = now
+        move(session, actor, incumbent, "SUPERSEDED", "superseded", reason=f"{row.name} became baseline")
+    row.baseline_from_utc, row.baseline_to_utc = now, None
+    move(session, actor, row, "BASELINE", "promoted", reason=approval.reason, approval=approval.id, kind=approval.kind)
+    record_promotion(session, actor, row, approval)
+    make_others_stale(session, actor, row)
+    return row
+
+
+def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
+    """Refuse an approval that lacks second persons: it was signed while four-eyes was off."""
+    signed = len(second_persons(session, approval, policy))
+    if signed < approval.needed:
+        raise ConflictError(
+            f"Request {approval.id} has {signed} of {approval.needed} approvals by a second person: it was signed "
+            "while four-eyes was off. Withdraw it and submit the set again."
+        )
+
+
+def record_promotion(session: Session, actor: Actor, row: ParameterSet, approval: Approval | None) -> None:
+    """Add the promotion to the history that answers what was baseline at a time; a ground calibration has no request."""
+    session.add(
+        Promotion(
+            sensor_id=row.sensor_id,
+            parameter_set_id=row.id,
+            approval_id=None if approval is None else approval.id,
+            at_utc=str(row.baseline_from_utc),
+            promoted_by=actor.user_id,
+        )
+    )
+    session.flush()

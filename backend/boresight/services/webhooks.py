@@ -1,0 +1,293 @@
+"""Webhooks: telling other programs what happened, at least once, signed, with a log of every message.
+
+Every audit record is told to the webhooks that asked for its kind, `<noun>.<action>` such as `parameter-sets.promoted`.
+A message is a row before it is sent, so nothing is lost when the server dies; whoever receives the same id twice knows it
+by its `webhook-id`. With the secret s, the message's id, the second t at which it is sent and its body::
+
+    webhook-signature: v1,base64(HMAC-SHA256(s, id "." t "." body))
+
+Failed attempts are repeated after 5 s, and then after four times as long each time; the eighth that fails is the last,
+some two hours after the first. A person can have any message sent again. What is sent goes out at the server's own
+door (`boresight.api.deliveries`); here is only what is to be sent and what came of it.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import json
+import secrets
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.services import audit
+from boresight.services.actors import Actor, refuse_key, require_role
+from boresight.services.words import refuse_control_characters
+from boresight.store import webhooks as rows
+from boresight.store.sessions import Session, utc_after, utc_now
+from boresight.store.tables import AuditRecord, Webhook, WebhookDelivery
+
+FIRST_WAIT_S = 5.0
+WAIT_GROWS = 4.0
+MOST_ATTEMPTS = 8
+LEASE_S = 60.0  # a message under way is not taken up by another server before this
+RECORDS_A_TURN = 200
+LONGEST_URL = 2000
+TRIAL = "boresight.trial"
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message under way: where to, with which secret, and what."""
+
+    delivery_id: int
+    url: str
+    secret: str
+    body: str
+
+
+def create_webhook(session: Session, actor: Actor, *, label: str, url: str, actions: Collection[str] = ()) -> Webhook:
+    """Tell an address what happens from now on.
+
+    Parameters
+    ----------
+    url
+        `https://` or `http://` address that takes a POST.
+    actions
+        Kinds of events, such as `parameter-sets.promoted`, or a noun with a star, `approvals.*`; none: all.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no administrator in person: whoever reads events could otherwise send them anywhere.
+    RefusedInputError
+        When label, address or kinds cannot be used.
+    """
+    _require_administrator(actor)
+    refuse_control_characters(label=label, url=url)
+    if not label.strip():
+        raise RefusedInputError("The webhook needs a label that says who listens there.")
+    _refuse_address(url.strip())
+    row = Webhook(
+        label=label.strip(),
+        url=url.strip(),
+        actions=sorted({_known_kind(action) for action in actions}),
+        secret=f"whsec_{secrets.token_urlsafe(32)}",
+        told_audit_id=rows.newest_audit_id(session),
+        created_utc=utc_now(),
+        created_by=actor.user_id,
+    )
+    session.add(row)
+    session.flush()
+    audit.append(session, actor, "created", _subject(row), None, _described(row))
+    row.told_audit_id = rows.newest_audit_id(session)
+    return row
+
+
+def _refuse_address(url: str) -> None:
+    """Refuse what is no address of a web server."""
+    try:
+        parts = urlsplit(url)
+        port_is_good = parts.port is None or parts.port > 0
+    except ValueError:
+        raise RefusedInputError(f"{url!r} is no address; write it like https://mission.example/hooks.") from None
+    if parts.scheme not in {"http", "https"} or not parts.hostname or not port_is_good:
+        raise RefusedInputError(f"{url!r} is no address; write it like https://mission.example/hooks.")
+    if parts.username or parts.password or parts.fragment:
+        raise RefusedInputError("A webhook's address carries no name, password or #part; give it without.")
+    if len(url) > LONGEST_URL:
+        raise RefusedInputError(f"The address has {len(url)} characters; at most {LONGEST_URL} can be kept.")
+
+
+def _known_kind(action: str) -> str:
+    """Return a kind of event as it is compared."""
+    noun, dot, verb = action.strip().partition(".")
+    if not (noun and dot and verb) or not action.strip().replace(".", "").replace("-", "").replace("*", "x").isalnum():
+        raise RefusedInputError(
+            f"{action!r} is no kind of event; write it like parameter-sets.promoted or approvals.*."
+        )
+    return action.strip()
+
+
+def get_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
+    """Return a webhook.
+
+    Raises
+    ------
+    ForbiddenError, NotFoundError
+        When the actor is no administrator in person, or there is none with this number.
+    """
+    _require_administrator(actor)
+    row = session.get(Webhook, webhook_id)
+    if row is None:
+        raise NotFoundError(f"There is no webhook {webhook_id}.")
+    return row
+
+
+def list_webhooks(session: Session, actor: Actor) -> Sequence[Webhook]:
+    """Return every webhook, newest first."""
+    _require_administrator(actor)
+    return rows.webhooks(session)
+
+
+def disable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
+    """Tell an address nothing more; its log stays."""
+    row = get_webhook(session, actor, webhook_id)
+    if row.disabled_utc is None:
+        row.disabled_utc = utc_now()
+        row.version += 1
+        audit.append(session, actor, "disabled", _subject(row), {"disabled": False}, {"disabled": True})
+    return row
+
+
+def enable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
+    """Tell an address again what happens from now on, not what happened meanwhile."""
+    row = get_webhook(session, actor, webhook_id)
+    if row.disabled_utc is not None:
+        row.disabled_utc = None
+        row.version += 1
+        audit.append(session, actor, "enabled", _subject(row), {"disabled": True}, {"disabled": False})
+        row.told_audit_id = rows.newest_audit_id(session)
+    return row
+
+
+def list_deliveries(
+    session: Session, actor: Actor, webhook_id: int, *, before_id: int | None = None, limit: int = 100
+) -> Sequence[WebhookDelivery]:
+    """Return a page of what was sent or is to be sent to a webhook, newest first."""
+    get_webhook(session, actor, webhook_id)
+    return rows.deliveries(session, webhook_id=webhook_id, before_id=before_id, limit=limit)
+
+
+def try_webhook(session: Session, actor: Actor, webhook_id: int) -> WebhookDelivery:
+    """Queue a message that says nothing but that it came.
+
+    Raises
+    ------
+    ConflictError
+        When the webhook is disabled.
+    """
+    row = get_webhook(session, actor, webhook_id)
+    _refuse_disabled(row)
+    body = {"type": TRIAL, "at_utc": utc_now(), "object": _subject(row), "action": "tried", "actor": actor.printed_name}
+    return _queue(session, row, None, {**body, "data": None})
+
+
+def redeliver(session: Session, actor: Actor, delivery_id: int) -> WebhookDelivery:
+    """Queue a message once more, as if it had never been tried; its id and its words stay.
+
+    Raises
+    ------
+    ForbiddenError, NotFoundError, ConflictError
+        When the actor is no administrator, there is no such message, or its webhook is disabled.
+    """
+    _require_administrator(actor)
+    delivery = session.get(WebhookDelivery, delivery_id)
+    if delivery is None:
+        raise NotFoundError(f"There is no delivery {delivery_id}.")
+    _refuse_disabled(session.get_one(Webhook, delivery.webhook_id))
+    delivery.state, delivery.attempts, delivery.due_utc = "PENDING", 0, utc_now()
+    session.flush()
+    return delivery
+
+
+def queue_new(session: Session) -> int:
+    """Make messages of the audit records that webhooks were not told of yet; returns how many."""
+    made = 0
+    for webhook in rows.webhooks(session, enabled_only=True):
+        for record in rows.records_after(session, webhook.told_audit_id, RECORDS_A_TURN):
+            if _wants(webhook, kind_of(record)):
+                _queue(session, webhook, record.id, _told(record))
+                made += 1
+            webhook.told_audit_id = record.id
+    return made
+
+
+def take_due(session: Session, limit: int) -> list[Message]:
+    """Take messages that are due; they are not due again before their lease is over, whoever else looks."""
+    taken = []
+    for delivery, webhook in rows.due(session, utc_now(), limit):
+        delivery.due_utc = utc_after(LEASE_S)
+        taken.append(Message(delivery.id, webhook.url, webhook.secret, delivery.body))
+    return taken
+
+
+def settle(session: Session, delivery_id: int, *, status: int | None, outcome: str) -> None:
+    """Keep what came of an attempt: delivered by any 2xx answer, else due again later, or given up."""
+    delivery = session.get_one(WebhookDelivery, delivery_id)
+    delivery.attempts += 1
+    delivery.attempted_utc, delivery.status, delivery.outcome = utc_now(), status, outcome
+    if status is not None and 200 <= status < 300:
+        delivery.state = "DELIVERED"
+    elif delivery.attempts >= MOST_ATTEMPTS:
+        delivery.state = "FAILED"
+    else:
+        delivery.state, delivery.due_utc = "PENDING", utc_after(FIRST_WAIT_S * WAIT_GROWS ** (delivery.attempts - 1))
+
+
+def signature(secret: str, message_id: str, timestamp: int, body: str) -> str:
+    """Return the `webhook-signature` of a message sent at a second of Unix time."""
+    signed = f"{message_id}.{timestamp}.{body}".encode()
+    return "v1," + base64.b64encode(hmac.new(secret.encode(), signed, hashlib.sha256).digest()).decode()
+
+
+def kind_of(record: AuditRecord) -> str:
+    """Name the kind of an audit record: `parameter-sets.promoted`."""
+    return f"{record.object.partition('/')[0]}.{'-'.join(record.action.split())}"
+
+
+def _wants(webhook: Webhook, kind: str) -> bool:
+    """Whether a webhook asked for a kind of event."""
+    return not webhook.actions or kind in webhook.actions or f"{kind.partition('.')[0]}.*" in webhook.actions
+
+
+def _told(record: AuditRecord) -> dict[str, object]:
+    """Tell an audit record to programs."""
+    return {
+        "type": kind_of(record),
+        "at_utc": record.at_utc,
+        "object": record.object,
+        "action": record.action,
+        "actor": record.actor,
+        "data": {"before": record.before, "after": record.after, "reason": record.reason, "audit_hash": record.hash},
+    }
+
+
+def _queue(session: Session, webhook: Webhook, audit_id: int | None, content: dict[str, object]) -> WebhookDelivery:
+    """Add a message, due now, with its own id in its words."""
+    delivery = WebhookDelivery(
+        webhook_id=webhook.id, audit_id=audit_id, body="", state="PENDING", due_utc=utc_now(), created_utc=utc_now()
+    )
+    session.add(delivery)
+    session.flush()
+    delivery.body = json.dumps({"id": message_id(delivery.id), **content}, ensure_ascii=False)
+    return delivery
+
+
+def message_id(delivery_id: int) -> str:
+    """Return the id under which a receiver knows a message again."""
+    return f"msg_{delivery_id}"
+
+
+def _described(row: Webhook) -> dict[str, object]:
+    """Describe a webhook for the audit log, without its secret."""
+    return {"label": row.label, "url": row.url, "actions": row.actions}
+
+
+def _refuse_disabled(row: Webhook) -> None:
+    if row.disabled_utc is not None:
+        raise ConflictError(f"The webhook {row.label!r} was disabled at {row.disabled_utc}; enable it first.")
+
+
+def _require_administrator(actor: Actor) -> None:
+    """Refuse keys too: a webhook is a way out for everything that happens."""
+    refuse_key(actor, "manage webhooks")
+    require_role(actor, "administrator")
+
+
+def _subject(row: Webhook) -> str:
+    """Name a webhook as the audit log does."""
+    return f"webhooks/{row.id}"

@@ -1,0 +1,155 @@
+"""The chain of audit records, and the seals in it.
+
+With `canon` the canonical JSON of a record's columns except `id`, `previous_hash` and `hash`, `rows` and `roles` left
+out where they are NULL::
+
+    hash_0 = 64 zeros,   hash_n = SHA-256(hash_(n-1) || canon(record_n))
+
+A record waits in its session until the transaction commits. Then the digests of every sealed row that the transaction
+touched go into `rows` of its last record, and the records are written in their order. This hangs on the session's own
+commit, so no code that writes through a session can go round it; a transaction that touched a sealed row and appended
+no record at all is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from json.encoder import encode_basestring
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import ORMExecuteState, Session
+
+from boresight.store import seals
+from boresight.store.documents import canonical
+from boresight.store.tables import AuditRecord
+from boresight.store.times import utc_now
+
+FIRST_HASH = "0" * 64
+TEXTS = ("at_utc", "actor", "credential", "action", "object", "reason", "request_id")
+DOCUMENTS = ("before", "after", "rows", "roles")
+NUMBERS = ("id", "actor_id")
+COLUMNS = (*NUMBERS, *TEXTS, *DOCUMENTS, "previous_hash", "hash")
+HASHED = tuple(sorted({*COLUMNS} - {"id", "previous_hash", "hash"}))  # sorted as canonical JSON sorts its keys
+LEFT_OUT_WHEN_NULL = ("rows", "roles")  # absent from the records of before there were seals
+PENDING = "audit records that wait for the commit"
+WRITTEN = "audit records were written"
+
+
+def hash_of(previous_hash: str, raw: Mapping[str, Any]) -> str:
+    """Return the hash that chains a record to the one before.
+
+    Parameters
+    ----------
+    raw
+        The record's columns as they are stored, documents as their text: a document whose text was altered without
+        altering its meaning is another record.
+    """
+    parts = [
+        f'"{name}":{_value(name, raw[name])}'
+        for name in HASHED
+        if name not in LEFT_OUT_WHEN_NULL or raw[name] is not None
+    ]
+    return hashlib.sha256(f"{previous_hash}{{{','.join(parts)}}}".encode()).hexdigest()
+
+
+def spelled(raw: Mapping[str, Any]) -> str:
+    """Return a whole record as canonical JSON, for exports."""
+    return f"{{{','.join(f'{encode_basestring(name)}:{_value(name, raw[name])}' for name in sorted(COLUMNS))}}}"
+
+
+def _value(name: str, value: Any) -> str:
+    """Spell a column's value as canonical JSON does; a document is stored in that spelling."""
+    if value is None:
+        return "null"
+    return str(value) if name in NUMBERS or name in DOCUMENTS else encode_basestring(value)
+
+
+def append(session: Session, **values: Any) -> AuditRecord:
+    """Let a record wait for the commit of its transaction; `at_utc` is now."""
+    record = AuditRecord(at_utc=utc_now(), **values)
+    session.info.setdefault(PENDING, []).append(record)
+    return record
+
+
+def append_own(session: Session, action: str, subject: str, **values: Any) -> AuditRecord:
+    """Let a record of Boresight's own doing wait for the commit."""
+    return append(session, actor="Boresight", credential="system", action=action, object=subject, **values)
+
+
+def pending(session: Session) -> list[AuditRecord]:
+    """Return the records that wait for the commit, in their order."""
+    return list(session.info.get(PENDING, ()))
+
+
+def write_out(session: Session) -> None:
+    """Write the records that wait, the last one with the digests of every row that was touched so far."""
+    records = session.info.pop(PENDING, None)
+    if not records:
+        return
+    records[-1].rows = seals.take(session) or None
+    previous = head(session)
+    for record in records:
+        record.previous_hash = previous
+        record.hash = previous = hash_of(previous, _raw(record))
+        session.add(record)
+        session.flush()  # one by one: the order of their numbers is the order of the chain
+    session.info[WRITTEN] = True
+
+
+def write_before_reading(state: ORMExecuteState) -> None:
+    """Let a query of the log see what its own transaction appended."""
+    if state.is_select and sa.inspect(AuditRecord) in state.all_mappers:
+        write_out(state.session)
+
+
+def _raw(record: AuditRecord) -> dict[str, Any]:
+    """Return a record's hashed columns as they will be stored."""
+    values = {name: getattr(record, name) for name in HASHED}
+    return values | {name: canonical(values[name]) for name in DOCUMENTS if values[name] is not None}
+
+
+def head(session: Session) -> str:
+    """Return the hash of the newest record that is written."""
+    newest = sa.select(AuditRecord.hash).order_by(AuditRecord.id.desc()).limit(1)
+    return session.scalar(newest) or FIRST_HASH
+
+
+def seal(session: Session) -> None:
+    """Write what waits before a commit.
+
+    Raises
+    ------
+    ValueError
+        A programming error: a sealed row was touched, and the transaction appended no audit record.
+    """
+    session.flush()
+    noted = session.info.get(seals.NOTED)
+    if noted and not pending(session):
+        if not session.info.get(WRITTEN):
+            raise ValueError(f"Expected an audit record of the change / Received none for {_named(noted)}")
+        append_own(session, "sealed", "audit")
+    write_out(session)
+    session.info.pop(WRITTEN, None)
+
+
+def _named(noted: Mapping[Any, Any]) -> str:
+    return ", ".join(f"{model.__tablename__}/{row_id}" for model, ids in noted.items() for row_id in sorted(ids))
+
+
+def forget(session: Session) -> None:
+    """Forget, after a rollback, what was to be written and sealed."""
+    for name in (PENDING, WRITTEN, seals.NOTED):
+        session.info.pop(name, None)
+
+
+def seal_everything(session: Session) -> None:
+    """Seal every row there is, under records of their own: once, of a database from before there were seals."""
+    for model in seals.SEALED.values():
+        key = model.__table__.columns["id"]
+        for some in seals.portions(session.scalars(sa.select(key).order_by(key)).all()):
+            for row_id in some:
+                seals.note(session, model, row_id)
+            append_own(session, "sealed", model.__tablename__, after={"rows": len(some)})
+            write_out(session)

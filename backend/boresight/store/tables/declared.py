@@ -1,0 +1,37 @@
+"""What every table has in common: one declarative base, STRICT tables, words and rows that are limited.
+
+Times are text in one form, `2026-11-21T03:04:05.123456Z`, which sorts as time and reads the same in both engines.
+Documents are `JsonText`. Large things (telemetry, results, histories) are blobs: rows hold their SHA-256 address.
+"""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+from sqlalchemy.orm import DeclarativeBase
+
+
+class Base(DeclarativeBase):
+    """All tables share one naming convention, so that migrations can name what they drop."""
+
+    metadata = sa.MetaData(
+        naming_convention={
+            "ix": "ix_%(column_0_label)s",
+            "uq": "uq_%(table_name)s_%(column_0_name)s",
+            "ck": "ck_%(table_name)s_%(constraint_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_name)s_%(referred_table_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+
+
+STRICT = {"sqlite_strict": True}
+
+
+def one_of(column: str, values: tuple[str, ...]) -> sa.CheckConstraint:
+    """Allow only these words in a column."""
+    return sa.CheckConstraint(f"{column} IN ({', '.join(repr(value) for value in values)})", name=column)
+
+
+def only_one(name: str, column: str, where: str) -> sa.Index:
+    """Allow one row for each value of a column among the rows that meet a condition."""
+    return sa.Index(name, column, unique=True, sqlite_where=sa.text(where), postgresql_where=sa.text(where))

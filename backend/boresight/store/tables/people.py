@@ -1,0 +1,54 @@
+"""People, their keys and their failed log-ins."""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.store.documents import JsonText
+from boresight.store.tables.declared import STRICT, Base
+
+ROLES = ("viewer", "analyst", "operator", "approver", "administrator")
+
+
+class User(Base):
+    """A person. Roles are a list of words; an administrator cannot sign."""
+
+    __tablename__ = "users"
+    __table_args__ = (STRICT,)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(sa.Text, unique=True)
+    printed_name: Mapped[str] = mapped_column(sa.Text)
+    password_hash: Mapped[str] = mapped_column(sa.Text)
+    roles: Mapped[list[str]] = mapped_column(JsonText)
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    disabled_utc: Mapped[str | None] = mapped_column(sa.Text)
+    session_epoch: Mapped[int] = mapped_column(default=0)
+    must_change_password: Mapped[int] = mapped_column(default=0, server_default=sa.text("0"))  # somebody else set it
+
+
+class ApiKey(Base):
+    """A scoped key for automation, stored hashed, shown once."""
+
+    __tablename__ = "api_keys"
+    __table_args__ = (STRICT,)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    label: Mapped[str] = mapped_column(sa.Text)
+    prefix: Mapped[str] = mapped_column(sa.Text, unique=True)
+    key_hash: Mapped[str] = mapped_column(sa.Text)
+    scopes: Mapped[list[str]] = mapped_column(JsonText)
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    expires_utc: Mapped[str | None] = mapped_column(sa.Text)
+    revoked_utc: Mapped[str | None] = mapped_column(sa.Text)
+    last_used_utc: Mapped[str | None] = mapped_column(sa.Text)
+
+
+class LoginFailure(Base):
+    """A failed log-in, kept for throttling."""
+
+    __tablename__ = "login_failures"
+    __table_args__ = (sa.Index("ix_login_failures_name_at_utc", "name", "at_utc"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(sa.Text)
+    at_utc: Mapped[str] = mapped_column(sa.Text)

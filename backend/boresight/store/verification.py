@@ -1,0 +1,148 @@
+"""Holding the store against its audit log: first the chain, record by record, then every sealed row.
+
+The newest digest that the chain has of each row is gathered in a scratch file of SQLite's, ordered by table and key, and
+is then met by the tables in the same order, as two sorted lists are merged. So memory does not grow with the log, and
+each record and each row is read once::
+
+    digest in the chain, row as sealed      good
+    digest in the chain, another row        changed by hand
+    digest in the chain, no row             removed by hand
+    no digest in the chain, a row           inserted by hand
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+
+from boresight.store import audit, chain, seals
+from boresight.store.sessions import Session
+
+SCRATCH = (
+    "PRAGMA journal_mode=OFF",
+    "PRAGMA synchronous=OFF",
+    "CREATE TABLE seals (name TEXT, id INTEGER, digest TEXT, record INTEGER, PRIMARY KEY (name, id)) WITHOUT ROWID",
+)
+PUT = "INSERT OR REPLACE INTO seals VALUES (?, ?, ?, ?)"
+GET = "SELECT id, digest, record FROM seals WHERE name = ? AND digest IS NOT NULL ORDER BY id"
+
+Seal = tuple[int, str, int]  # key of a row, its digest, the record that it is in
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A row that is not as the chain has it.
+
+    Parameters
+    ----------
+    row
+        `table/id`.
+    what
+        changed, removed or inserted.
+    record_id
+        The record that sealed it last; None where none did.
+    """
+
+    row: str
+    what: str
+    record_id: int | None
+
+
+@dataclass
+class Findings:
+    """What a walk along the chain and through the tables found.
+
+    Parameters
+    ----------
+    records, head
+        How many records were found good, from the first on, and the hash of the last good one.
+    last_id
+        Its number; 0 where there is none.
+    broken_id
+        The first record that is not as it was written; then no row is looked at.
+    met
+        Whether the expected head is in the chain.
+    rows
+        How many sealed rows were looked at.
+    misfits
+        How many of them are not as the chain has them.
+    misfit
+        The one with the oldest record; one that was inserted only where none has a record.
+    """
+
+    records: int = 0
+    head: str = chain.FIRST_HASH
+    last_id: int = 0
+    broken_id: int | None = None
+    met: bool = False
+    rows: int = 0
+    misfits: int = 0
+    misfit: Misfit | None = None
+
+
+def verify(session: Session, expected_head: str | None) -> Findings:
+    """Walk along the whole chain, then through every sealed table."""
+    found = Findings(met=expected_head in (None, chain.FIRST_HASH))
+    with closing(sqlite3.connect("")) as scratch:  # a file without a name, in memory while it is small
+        for statement in SCRATCH:
+            scratch.execute(statement)
+        _walk(session, scratch, found, expected_head)
+        for name in seals.SEALED if found.broken_id is None else ():
+            for misfit in _misfits(session, scratch, found, name):
+                _count(found, misfit)
+    return found
+
+
+def _walk(session: Session, scratch: sqlite3.Connection, found: Findings, expected_head: str | None) -> None:
+    """Check every record against the one before, and gather the seals."""
+    for record in audit.walk(session):
+        if record["previous_hash"] != found.head or record["hash"] != chain.hash_of(found.head, record):
+            found.broken_id = record["id"]
+            return
+        if record["rows"] is not None:
+            scratch.executemany(PUT, _seals_in(record["rows"], record["id"]))
+        found.records, found.head, found.last_id = found.records + 1, record["hash"], record["id"]
+        found.met = found.met or found.head == expected_head
+
+
+def _seals_in(text: str, record_id: int) -> Iterator[tuple[str, int, str | None, int]]:
+    """Yield the seals in a record, a table and a key each."""
+    for row, digest in json.loads(text).items():
+        name, _, row_id = row.rpartition("/")
+        yield name, int(row_id), digest, record_id
+
+
+def _misfits(session: Session, scratch: sqlite3.Connection, found: Findings, name: str) -> Iterator[Misfit]:
+    """Meet a table's rows with their seals, both in the order of their keys."""
+    sealed: Iterable[Seal] = scratch.execute(GET, (name,))
+    waiting = iter(sealed)
+    seal = next(waiting, None)
+    for row_id, digest in seals.digests_of(session, seals.SEALED[name]):
+        found.rows += 1
+        while seal is not None and seal[0] < row_id:
+            yield Misfit(f"{name}/{seal[0]}", "removed", seal[2])
+            seal = next(waiting, None)
+        if seal is None or seal[0] > row_id:
+            yield Misfit(f"{name}/{row_id}", "inserted", None)
+            continue
+        if seal[1] != digest:
+            yield Misfit(f"{name}/{row_id}", "changed", seal[2])
+        seal = next(waiting, None)
+    while seal is not None:
+        yield Misfit(f"{name}/{seal[0]}", "removed", seal[2])
+        seal = next(waiting, None)
+
+
+def _count(found: Findings, misfit: Misfit) -> None:
+    """Count a misfit, and keep the one with the oldest record."""
+    found.misfits += 1
+    kept = found.misfit
+    if kept is None or _age(misfit) < _age(kept):
+        found.misfit = misfit
+
+
+def _age(misfit: Misfit) -> tuple[bool, int]:
+    return misfit.record_id is None, misfit.record_id or 0

@@ -1,0 +1,52 @@
+"""Queries on webhooks and their deliveries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from boresight.store.sessions import Session
+from boresight.store.tables import AuditRecord, Webhook, WebhookDelivery
+
+
+def webhooks(session: Session, *, enabled_only: bool = False) -> Sequence[Webhook]:
+    """Return every webhook, newest first, or those that are told things now."""
+    query = sa.select(Webhook).order_by(Webhook.id.desc())
+    return session.scalars(query.where(Webhook.disabled_utc.is_(None)) if enabled_only else query).all()
+
+
+def records_after(session: Session, audit_id: int, limit: int) -> Sequence[AuditRecord]:
+    """Return audit records after a number, oldest first."""
+    query = sa.select(AuditRecord).where(AuditRecord.id > audit_id).order_by(AuditRecord.id).limit(limit)
+    return session.scalars(query).all()
+
+
+def newest_audit_id(session: Session) -> int:
+    """Return the number of the newest audit record, 0 when there is none."""
+    return session.scalar(sa.select(sa.func.max(AuditRecord.id))) or 0
+
+
+def deliveries(session: Session, *, webhook_id: int, before_id: int | None, limit: int) -> Sequence[WebhookDelivery]:
+    """Return a page of a webhook's deliveries, newest first."""
+    query = sa.select(WebhookDelivery).where(WebhookDelivery.webhook_id == webhook_id)
+    if before_id is not None:
+        query = query.where(WebhookDelivery.id < before_id)
+    return session.scalars(query.order_by(WebhookDelivery.id.desc()).limit(limit)).all()
+
+
+def due(session: Session, now_utc: str, limit: int) -> Sequence[tuple[WebhookDelivery, Webhook]]:
+    """Return what is to be delivered now to webhooks that are told things, the longest due first."""
+    query = sa.select(WebhookDelivery, Webhook).join(Webhook, WebhookDelivery.webhook_id == Webhook.id)
+    query = query.where(
+        WebhookDelivery.state == "PENDING", WebhookDelivery.due_utc <= now_utc, Webhook.disabled_utc.is_(None)
+    )
+    found = session.execute(query.order_by(WebhookDelivery.due_utc, WebhookDelivery.id).limit(limit))
+    return [(delivery, webhook) for delivery, webhook in found]
+
+
+def is_any_due(session: Session, now_utc: str) -> bool:
+    """Whether there is something to deliver, or an audit record that a webhook was not told of."""
+    newest = newest_audit_id(session)
+    untold = sa.select(Webhook.id).where(Webhook.disabled_utc.is_(None), Webhook.told_audit_id < newest).limit(1)
+    return session.scalar(untold) is not None or bool(due(session, now_utc, 1))

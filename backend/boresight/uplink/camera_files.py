@@ -1,0 +1,108 @@
+"""Camera files for OpenCV and ROS, of a camera that is one of theirs to the last digit; of every other, the reason why not.
+
+OpenCV's frame has X along columns, Y along rows and Z along the boresight, pixel centres at whole numbers from 0, and distorts
+the tangents on the way from the sky to the detector::
+
+    x' = X / Z, y' = Y / Z, r^2 = x'^2 + y'^2
+    x'' = x' (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x' y' + p2 (r^2 + 2 x'^2)        u = f_x x'' + c_x
+    y'' = y' (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y'^2) + 2 p2 x' y'        v = f_y y'' + c_y
+
+`pinhole_radial` is that with k3 = p1 = p2 = 0, f_x = f / pitch, f_y = f / (s pitch), c_x = u0, c_y = v0, without a change of k1 and
+k2. It needs parity -1: with +1, OpenCV's axes are a left-handed triad of the sky, and a rotation cannot turn one into the other.
+
+`inverted_wang` goes the other way, a polynomial of the detector's radius, and tilts the detector as well: its inverse is no
+polynomial, so no coefficients of OpenCV's model are its own. A fit would be another camera.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from boresight.telemetry.sensors import Sensor
+
+NAMES = ("camera_opencv.yaml", "camera_info.yaml")
+
+
+def why_not(sensor: Sensor) -> str | None:
+    """Say why the sensor's camera is none of OpenCV's; None when it is one exactly."""
+    if sensor.camera_model == "inverted_wang":
+        return (
+            "inverted_wang distorts from the detector to the sky and tilts the detector; OpenCV and ROS distort from the "
+            "sky to the detector. No coefficients of theirs make this camera, and an approximation is another camera."
+        )
+    if sensor.camera_model != "pinhole_radial":
+        return f"No exact camera of OpenCV or ROS is known for {sensor.camera_model}."
+    if sensor.parity != -1:
+        return (
+            "The sensor has parity +1: with X along columns, Y along rows and Z along the boresight, OpenCV's and ROS's frame "
+            "would be left-handed, and no rotation turns the sky into it."
+        )
+    return None
+
+
+def camera_files(sensor: Sensor, parameters: Mapping[str, float], title: str) -> dict[str, bytes]:
+    """Return the camera files by name, and `camera_files.txt`, which says what they are or why they are not there.
+
+    Parameters
+    ----------
+    parameters
+        Number of each parameter of the camera model, SI.
+    title
+        Name of the parameter set.
+    """
+    reason = why_not(sensor)
+    if reason is not None:
+        return {"camera_files.txt": f"Refused: no camera file for OpenCV or ROS.\n{reason}\n".encode()}
+    f_x = parameters["f_m"] / sensor.pixel_pitch_m
+    f_y = parameters["f_m"] / (parameters["s"] * sensor.pixel_pitch_m)
+    K = (f_x, 0.0, parameters["u0_px"], 0.0, f_y, parameters["v0_px"], 0.0, 0.0, 1.0)
+    distortion = (parameters["k1"], parameters["k2"], 0.0, 0.0, 0.0)
+    said = (
+        f"{NAMES[0]} and {NAMES[1]} are the camera of {title} exactly: k3 = p1 = p2 = 0, pixel centres at whole numbers from 0.\n"
+        "X of their frame is y of the detector frame D (columns), Y is x (rows), Z is z (boresight).\n"
+        "They are for analysis; parameters.json is normative.\n"
+    )
+    files = (_opencv(sensor, K, distortion), _ros(sensor, K, distortion, title))
+    return dict(zip(NAMES, files, strict=True)) | {"camera_files.txt": said.encode()}
+
+
+def _opencv(sensor: Sensor, K: Sequence[float], distortion: Sequence[float]) -> bytes:
+    """Write a file for `cv::FileStorage`."""
+    lines = ["%YAML:1.0", "---", f"image_width: {sensor.columns}", f"image_height: {sensor.rows}"]
+    for name, rows, values in (("camera_matrix", 3, K), ("distortion_coefficients", 1, distortion)):
+        lines += [f"{name}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {len(values) // rows}", "   dt: d"]
+        lines.append(f"   data: {_listed(values)}")
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _ros(sensor: Sensor, K: Sequence[float], distortion: Sequence[float], title: str) -> bytes:
+    """Write a calibration file for `camera_info_manager`."""
+    lines = [
+        f"image_width: {sensor.columns}",
+        f"image_height: {sensor.rows}",
+        f"camera_name: {re.sub(r'[^A-Za-z0-9_]', '_', title)}",
+        "distortion_model: plumb_bob",
+    ]
+    P = (*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0)
+    identity = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    matrices = (
+        ("camera_matrix", 3, K),
+        ("distortion_coefficients", 1, distortion),
+        ("rectification_matrix", 3, identity),
+        ("projection_matrix", 3, P),
+    )
+    for name, rows, values in matrices:
+        lines += [f"{name}:", f"  rows: {rows}", f"  cols: {len(values) // rows}", f"  data: {_listed(values)}"]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _listed(values: Sequence[float]) -> str:
+    """Write numbers in the digits that read back as the same, with a point, so that YAML takes them for numbers."""
+    return f"[{', '.join(_number(value) for value in values)}]"
+
+
+def _number(value: float) -> str:
+    """Write a number as YAML 1.1 reads a float: an exponent needs a point before it and a sign."""
+    text = repr(float(value))
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")

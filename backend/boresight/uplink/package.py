@@ -1,0 +1,202 @@
+"""The uplink package: one set, everything about it, and the way back, as one file whose bytes follow from its inputs alone.
+
+::
+
+    MANIFEST.json  SHA256SUMS  table_definition.json
+    parameter_set.json  parameters.json  parameters.csv  c_sd.json  camera_files.txt ...  verification_sheet.html
+    table.bin  table.hex.txt  table.tbl  table_def.txt  table_report.csv  pus_st20.csv  quantisation.json
+    backout/    the same files of the set to go back to
+    on_board/   the same files of the set that is recorded as active, where it is neither of the two
+
+The way back of a set that is not baseline yet is the current baseline; of the baseline it is the one before it, because the
+baseline itself is what may have to be taken back; a sensor's first baseline has none before it and is its own.
+
+`inputs` is one JSON document, kept with the package: no clock, no database and no setting is asked here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from boresight.errors import RefusedInputError
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.telemetry.sensors import Sensor, parse_sensor
+from boresight.uplink.archive import archive, sums
+from boresight.uplink.camera_files import camera_files, why_not
+from boresight.uplink.parameter_files import alignment_json, parameters_csv, parameters_json
+from boresight.uplink.spelling import canonical_bytes, json_bytes
+from boresight.uplink.table_definition import TableDefinition, parse_definition, quantisation_effect, quantised
+from boresight.uplink.table_files import held_by, table_facts, table_files
+from boresight.uplink.verification_sheet import verification_sheet
+
+SCHEMA = "boresight.uplink-package/1"
+SIMULATED = "SIMULATED: this sensor's telemetry is made here; do not load this package into a spacecraft."
+Inputs = Mapping[str, Any]
+
+
+def build_package(inputs: Inputs) -> bytes:
+    """Build the ZIP.
+
+    Parameters
+    ----------
+    inputs
+        `sensor`, `simulated`, `subject`, `backout`, `active` (or null), `definition` (or null), `four_eyes`, `software` and
+        `first_built`.
+
+    Raises
+    ------
+    RefusedInputError
+        When one of the sets does not fit into the table; says which.
+    """
+    sensor = parse_sensor(inputs["sensor"])
+    definition = _definition(inputs, sensor)
+    subject, backout = inputs["subject"], inputs["backout"]
+    alone = backout["sha256"] == subject["sha256"]
+    sets = {"": subject, "backout/": backout, "on_board/": inputs["active"]}
+    tables = {folder: _tables(definition, sensor, one) for folder, one in sets.items() if one is not None}
+    files: dict[str, bytes] = {}
+    for folder, made in tables.items():
+        before = None if alone else backout if folder == "" else subject
+        said = _said(inputs, folder) | {"back_to": tables["backout/"].facts}
+        held = _files(sensor, definition, sets[folder], before, made, said)
+        files |= {f"{folder}{name}": content for name, content in held.items()}
+    if definition is not None:
+        files["table_definition.json"] = json_bytes(definition.document)
+    files["MANIFEST.json"] = json_bytes(_manifest(inputs, sensor, tables))
+    return archive(files | {"SHA256SUMS": sums(files)})
+
+
+def _definition(inputs: Inputs, sensor: Sensor) -> TableDefinition | None:
+    """Read the table definition, where there is one."""
+    named = inputs["definition"]
+    return None if named is None else parse_definition(named["document"], sensor)
+
+
+@dataclass(frozen=True)
+class _Tables:
+    """The files of a set's table, what to compare of it, and what its number format does; empty without a definition."""
+
+    files: Mapping[str, bytes]
+    facts: Mapping[str, Any] | None = None
+    rounding: Mapping[str, Any] | None = None
+
+
+def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping[str, Any]) -> _Tables:
+    """Lay a set into the table."""
+    if definition is None:
+        return _Tables({})
+    parameters, name = subject["document"]["parameters"], subject["name"]
+    try:
+        files = table_files(definition, parameters, name)
+        rounding = _quantisation(definition, sensor, parameters)
+    except RefusedInputError as error:
+        raise RefusedInputError(f"{name} does not fit into the table {definition.table_id}: {error}") from error
+    return _Tables(files | {"quantisation.json": json_bytes(rounding)}, table_facts(definition, files), rounding)
+
+
+def _files(
+    sensor: Sensor,
+    definition: TableDefinition | None,
+    subject: Mapping[str, Any],
+    before: Mapping[str, Any] | None,
+    tables: _Tables,
+    said: Mapping[str, Any],
+) -> dict[str, bytes]:
+    """Return the files of one set."""
+    parameters = subject["document"]["parameters"]
+    held = {} if definition is None else held_by(definition, parameters)
+    return {
+        "parameter_set.json": canonical_bytes(subject["document"]),
+        "parameters.json": parameters_json(sensor, subject, held),
+        "parameters.csv": parameters_csv(subject, before, held),
+        "c_sd.json": alignment_json(subject, before),
+        "verification_sheet.html": verification_sheet(
+            subject, before, definition, tables.facts, tables.rounding, said=said
+        ),
+        **camera_files(sensor, parameters, subject["name"]),
+        **tables.files,
+    }
+
+
+def _quantisation(definition: TableDefinition, sensor: Sensor, parameters: Mapping[str, float]) -> dict[str, Any]:
+    """Say what the number format on board does to the camera."""
+    held = quantised(definition, parameters)
+    effect = quantisation_effect(CAMERA_MODELS[sensor.camera_model], sensor, parameters, held)
+    return {
+        "schema": "boresight.quantisation/1",
+        **effect,
+        "sentence": f"The table's number format moves a star by at most {effect['max_px']:.3g} px, "
+        f"{effect['max_arcsec']:.3g} arcsec, anywhere on the detector.",
+        "parameters": {
+            name: {"value": value, "on_board": held[name], "difference": held[name] - value}
+            for name, value in parameters.items()
+        },
+    }
+
+
+def _said(inputs: Inputs, folder: str) -> dict[str, Any]:
+    """Return the sentences that the sheets share; the way back's own sheet has none."""
+    subject, sensor = inputs["subject"], inputs["sensor"]
+    of = {
+        "": "uplink package",
+        "backout/": "way back inside the uplink package",
+        "on_board/": "active set inside the uplink package",
+    }
+    return {
+        "package": f"Sensor {sensor['name']}, {of[folder]} of {subject['name']}.",
+        "simulated": SIMULATED if inputs["simulated"] else None,
+        "backout": _way_back(inputs) if folder == "" else None,
+        "four_eyes": inputs["four_eyes"]["sentence"],
+        "audit_head": inputs["first_built"]["audit_head"],
+    }
+
+
+def _way_back(inputs: Inputs) -> str:
+    """Say what is in `backout/`, and what is on board where that is something else."""
+    subject, backout, active = inputs["subject"], inputs["backout"], inputs["active"]
+    if backout["sha256"] == subject["sha256"]:
+        text = (
+            f"{subject['name']} is the sensor's first baseline: there is nothing earlier, so backout/ is the same set."
+        )
+    elif subject["ground_state"] == "BASELINE":
+        text = f"backout/ is {backout['name']}, the baseline before {subject['name']}."
+    else:
+        text = f"backout/ is {backout['name']}, the current baseline."
+    if active is not None:
+        text += f" On board, {active['name']} is recorded as active, which is neither: on_board/ is that set."
+    return text
+
+
+def _manifest(inputs: Inputs, sensor: Sensor, tables: Mapping[str, _Tables]) -> dict[str, Any]:
+    """Say what the package is, who answers for it and what it is for."""
+    subject, definition = inputs["subject"], inputs["definition"]
+    document = None if definition is None else definition["document"]
+    reason = why_not(sensor)
+    return {
+        "schema": SCHEMA,
+        "sensor": sensor.name,
+        "simulated": inputs["simulated"],
+        "parameter_set": {key: subject[key] for key in ("id", "name", "sha256", "ground_state")},
+        "four_eyes": inputs["four_eyes"],
+        "approval": subject["approval"],
+        "gates": subject["gates"],
+        "audit": {"head": inputs["first_built"]["audit_head"], "at_utc": inputs["first_built"]["at_utc"]},
+        "flight_software_version": None if document is None else document["flight_software_version"],
+        "table_id": None if document is None else document["table_id"],
+        "table_definition": None
+        if definition is None
+        else {"number": definition["number"], "sha256": definition["sha256"]},
+        "tables": {folder or ".": made.facts for folder, made in tables.items()},
+        "backout": {
+            "name": inputs["backout"]["name"],
+            "sha256": inputs["backout"]["sha256"],
+            "sentence": _way_back(inputs),
+        },
+        "on_board": None if inputs["active"] is None else {key: inputs["active"][key] for key in ("name", "sha256")},
+        "camera_files": {"exact": reason is None, "reason": reason},
+        "software": inputs["software"],
+        "inputs": inputs,
+        "checks": "sha256sum -c SHA256SUMS; sha256sum parameter_set.json is the hash of the parameter set",
+    }

@@ -1,0 +1,152 @@
+"""The parameters themselves: `parameters.json` for programs, `parameters.csv` for eyes, `c_sd.json` for the attitude.
+
+`parameters.json` is normative: beside the values it has what they mean, how well they are known and where they are from.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.telemetry.sensors import Sensor
+from boresight.uplink.equations import EQUATIONS, conventions
+from boresight.uplink.spelling import csv_bytes, json_bytes
+from boresight.uplink.table_definition import DecodedField
+
+SCHEMA = "boresight.uplink-parameters/1"
+COLUMNS = (
+    "name",
+    "unit",
+    "old",
+    "new",
+    "delta",
+    "sigma",
+    "three_sigma",
+    "delta_over_sigma",
+    "type",
+    "raw_hex",
+    "on_board",
+)
+
+Set = Mapping[str, Any]  # one set of the package's inputs
+
+
+def changes(subject: Set, before: Set | None) -> list[dict[str, Any]]:
+    """Return each parameter's row: name, symbol, unit, old, new, delta, sigma, three_sigma and delta_over_sigma, SI."""
+    document = subject["document"]
+    model = CAMERA_MODELS[document["camera_model"]]
+    rows = []
+    for name, symbol, unit in zip(model.parameter_names, model.symbols, model.units, strict=True):
+        new, sigma = document["parameters"][name], (document.get("sigma") or {}).get(name)
+        old = None if before is None else before["document"]["parameters"][name]
+        delta = None if old is None else new - old
+        row = {"name": name, "symbol": symbol, "unit": unit, "old": old, "new": new, "delta": delta, "sigma": sigma}
+        row["three_sigma"] = None if sigma is None else 3 * sigma
+        row["delta_over_sigma"] = delta / sigma if delta is not None and sigma else None
+        rows.append(row)
+    return rows
+
+
+def parameters_csv(subject: Set, before: Set | None, held: Mapping[str, DecodedField]) -> bytes:
+    """Write the table of old and new values.
+
+    Parameters
+    ----------
+    held
+        Each parameter as the table on board holds it; empty without a table definition, and the bits are then a double's.
+    """
+    rows = []
+    for row in changes(subject, before):
+        field = held.get(row["name"])
+        bits = struct.pack(">d", row["new"]).hex().upper() if field is None else field.hexadecimal
+        kind = "float64" if field is None else field.field.kind
+        rows.append([*(row[key] for key in COLUMNS[:8]), kind, bits, row["new"] if field is None else field.value])
+    return csv_bytes(COLUMNS, rows)
+
+
+def parameters_json(sensor: Sensor, subject: Set, held: Mapping[str, DecodedField]) -> bytes:
+    """Write the normative document."""
+    document = subject["document"]
+    model = CAMERA_MODELS[document["camera_model"]]
+    free = document.get("free") or ()
+    return json_bytes(
+        {
+            "schema": SCHEMA,
+            "parameter_set": {"name": subject["name"], "sha256": subject["sha256"]},
+            "sensor": {
+                "name": sensor.name,
+                "rows": sensor.rows,
+                "columns": sensor.columns,
+                "pixel_pitch_m": sensor.pixel_pitch_m,
+            },
+            "camera_model": model.name,
+            "equation": EQUATIONS[model.name],
+            "conventions": conventions(sensor),
+            "parameters": [
+                {
+                    "name": row["name"],
+                    "symbol": row["symbol"],
+                    "unit": row["unit"],
+                    "value": row["new"],
+                    "sigma": row["sigma"],
+                    "estimated": row["name"] in free,
+                    "on_board": held[row["name"]].value if row["name"] in held else None,
+                }
+                for row in changes(subject, None)
+            ],
+            "covariance": document.get("covariance"),
+            "validity": _validity(sensor, subject),
+            "provenance": _provenance(subject),
+        }
+    )
+
+
+def _validity(sensor: Sensor, subject: Set) -> dict[str, Any]:
+    """Say for what these numbers hold: the detector, the stretch of time, the temperatures that were seen."""
+    model = CAMERA_MODELS[sensor.camera_model]
+    x = np.array([subject["document"]["parameters"][name] for name in model.parameter_names])
+    cone = model.cone_rad(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+    telemetry = (subject.get("run") or {}).get("telemetry") or {}
+    return {
+        "field": {"rows": [-0.5, sensor.rows - 0.5], "columns": [-0.5, sensor.columns - 0.5], "radius_rad": cone},
+        "epoch_utc": telemetry.get("epoch_utc"),
+        "temperature_c": telemetry.get("temperature_c"),
+    }
+
+
+def _provenance(subject: Set) -> dict[str, Any]:
+    """Say where the numbers are from, by hashes."""
+    document = subject["document"]
+    kept = ("method", "variant", "status", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "advice", "inputs")
+    return {key: document.get(key) for key in kept} | {"run": subject.get("run"), "created_utc": subject["created_utc"]}
+
+
+def alignment_json(subject: Set, before: Set | None) -> bytes:
+    """Write how far loading the set turns the attitude, and what keeps C_SD.
+
+    The turn was found against the parameters that the run started from; where the set that is replaced has others, it is no
+    answer, and the document says so instead of giving an update.
+    """
+    found = subject["document"].get("alignment")
+    started = (subject.get("run") or {}).get("started_from")
+    replaced = None if before is None else before["document"]["parameters"]
+    answer: dict[str, Any] = {"schema": "boresight.c-sd/1", "parameter_set": subject["name"], "alignment": None}
+    answer["replaces"] = None if before is None else before["name"]
+    if found is None:
+        answer["sentence"] = "No attitude was compared for this set: check C_SD after loading it."
+    elif started != replaced:
+        answer["sentence"] = (
+            f"The turn was found against the parameters that the run started from, which are not those of "
+            f"{answer['replaces']}: calibrate from the set that is replaced, or check C_SD after loading."
+        )
+    else:
+        answer["alignment"] = found
+        answer["sentence"] = found["sentence"]
+        answer["use"] = (
+            "C_SD_new = C_SD_old c_sd_update; C_SD turns vectors of the detector triad into the sensor's frame"
+        )
+    return json_bytes(answer)

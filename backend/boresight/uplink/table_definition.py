@@ -1,0 +1,182 @@
+"""The table on board that holds a sensor's camera, as its mission configured it: parameters to bytes, and bytes back.
+
+The image is one whole number of bytes, filled with one value where no field lies. Fields, constants and the CRC may not
+overlap, and every parameter of the sensor's camera model is in the table once: a focal length beside the distortion of
+another calibration is a wrong camera, so a calibration goes as one image or not at all.
+
+The CRC is taken of the bytes `over`, from the first to before the second, and stored at `offset_bytes` when the table holds
+its own; cFE Table Services keep it in telemetry instead, taken of the whole image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from boresight.errors import RefusedInputError
+from boresight.uplink.checksum import CHECKSUMS, Checksum
+from boresight.uplink.definition_document import TableDefinition, parse_definition, read_definition
+from boresight.uplink.fields import Field
+from boresight.uplink.quantisation import quantisation_effect
+
+__all__ = [
+    "Decoded",
+    "DecodedField",
+    "TableDefinition",
+    "crc_told",
+    "crc_value",
+    "decode",
+    "encode",
+    "parse_definition",
+    "quantisation_effect",
+    "quantised",
+    "read_definition",
+    "table_crc",
+]
+
+
+@dataclass(frozen=True)
+class DecodedField:
+    """A field of an image.
+
+    Parameters
+    ----------
+    field
+        Where it lies and how it is read.
+    raw
+        What the bits stand for by themselves.
+    value
+        scale raw + offset; of a parameter in SI.
+    hexadecimal
+        Its bits as they lie in the table, first byte first; a field inside a byte is padded on the left.
+    """
+
+    field: Field
+    raw: float | int
+    value: float
+    hexadecimal: str
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """An image read back.
+
+    Parameters
+    ----------
+    values
+        Each parameter's number, in the order of the table; of a damaged image they may be NaN or infinite.
+    fields
+        Every field, constants too, in the order of the table.
+    crc_ok
+        Whether the stored CRC is that of the bytes; None when the table stores none.
+    crc
+        CRC of the bytes as they are; None when the definition names no CRC.
+    stored_crc
+        As it stands in the table; None when the table stores none.
+    """
+
+    values: dict[str, float]
+    fields: tuple[DecodedField, ...]
+    crc_ok: bool | None
+    crc: int | None
+    stored_crc: int | None
+
+
+def encode(definition: TableDefinition, parameters: Mapping[str, float]) -> bytes:
+    """Lay parameters into the table.
+
+    Parameters
+    ----------
+    parameters
+        Number of each parameter of the camera model, SI.
+
+    Returns
+    -------
+    (length_bytes,) bytes, the CRC in its place.
+
+    Raises
+    ------
+    RefusedInputError
+        When a field cannot hold its number.
+    """
+    image = int.from_bytes(bytes([definition.fill]) * definition.length_bytes, "big")
+    for field in definition.fields:
+        number = field.constant if field.parameter is None else parameters[field.parameter]
+        image = _with_bits(definition, image, field, field.pack(number or 0))
+    if definition.crc_field is not None:
+        crc = table_crc(definition, image.to_bytes(definition.length_bytes, "big")) or 0
+        image = _with_bits(definition, image, definition.crc_field, definition.crc_field.pack(crc))
+    return image.to_bytes(definition.length_bytes, "big")
+
+
+def _with_bits(definition: TableDefinition, image: int, field: Field, bits: int) -> int:
+    """Put a field's bits in their place."""
+    shift = 8 * definition.length_bytes - field.end
+    return image & ~(((1 << field.bits) - 1) << shift) | bits << shift
+
+
+def decode(definition: TableDefinition, content: bytes) -> Decoded:
+    """Read an image as the flight software does.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is not of the table's length.
+    """
+    if len(content) != definition.length_bytes:
+        raise RefusedInputError(
+            f"The image has {len(content)} bytes and the table {definition.table_id} has {definition.length_bytes}: "
+            "give the whole table, without anything before or after it."
+        )
+    fields = tuple(_decoded(definition, content, field) for field in definition.fields)
+    crc = table_crc(definition, content)
+    stored = None
+    if definition.crc_field is not None:
+        stored = int(_decoded(definition, content, definition.crc_field).raw)
+    values = {one.field.parameter: one.value for one in fields if one.field.parameter is not None}
+    return Decoded(values, fields, None if stored is None else stored == crc, crc, stored)
+
+
+def _decoded(definition: TableDefinition, content: bytes, field: Field) -> DecodedField:
+    """Read one field of an image."""
+    shift = 8 * definition.length_bytes - field.end
+    bits = int.from_bytes(content, "big") >> shift & ((1 << field.bits) - 1)
+    raw, value = field.unpack(bits)
+    return DecodedField(field, raw, value, f"{bits:0{-(-field.bits // 4)}X}")
+
+
+def quantised(definition: TableDefinition, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters as the table holds them, in the order given.
+
+    Raises
+    ------
+    RefusedInputError
+        When a field cannot hold its number.
+    """
+    held = decode(definition, encode(definition, parameters)).values
+    return {name: held[name] for name in parameters if name in held}
+
+
+def crc_value(crc: Checksum, content: bytes) -> int:
+    """Compute a CRC of some bytes, all of them."""
+    return crc.value(content)
+
+
+def table_crc(definition: TableDefinition, content: bytes) -> int | None:
+    """Compute the table's CRC of an image, of the bytes that it is over; None when the definition names none."""
+    if definition.crc is None:
+        return None
+    first, end = definition.crc_over
+    return crc_value(definition.crc, content[first:end])
+
+
+def crc_told(definition: TableDefinition, content: bytes) -> tuple[Checksum, int] | None:
+    """Return the CRC that the spacecraft tells of an image that it holds, and its algorithm; None when it tells none.
+
+    cFE Table Services tell CRC-16/ARC of the whole image, whatever CRC the table may hold inside; others tell the table's own.
+    """
+    if definition.cfe is not None:
+        crc = CHECKSUMS["CRC-16/ARC"]
+        return crc, crc_value(crc, content)
+    value = table_crc(definition, content)
+    return None if definition.crc is None or value is None else (definition.crc, value)

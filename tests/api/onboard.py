@@ -1,0 +1,63 @@
+"""Sets on their way to the spacecraft, for requests about what is on board."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from boresight.services import table_definitions
+from boresight.services.actors import COMMAND_LINE
+from boresight.store.sessions import writing
+
+from .conftest import PASSWORD, House
+
+Made = tuple[str, dict[str, Any]]  # who asks, and path values with request options
+
+
+def _versioned(row: dict[str, Any]) -> dict[str, str]:
+    return {"If-Match": f'"v{row["version"]}"'}
+
+
+def at(house: House, *states: str) -> dict[str, Any]:
+    """Bring a new sensor's ground calibration to a state on board, by statement; return the set."""
+    found = house.person("ada").get("/api/v1/parameter-sets", params={"sensor_id": house.new_sensor()["id"]})
+    row, client = found.json()["items"][0], house.person("olga")
+    for state in states:
+        step = {"parameter_set_id": row["id"], "onboard_state": state, "source": "Pass 1"}
+        assert client.post("/api/v1/uplinks", json=step, headers=_versioned(row)).status_code == 201
+        row = client.get(f"/api/v1/parameter-sets/{row['id']}").json()
+    return row
+
+
+def table(house: House, row: dict[str, Any]) -> bytes:
+    """Give a set's sensor a table definition; return the set's table."""
+    names = list(row["document"]["parameters"])
+    fields = [
+        {"name": name, "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
+        for place, name in enumerate(names)
+    ]
+    document = {"table_id": "CAM", "flight_software_version": "1", "length_bytes": 8 * len(names), "fields": fields}
+    with writing(house.app.state.engine) as session:
+        table_definitions.set_definition(session, COMMAND_LINE, row["sensor_id"], document, "As flown.", 0)
+    return struct.pack(f">{len(names)}d", *row["document"]["parameters"].values())
+
+
+def read_back(house: House) -> Made:
+    row = at(house, "SENT", "LOADED")
+    files = {"file": ("dump.bin", table(house, row))}
+    options = {"data": {"source": "Pass 1"}, "files": files, "headers": _versioned(row)}
+    return "olga", {"parameter_set_id": row["id"], **options}
+
+
+def activate(house: House) -> Made:
+    row = at(house, "SENT", "LOADED", "VERIFIED")
+    body = {"source": "Pass 1", "meaning": "I saw it.", "password": PASSWORD}
+    return "olga", {"parameter_set_id": row["id"], "json": body, "headers": _versioned(row)}
+
+
+def uplink(house: House) -> Made:
+    who, options = read_back(house)
+    client = house.person(who)
+    made = client.post(f"/api/v1/parameter-sets/{options.pop('parameter_set_id')}:read-back", **options)
+    assert made.status_code == 201, made.text
+    return "victor", {"uplink_id": made.json()["id"]}

@@ -1,0 +1,112 @@
+"""A set on its way to the spacecraft: exported, sent, loaded, a damaged dump, a good one, signed as active, asked about."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import zipfile
+
+import pytest
+from playwright.sync_api import expect
+
+from boresight.pages.sensors import EXAMPLE
+from tests.browser.people import password_of
+
+pytestmark = pytest.mark.browser
+
+NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
+DOCUMENT = {
+    "table_id": "STR_CAM",
+    "flight_software_version": "4.2.1",
+    "length_bytes": 68,
+    "fields": [
+        {"name": name.upper(), "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
+        for place, name in enumerate(NAMES)
+    ],
+    "crc": {"name": "CRC-16/ARC", "offset_bytes": 64, "over": [0, 64]},
+}
+
+
+@pytest.fixture(scope="module")
+def sensor(people):
+    """A sensor of its own, with a table definition; its ground calibration is the baseline."""
+    with people.seat("analyst") as window:
+        window.open("/")
+        token = window.page.locator("input[name=csrf_token]").first.input_value()
+
+        def post(address, document, **headers):
+            answer = window.page.request.post(address, data=document, headers={"X-CSRF-Token": token, **headers})
+            assert answer.ok, answer.text()
+            return answer.json()
+
+        made = post("/api/v1/sensors", json.loads(EXAMPLE.replace("ST16-7", "FLOWN-1")))
+        definition = {"document": DOCUMENT, "reason": "As flown."}
+        post(f"/api/v1/sensors/{made['id']}/table-definitions", definition, **{"If-Match": '"v0"'})
+        return made["id"]
+
+
+def record(window, state, source):
+    """Record a step by statement."""
+    form = window.page.get_by_role("region", name="Record a step by statement")
+    form.get_by_label("What happened").select_option(state)
+    form.get_by_label("Known from").fill(source)
+    form.get_by_role("button", name="Record it").click()
+    expect(window.page.get_by_role("status").filter(has_text="Recorded.")).to_be_visible()
+
+
+def upload(window, dump, source):
+    """Read a dump back."""
+    form = window.page.get_by_role("region", name="Read back")
+    file = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": dump}
+    form.get_by_label("Dump of the table").set_input_files(file)
+    form.get_by_label("Known from").fill(source)
+    form.get_by_role("button", name="Compare").click()
+
+
+def sent_table(window, set_id):
+    """The table inside the newest package of a set."""
+    newest = window.read(f"/api/v1/packages?parameter_set_id={set_id}")["items"][0]
+    content = window.page.request.get(f"/api/v1/packages/{newest['id']}/content").body()
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        return packed.read("table.bin")
+
+
+def test_a_set_goes_from_export_to_active_through_a_dump_that_was_damaged(people, sensor):
+    with people.seat("operator") as window:
+        window.open("/uplink")
+        window.page.get_by_role("link", name="Steps of PS-FLOWN-1-0").click()
+        steps = window.page.url
+        window.page.get_by_role("button", name=re.compile("^Build the package")).click()
+        ladder = window.page.locator(".ladder")
+        expect(ladder.get_by_role("listitem").first).to_contain_text("done")
+        record(window, "SENT", "Pass 4711, TC log line 88")
+        record(window, "LOADED", "Pass 4711, TM 6")
+        table = sent_table(window, steps.split("/")[-2])
+        upload(window, table[:17] + bytes([table[17] ^ 0x10]) + table[18:], "Pass 4712, dump 1")
+        found = window.page.get_by_role("region", name="What the last read-back found")
+        expect(found).to_contain_text("bit 3 of byte 17 (mask 0x10), in N0_PX")
+        expect(found.get_by_role("table", name="Fields that differ")).to_contain_text("N0_PX")
+        assert window.barriers() == []
+        window.shoot("30-mismatch", wide=True)
+        window.open("/uplink")
+        expect(window.page.get_by_role("row").nth(1)).to_contain_text("FLOWN-1 MISMATCH")
+        window.shoot("31-uplink-mismatch")
+        window.open(steps)
+        upload(window, table, "Pass 4712, dump 2")
+        expect(window.page.get_by_role("status").filter(has_text="byte for byte")).to_be_visible()
+        form = window.page.get_by_role("region", name="Sign that it is active")
+        form.get_by_label("Known from").fill("TM page STR-2")
+        form.get_by_label("Your password, once more").fill(password_of("operator"))
+        window.shoot("32-to-sign-active")
+        form.get_by_role("button", name=re.compile("^Sign")).click()
+        expect(ladder.get_by_role("listitem").last).to_contain_text("Olga Operator")
+        window.shoot("33-active", wide=True)
+        window.open(f"/sensors/{sensor}/timeline")
+        expect(window.page.locator(".standing-line")).to_contain_text("ACTIVE: the same")
+        window.shoot("34-timeline", wide=True)
+        then = window.page.get_by_role("row").filter(has_text="MISMATCH").get_by_role("link", name="Answer")
+        then.last.click()
+        window.page.wait_for_url("**/timeline?at=*")
+        expect(window.page.get_by_role("region", name=re.compile("^As of"))).to_contain_text("MISMATCH")
+        assert window.barriers() == []

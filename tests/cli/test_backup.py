@@ -1,0 +1,113 @@
+"""Backup and restore: what comes back is what was there, and nothing is ever written over."""
+
+from __future__ import annotations
+
+import json
+import stat
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from boresight.store.blobs import BlobStore
+
+PASSWORD = "correct horse battery"
+ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--password-stdin")
+
+
+@pytest.fixture
+def filled(boresight, monkeypatch, tmp_path) -> Any:
+    """A data folder with a person and a blob, and its backup."""
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(tmp_path / "first"))
+    (tmp_path / "first").mkdir()
+    added = boresight(*ADD, stdin=f"{PASSWORD}\n")
+    assert added.exit_code == 0, added.stderr
+    sha256 = BlobStore(tmp_path / "first" / "blobs").put(b"telemetry")
+    done = boresight("backup", "--out", tmp_path / "all.zip")
+    assert done.exit_code == 0, done.stderr
+    assert "the database and 1 files" in done.stdout
+    return boresight, tmp_path / "all.zip", sha256
+
+
+def _into(monkeypatch, folder: Path) -> Path:
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(folder))
+    return folder
+
+
+def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypatch, tmp_path):
+    boresight, archive, sha256 = filled
+    folder = _into(monkeypatch, tmp_path / "second")
+    done = boresight("restore", archive)
+    assert done.exit_code == 0, done.stderr
+    assert "are as they were written" in done.stdout
+    assert BlobStore(folder / "blobs").read(sha256, verify=True) == b"telemetry"
+    assert stat.S_IMODE((folder / "boresight.sqlite3").stat().st_mode) == 0o600
+    assert boresight("audit", "verify").exit_code == 0
+    again = boresight(*ADD, stdin=f"{PASSWORD}\n")
+    assert "There is a user 'ana' already" in again.stderr
+
+
+def test_nothing_is_written_over(filled):
+    boresight, archive, _ = filled
+    restored = boresight("restore", archive)
+    assert restored.exit_code == 1
+    assert "already; restore into an empty data folder" in restored.stderr
+    saved = boresight("backup", "--out", archive)
+    assert saved.exit_code == 1
+    assert "a backup is never written over" in saved.stderr
+
+
+@pytest.mark.parametrize("name", ["boresight.sqlite3", "blobs"])
+def test_a_file_that_is_not_as_it_was_backed_up_is_refused_and_no_database_appears(filled, monkeypatch, tmp_path, name):
+    boresight, archive, _ = filled
+    altered = tmp_path / "altered.zip"
+    with zipfile.ZipFile(archive) as source, zipfile.ZipFile(altered, "w") as target:
+        for member in source.namelist():
+            content = source.read(member)
+            target.writestr(member, content[:-1] + b"?" if member.startswith(name) else content)
+    folder = _into(monkeypatch, tmp_path / "third")
+    done = boresight("restore", altered)
+    assert done.exit_code == 1
+    assert "is not as it was backed up" in done.stderr
+    assert not (folder / "boresight.sqlite3").exists()
+
+
+@pytest.mark.parametrize("manifest", [None, "[]", json.dumps({"schema": "another/1"})])
+def test_another_zip_is_no_backup(boresight, monkeypatch, tmp_path, manifest):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        if manifest is not None:
+            archive.writestr("MANIFEST.json", manifest)
+    _into(monkeypatch, tmp_path / "fourth")
+    done = boresight("restore", tmp_path / "a.zip")
+    assert done.exit_code == 1
+    assert "is no backup" in done.stderr
+
+
+def test_what_is_no_zip_is_refused_in_one_sentence(boresight, monkeypatch, tmp_path):
+    (tmp_path / "a.zip").write_text("no zip")
+    _into(monkeypatch, tmp_path / "fifth")
+    done = boresight("restore", tmp_path / "a.zip")
+    assert done.exit_code == 1
+    assert "cannot be read as a backup" in done.stderr
+
+
+def test_postgresql_is_referred_to_its_own_way(boresight, monkeypatch, tmp_path):
+    monkeypatch.setenv("BORESIGHT_DATABASE_URL", "postgresql://boresight@localhost/boresight")
+    done = boresight("backup", "--out", tmp_path / "a.zip")
+    assert done.exit_code == 1
+    assert "pg_dump" in done.stderr
+
+
+def test_the_log_is_exported_with_its_verifier_or_alone(filled, tmp_path):
+    boresight, _, _ = filled
+    for name in ("log.zip", "log.jsonl"):
+        done = boresight("audit", "export", "--out", tmp_path / name)
+        assert done.exit_code == 0, done.stderr
+    with zipfile.ZipFile(tmp_path / "log.zip") as archive:
+        assert set(archive.namelist()) == {"audit.jsonl", "verify_audit.py", "README.txt"}
+    last = json.loads((tmp_path / "log.jsonl").read_text(encoding="utf-8").splitlines()[-1])
+    verified = boresight("audit", "verify", "--head", last["head"])
+    assert verified.exit_code == 0
+    other = boresight("audit", "verify", "--head", "0" * 63 + "1")
+    assert (other.exit_code, "rewritten" in other.stderr) == (1, True)

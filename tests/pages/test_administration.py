@@ -1,0 +1,69 @@
+"""The administration page: how people, keys, workers, approval, audit and backup are at."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import pytest
+
+from boresight.pages.administration import keys_at, warnings
+from boresight.services import users
+from boresight.store.sessions import writing
+from boresight.store.tables import ApiKey, User
+
+
+@pytest.fixture
+def house(house):
+    house.app.state.workers = SimpleNamespace(
+        state=lambda: {"owner": "host/1", "connected": True, "tasks": 0}, notify=lambda: None
+    )
+    return house
+
+
+NOW, SOON, LATER = ("2026-11-21T00:00:00.000000Z", "2026-12-01T00:00:00.000000Z", "2027-11-21T00:00:00.000000Z")
+
+
+def _person(*roles: str, disabled_utc: str | None = None) -> User:
+    return User(name="x", printed_name="X", roles=list(roles), disabled_utc=disabled_utc)
+
+
+def test_the_page_says_who_must_set_a_password_and_how_to_back_up(house, read):
+    with writing(house.engine) as session:
+        users.change_password(session, house.actor("adele"), 5, "a given password")
+    page = read(house.visitor("adele").get("/administration"))
+    assert "Must set a password of their own: Victor Viewer." in page
+    assert "boresight backup --out FILE.zip" in page
+    assert "FOUR-EYES ON" in page
+
+
+def test_a_single_user_install_says_so_on_every_page(house, read):
+    visitor = house.visitor("ada")
+    assert "Four-eyes is OFF" not in read(visitor.get("/sensors"))
+    house.app.state.policy = dataclasses.replace(house.app.state.policy, four_eyes=False)
+    for path in ("/", "/sensors", "/audit", "/administration"):
+        assert "Four-eyes is OFF: in this installation one person may submit and sign alone." in read(visitor.get(path))
+
+
+def test_what_would_hold_up_work_is_said():
+    people = [_person("analyst", "approver"), _person("operator"), _person("administrator", disabled_utc=NOW)]
+    said = warnings(people, four_eyes=True)
+    assert "There is one approver only: nobody stands in." in said
+    assert "There is no administrator." in said
+    assert "Every approver is an analyst too: whoever submits needs another to sign." in said
+    assert (
+        warnings([_person(role) for role in ("analyst", "operator", "approver", "administrator") * 2], four_eyes=True)
+        == []
+    )
+
+
+def test_keys_are_counted_by_what_needs_a_look():
+    keys = [
+        ApiKey(expires_utc=None),
+        ApiKey(expires_utc=LATER, last_used_utc=NOW),
+        ApiKey(expires_utc="2026-11-25T00:00:00.000000Z"),
+        ApiKey(expires_utc=None, revoked_utc=NOW),
+        ApiKey(expires_utc=NOW),
+    ]
+    found = keys_at(keys, NOW, SOON)
+    assert (found.valid, found.unused, found.expiring, found.endless) == (3, 2, 1, 1)

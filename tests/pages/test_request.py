@@ -1,0 +1,92 @@
+"""Around a request: who opened its evidence, what was said, whom it is asked of, and a signature over the shoulder."""
+
+from __future__ import annotations
+
+import pytest
+
+from boresight.services import approvals
+from boresight.store.sessions import reading
+
+PASSWORD = "correct horse battery"
+WORDS = {"decision": "APPROVE", "meaning": "", "comment": "Seen."}
+
+
+@pytest.fixture
+def address(house) -> str:
+    """The page of a request that Ada submitted."""
+    ada = house.visitor("ada")
+    place = ada.post("/runs/1/parameter-set").headers["location"]
+    version = ada.get(place).split('name="version" value="')[1].split('"')[0]
+    return ada.post(f"{place}/submit", version=version, reason="The held-out RMS fell.").headers["location"]
+
+
+def test_opening_evidence_leads_there_and_is_shown_once(house, address, read):
+    alan = house.visitor("alan")
+    for _ in range(2):
+        answer = alan.post(f"{address}/open", evidence="trust")
+        assert answer.headers["location"] == "/runs/1?part=trust"
+    row = read(alan.get(address)).split("Trust: two halves")[1].split("Open")[0]
+    assert row.count("Alan Approver") == 1
+    assert alan.post(f"{address}/open", evidence="the-moon").status_code == 404
+
+
+def test_a_remark_stands_under_its_name_and_a_refused_one_is_kept_in_its_place(house, address, read):
+    alan = house.visitor("alan")
+    alan.post(f"{address}/remarks", text="Why is <b>n0</b> so far off?")
+    page = house.visitor("ada").get(address)
+    assert "Why is &lt;b&gt;n0&lt;/b&gt; so far off?" in page
+    assert "Alan Approver" in read(page)
+    refused = alan.post(f"{address}/remarks", text="x" * 4001)
+    assert refused.status_code == 409
+    assert "this one has 4001" in read(refused.text)
+    assert "x" * 4001 in refused.text
+
+
+def test_a_viewer_reads_the_discussion_and_is_told_how_to_take_part(house, address, read):
+    page = house.visitor("victor").get(address)
+    assert "Viewers read along" in read(page)
+    assert f'action="{address}/remarks' not in page
+
+
+def test_a_request_is_asked_of_one_who_may_sign_and_the_inbox_says_whom(house, address, read):
+    page = house.visitor("ada").get(address)
+    asked = page.split('id="person"')[1].split("</select>")[0]
+    assert "Alan Approver" in asked
+    assert "Olga Operator" not in asked
+    number = asked.split(">Alan Approver")[0].rsplit('value="', 1)[1].split('"')[0]
+    assert house.visitor("ada").post(f"{address}/assign", person=number, version="1").status_code == 303
+    assert "Asked of Alan Approver." in read(house.visitor("ada").get(address))
+    assert "Alan Approver" in read(house.visitor("both").get("/approvals"))
+
+
+def test_whom_it_is_asked_of_is_refused_to_who_saw_an_older_request(house, address, read):
+    ada = house.visitor("ada")
+    ada.post(f"{address}/assign", person="", version="1")
+    refused = ada.post(f"{address}/assign", person="", version="1")
+    assert refused.status_code == 409
+    assert "has changed since you looked" in read(refused.text)
+
+
+def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(house, address, read):
+    ada = house.visitor("ada")
+    answer = ada.post(f"{address}/sign-over-the-shoulder", version="1", name="alan", password=PASSWORD, **WORDS)
+    assert answer.status_code == 303
+    text = read(ada.get(address))
+    assert "Alan Approver at the console of Ada Analyst" in text
+    assert "Ada Analyst" in ada.get("/approvals"), "the console's log-in became another's"
+    with reading(house.engine) as session:
+        assert approvals.get_approval(session, 1).state == "APPROVED"
+
+
+def test_nobody_signs_over_ones_own_shoulder(house, address, read):
+    alan = house.visitor("alan")
+    refused = alan.post(f"{address}/sign-over-the-shoulder", version="1", name="alan", password=PASSWORD, **WORDS)
+    assert "This is your own console" in read(refused.text)
+    assert 'value="alan"' in refused.text
+    assert PASSWORD not in refused.text
+
+
+@pytest.mark.usefixtures("address")
+def test_the_inbox_separates_what_is_mine_to_sign(house, read):
+    assert "Review and sign" in read(house.visitor("alan").get("/approvals?show=mine"))
+    assert "Nothing waits for your signature." in read(house.visitor("ada").get("/approvals?show=mine"))

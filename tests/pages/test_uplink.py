@@ -1,0 +1,175 @@
+"""Uplink: the fleet on the ground and on board, and a set's steps to the spacecraft."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from boresight.pages.climb import LADDER, exported_of, members_of, steps_of
+from boresight.pages.runs import Names
+from boresight.pages.sensors import EXAMPLE
+from boresight.services import packages, parameter_sets
+from boresight.store.sessions import reading, writing
+from boresight.store.tables import Package, Uplink
+
+from .conftest import PASSWORD
+from .onboard import climb, define, send_dump, table, version
+
+NAMES = Names({}, {}, {1: "Olga Operator"})
+STEPS = "/parameter-sets/1/uplink"
+
+
+def _records(*states: str) -> list[Uplink]:
+    """Records as the store lists them, newest first, in the order given."""
+    return [
+        Uplink(id=place, onboard_state=state, source="x", recorded_utc=f"2026-01-01T00:00:{place:02}Z", recorded_by=1)
+        for place, state in enumerate(states)
+    ][::-1]
+
+
+@pytest.mark.parametrize(
+    ("states", "words"),
+    [
+        ((), ["next", "to come", "to come", "to come", "to come"]),
+        (("SENT",), ["next", "done", "to come", "to come", "to come"]),
+        (("SENT", "LOADED", "MISMATCH"), ["to come", "done", "done", "MISMATCH", "to come"]),
+        (("SENT", "LOADED", "MISMATCH", "SENT"), ["next", "done", "to come", "to come", "to come"]),
+        (("SENT", "LOADED", "MISMATCH", "VERIFIED"), ["next", "done", "done", "done", "to come"]),
+        (("SENT", "UNKNOWN"), ["to come", "done", "to come", "to come", "to come"]),
+        (LADDER, ["next", "done", "done", "done", "done"]),
+    ],
+)
+def test_the_ladder_shows_the_present_climb(states, words):
+    assert [step.word for step in steps_of(None, _records(*states), NAMES)] == words
+
+
+def test_the_exported_package_is_the_one_that_was_sent_and_before_that_the_newest():
+    built = [Package(id=2), Package(id=1)]
+    assert exported_of(built, []).id == 2
+    assert exported_of([], []) is None
+    records = _records("SENT", "LOADED")
+    assert exported_of(built, records).id == 2
+    records[1].evidence = {"package": {"id": 1, "sha256": "ab"}}
+    assert exported_of(built, records).id == 1
+
+
+def test_the_fleet_shows_ground_and_board_side_by_side_and_active_only_where_it_was_recorded(house, read):
+    visitor = house.visitor("victor")
+    assert re.search(r"NOT SENT .*PS-ST16-1-0 .*nothing recorded", read(visitor.get("/uplink")))
+    climb(house, *LADDER)
+    assert re.search(r"THE SAME .*PS-ST16-1-0 .*ACTIVE .*pass for ACTIVE by statement", read(visitor.get("/uplink")))
+
+
+def test_a_set_that_was_only_promoted_is_never_shown_as_active(house):
+    page = house.visitor("victor").get("/uplink")
+    assert "ACTIVE" not in page.split("<main")[1].split("</main>")[0]
+
+
+def test_a_mismatch_comes_before_everything(house, read):
+    visitor = house.visitor("ada")
+    text = EXAMPLE.replace("ST16-7", "A-1")
+    assert visitor.post("/sensors", document=text).status_code == 303
+    assert re.search(r"A-1 .*ST16-1", read(visitor.get("/uplink")))
+    climb(house, "SENT", "MISMATCH")
+    assert re.search(r"ST16-1 MISMATCH .*A-1", read(visitor.get("/uplink")))
+
+
+def test_every_page_says_that_this_tool_commands_nothing(house, read):
+    for address in ("/uplink", STEPS):
+        assert "This tool does not command the spacecraft." in read(house.visitor("olga").get(address))
+
+
+def test_a_dump_with_a_flipped_bit_is_a_mismatch_that_the_page_names(house, read):
+    define(house)
+    climb(house, "SENT", "LOADED")
+    visitor, sent = house.visitor("olga"), table(house)
+    answer = send_dump(house, visitor, sent[:17] + bytes([sent[17] ^ 0x10]) + sent[18:])
+    assert answer.status_code == 303
+    page = visitor.get(STEPS)
+    words = read(page)
+    assert "PS-ST16-1-0 does not read back as it was sent" in words
+    assert "bit 3 of byte 17 (mask 0x10), in N0_PX" in words
+    assert re.search(r"N0_PX 16 [\d.]+ [0-9A-F]{16} [-+.e\d]+ [0-9A-F]{16}", words)
+    assert 'class="failed"' in page
+    assert send_dump(house, visitor, sent).status_code == 303
+    assert "What was read back matches, byte for byte." in read(visitor.get(STEPS))
+
+
+def test_a_typed_crc_verifies_and_the_page_says_that_it_was_by_crc(house, read):
+    define(house)
+    climb(house, "SENT", "LOADED")
+    visitor, crc = house.visitor("olga"), table(house)[64:66].hex()
+    answer = visitor.post(f"{STEPS}/read-back", crc=crc, source="TM 1", version=version(house))
+    assert answer.status_code == 303
+    assert "matches, by CRC" in (words := read(visitor.get(STEPS)))
+    assert "compared by CRC" in words
+
+
+def test_a_signed_entry_makes_it_active_with_name_and_meaning(house, read):
+    climb(house, "SENT", "LOADED", "VERIFIED")
+    visitor = house.visitor("olga")
+    assert "VERIFIED by statement: nobody compared" in read(visitor.get(STEPS))
+    entry = {"source": "TM page 2", "meaning": "I saw it in telemetry.", "version": version(house)}
+    wrong = visitor.post(f"{STEPS}/activate", password="guess", **entry)
+    assert wrong.status_code == 401
+    assert "TM page 2" in wrong.text
+    assert "guess" not in wrong.text
+    assert visitor.post(f"{STEPS}/activate", password=PASSWORD, **entry).status_code == 303
+    assert re.search(r"Active done .*Olga Operator TM page 2 signed", read(visitor.get(STEPS)))
+
+
+def test_a_refused_step_says_why_in_place_and_keeps_what_was_typed(house, read):
+    climb(house, "SENT")
+    visitor = house.visitor("olga")
+    stale = visitor.post(f"{STEPS}/record", onboard_state="LOADED", source="pass 9", version="1")
+    assert stale.status_code == 412
+    assert "has changed since you looked" in read(stale.text)
+    assert 'value="pass 9"' in stale.text
+    assert visitor.post(f"{STEPS}/record", onboard_state="LOADED", source="pass 9").status_code == 422
+    early = visitor.post(f"{STEPS}/record", onboard_state="ACTIVE", source="pass 9", version=version(house))
+    assert (early.status_code, "next can be LOADED" in read(early.text)) == (409, True)
+
+
+@pytest.mark.parametrize("name", ["victor", "ada", "alan", "adele"])
+def test_who_is_no_operator_is_told_who_may_and_refused_by_the_server(house, read, name):
+    climb(house, "SENT")
+    visitor = house.visitor(name)
+    page = visitor.get(STEPS)
+    assert "Recording what is on board needs the role operator" in read(page)
+    assert 'action="/parameter-sets/1/uplink/record"' not in page
+    answer = visitor.post(f"{STEPS}/record", onboard_state="LOADED", source="x", version=version(house))
+    assert answer.status_code == 403
+    assert "role operator" in read(answer.text)
+
+
+def test_a_candidate_is_told_that_only_the_baseline_is_sent(house, read):
+    with writing(house.engine) as session:
+        row = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
+    words = read(house.visitor("olga").get(f"/parameter-sets/{row.id}/uplink"))
+    assert f"{row.name} is CANDIDATE: only the baseline is sent." in words
+    assert "only an approved set or the baseline is exported" in words
+
+
+def test_without_a_table_definition_the_page_says_who_sets_one(house, read):
+    climb(house, "SENT", "LOADED")
+    assert "have an analyst or an administrator set one" in read(house.visitor("olga").get(STEPS))
+
+
+def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(house, read):
+    define(house)
+    visitor = house.visitor("olga")
+    for _ in range(2):
+        assert visitor.post(f"{STEPS}/package").status_code == 303
+    words = read(visitor.get(STEPS))
+    assert "Exported done" in words
+    assert "Way back PS-ST16-1-0" in words
+    assert "SHA256SUMS" in words
+    with reading(house.engine) as session:
+        (package,) = packages.list_packages(session)
+        members = members_of(packages.read(session, house.blobs, package.id))
+    assert {"MANIFEST.json", "parameters.json"} <= {member.name.rpartition("/")[2] for member in members}
+
+
+def test_a_set_that_does_not_exist_has_no_steps(house):
+    assert house.visitor("olga").send("GET", "/parameter-sets/99/uplink").status_code == 404

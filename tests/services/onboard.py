@@ -1,0 +1,69 @@
+"""A table definition for the sensor of these tests, and the way of a set to the spacecraft."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from boresight.services import audit, table_definitions, uplinks
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.services.read_backs import Reference, reference_of
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, Session, reading, writing
+from boresight.store.tables import ParameterSet, Promotion, TableDefinition, Uplink
+
+NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
+DOCUMENT: dict[str, Any] = {
+    "table_id": "STR_CAM",
+    "flight_software_version": "4.2.1",
+    "length_bytes": 68,
+    "fields": [
+        {"name": name.upper(), "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
+        for place, name in enumerate(NAMES)
+    ],
+    "crc": {"name": "CRC-16/CCITT-FALSE", "offset_bytes": 64, "over": [0, 64]},
+}
+
+
+def define(engine: Engine, actor: Actor, **changed: Any) -> TableDefinition:
+    """Put a table definition into force for sensor 1."""
+    with writing(engine) as session:
+        current = table_definitions.definition_in_force(session, 1)
+        seen = 0 if current is None else current.number
+        return table_definitions.set_definition(session, actor, 1, DOCUMENT | changed, "As flown.", seen)
+
+
+def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
+    """Record states by statement, one after another."""
+    for state in states:
+        with writing(engine) as session:
+            uplinks.record(session, actor, set_id, state, "pass 4711")
+
+
+def sent_table(engine: Engine, set_id: int = 1) -> Reference:
+    """Return what a read-back of a set that no package carried is held against."""
+    with reading(engine) as session:
+        return reference_of(session, BlobStore(Path("nowhere")), session.get_one(ParameterSet, set_id))
+
+
+def newest(engine: Engine, set_id: int = 1) -> Uplink:
+    """Return a set's newest record."""
+    with reading(engine) as session:
+        return uplinks.list_uplinks(session, parameter_set_id=set_id, limit=1)[0]
+
+
+def onboard(engine: Engine, set_id: int = 1) -> str:
+    """Return a set's on-board state."""
+    with reading(engine) as session:
+        return session.get_one(ParameterSet, set_id).onboard_state
+
+
+def promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
+    """Bring about the rows of a promotion at a time of the test's choice."""
+    for other in session.query(ParameterSet).filter_by(sensor_id=row.sensor_id, ground_state="BASELINE"):
+        other.ground_state = "SUPERSEDED"
+    session.flush()
+    row.ground_state, row.baseline_from_utc = "BASELINE", at_utc
+    session.add(Promotion(sensor_id=row.sensor_id, parameter_set_id=row.id, at_utc=at_utc))
+    session.flush()
+    audit.append(session, COMMAND_LINE, "promoted", f"parameter-sets/{row.id}")

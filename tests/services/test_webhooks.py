@@ -1,0 +1,165 @@
+"""Webhooks: every record that was asked for becomes one message, is signed, is tried eight times and can be sent again."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import json
+from collections.abc import Mapping
+from datetime import datetime
+
+import pytest
+import sqlalchemy as sa
+
+from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.services import api_keys, audit, users, webhooks
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.store.sessions import Session
+from boresight.store.tables import Webhook, WebhookDelivery
+
+URL = "https://mission.example/hooks?team=1"
+
+
+@pytest.fixture
+def hook(session: Session, people: Mapping[str, Actor]) -> Webhook:
+    return webhooks.create_webhook(session, people["root"], label="Chat", url=URL, actions=["users.*"])
+
+
+def _happens(session: Session, name: str = "zoe") -> None:
+    users.create_user(
+        session, COMMAND_LINE, name=name, printed_name=name, password="correct horse battery", roles=["viewer"]
+    )
+
+
+def _deliveries(session: Session) -> list[WebhookDelivery]:
+    return list(session.scalars(sa.select(WebhookDelivery).order_by(WebhookDelivery.id)))
+
+
+@pytest.mark.parametrize("name", ["ana", "cy", "dee", "eve"])
+def test_only_administrators_manage_webhooks(session: Session, people: Mapping[str, Actor], name: str) -> None:
+    with pytest.raises(ForbiddenError, match="administrator"):
+        webhooks.create_webhook(session, people[name], label="x", url=URL)
+    with pytest.raises(ForbiddenError, match="administrator"):
+        webhooks.list_webhooks(session, people[name])
+
+
+def test_an_administrators_key_manages_no_webhooks(session: Session, people: Mapping[str, Actor]) -> None:
+    _, secret = api_keys.create_key(session, people["root"], label="x", scopes=["runs"])
+    with pytest.raises(ForbiddenError, match="API key"):
+        webhooks.create_webhook(session, api_keys.actor_of_key(session, secret), label="x", url=URL)
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["", "mission.example", "ftp://mission.example", "https://", "https://a:b@mission.example/", "https://x/#y",
+     "https://x:port/", "https://x/" + "y" * 2000, "file:///etc/passwd"],
+)  # fmt: skip
+def test_what_is_no_address_of_a_web_server_is_refused(session: Session, people: Mapping[str, Actor], url: str) -> None:
+    with pytest.raises(RefusedInputError):
+        webhooks.create_webhook(session, people["root"], label="x", url=url)
+
+
+@pytest.mark.parametrize("kind", ["promoted", "a b.c", ".", "parameter-sets.", "x.y;z"])
+def test_a_kind_that_no_event_can_have_is_refused(session: Session, people: Mapping[str, Actor], kind: str) -> None:
+    with pytest.raises(RefusedInputError, match="no kind of event"):
+        webhooks.create_webhook(session, people["root"], label="x", url=URL, actions=[kind])
+
+
+def test_a_webhook_is_told_what_happens_after_it_was_made_and_of_the_kinds_it_asked_for(
+    session: Session, people: Mapping[str, Actor], hook: Webhook
+) -> None:
+    webhooks.create_webhook(session, people["root"], label="All", url=URL)
+    assert webhooks.queue_new(session) == 0, "nothing happened to a user since"
+    _happens(session)
+    made = webhooks.queue_new(session)
+    to_hook = [json.loads(row.body) for row in _deliveries(session) if row.webhook_id == hook.id]
+    assert [body["type"] for body in to_hook] == ["users.created"]
+    assert made == len(_deliveries(session)) == len(to_hook) * 2
+    assert webhooks.queue_new(session) == 0, "nobody is told twice"
+
+
+def test_a_message_says_what_who_and_which_record_of_the_chain(session: Session, hook: Webhook) -> None:
+    _happens(session)
+    webhooks.queue_new(session)
+    row = _deliveries(session)[0]
+    record = audit.list_records(session, limit=1)[0]
+    body = json.loads(row.body)
+    assert body["id"] == webhooks.message_id(row.id)
+    assert (body["object"], body["action"], body["actor"]) == (record.object, "created", "Command line")
+    assert body["data"]["audit_hash"] == record.hash
+    assert row.audit_id == record.id
+    assert hook.secret not in row.body
+
+
+def test_a_signature_is_the_hmac_of_id_second_and_body() -> None:
+    expected = hmac.new(b"whsec_x", b'msg_7.1700000000.{"a":1}', hashlib.sha256).digest()
+    assert webhooks.signature("whsec_x", "msg_7", 1700000000, '{"a":1}') == "v1," + base64.b64encode(expected).decode()
+
+
+def test_a_message_under_way_is_not_taken_twice(session: Session, people: Mapping[str, Actor], hook: Webhook) -> None:
+    webhooks.try_webhook(session, people["root"], hook.id)
+    assert [message.url for message in webhooks.take_due(session, 10)] == [URL]
+    assert webhooks.take_due(session, 10) == []
+
+
+def test_a_failure_is_tried_again_after_growing_waits_and_given_up_after_the_eighth(
+    session: Session, people: Mapping[str, Actor], hook: Webhook
+) -> None:
+    row = webhooks.try_webhook(session, people["root"], hook.id)
+    waits = []
+    for _ in range(webhooks.MOST_ATTEMPTS):
+        assert row.state == "PENDING"
+        webhooks.settle(session, row.id, status=500, outcome="Refused with 500")
+        later = datetime.fromisoformat(row.due_utc) - datetime.fromisoformat(str(row.attempted_utc))
+        waits.append(round(later.total_seconds()))
+    assert waits[:-1] == [5, 20, 80, 320, 1280, 5120, 20480]
+    assert (row.state, row.attempts, row.status) == ("FAILED", 8, 500)
+
+
+def test_any_2xx_delivers_and_nothing_else_does(session: Session, people: Mapping[str, Actor], hook: Webhook) -> None:
+    for status, state in (
+        (200, "DELIVERED"),
+        (204, "DELIVERED"),
+        (302, "PENDING"),
+        (404, "PENDING"),
+        (None, "PENDING"),
+    ):
+        row = webhooks.try_webhook(session, people["root"], hook.id)
+        webhooks.settle(session, row.id, status=status, outcome="x")
+        assert row.state == state, status
+
+
+def test_a_message_that_was_given_up_can_be_sent_again_with_its_id_and_its_words(
+    session: Session, people: Mapping[str, Actor], hook: Webhook
+) -> None:
+    row = webhooks.try_webhook(session, people["root"], hook.id)
+    for _ in range(webhooks.MOST_ATTEMPTS):
+        webhooks.settle(session, row.id, status=None, outcome="No answer.")
+    body = row.body
+    webhooks.redeliver(session, people["root"], row.id)
+    assert (row.state, row.attempts, row.body) == ("PENDING", 0, body)
+    assert [message.delivery_id for message in webhooks.take_due(session, 10)] == [row.id]
+    with pytest.raises(NotFoundError):
+        webhooks.redeliver(session, people["root"], 99)
+
+
+def test_a_disabled_webhook_is_told_nothing_and_not_of_the_meantime_when_enabled_again(
+    session: Session, people: Mapping[str, Actor], hook: Webhook
+) -> None:
+    webhooks.try_webhook(session, people["root"], hook.id)
+    webhooks.disable_webhook(session, people["root"], hook.id)
+    assert webhooks.take_due(session, 10) == []
+    with pytest.raises(ConflictError, match="enable it first"):
+        webhooks.try_webhook(session, people["root"], hook.id)
+    _happens(session)
+    assert webhooks.queue_new(session) == 0
+    webhooks.enable_webhook(session, people["root"], hook.id)
+    assert webhooks.queue_new(session) == 0
+    _happens(session, "yan")
+    assert webhooks.queue_new(session) == 1
+
+
+def test_the_audit_log_tells_of_a_webhook_without_its_secret(session: Session, hook: Webhook) -> None:
+    record = audit.list_records(session, subject=f"webhooks/{hook.id}", limit=1)[0]
+    assert record.after == {"label": "Chat", "url": URL, "actions": ["users.*"]}

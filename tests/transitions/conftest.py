@@ -1,0 +1,45 @@
+"""What the whole-way tests of transitions stand on: real servers over real stores, filled with a real calibration."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.settings import CalibrationSettings
+from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.sky.catalogue import Catalogue, load_catalogue
+from boresight.telemetry.readers import write_csv
+from boresight.telemetry.sensors import sensor_document
+from tests.store.conftest import postgresql, postgresql_cluster
+
+from .installation import Evidence
+
+__all__ = ["postgresql", "postgresql_cluster"]  # fixtures
+
+SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
+
+
+@pytest.fixture(scope="session")
+def catalogue_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Keep the trimmed star catalogue for all tests."""
+    return tmp_path_factory.mktemp("sky") / "catalogue"
+
+
+@pytest.fixture(scope="session")
+def catalogue(catalogue_folder: Path) -> Catalogue:
+    """Load the star catalogue once."""
+    return load_catalogue(catalogue_folder)
+
+
+@pytest.fixture(scope="session")
+def evidence(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Evidence:
+    """Simulate and calibrate once."""
+    path: Path = tmp_path_factory.mktemp("evidence") / "telemetry.csv"
+    telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
+    write_csv(telemetry, path)
+    result = calibrate(telemetry, SCENARIO.sensor, catalogue, CalibrationSettings(method="batch"))
+    return Evidence(sensor_document(SCENARIO.sensor), path, result)

@@ -1,0 +1,139 @@
+"""An installation with people, a sensor and as many calibrations as a test wants, made through the services.
+
+The telemetry is simulated and the calibration a real one; what a test makes further candidates of is that calibration
+with the focal length moved a little, stored as the result of a run of its own.
+"""
+
+from __future__ import annotations
+
+import itertools
+import ssl
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import orjson
+from argon2 import PasswordHasher
+
+from boresight.services import api_keys, audit, parameter_sets, sensors, telemetry_sets, users
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.settings import Settings
+from boresight.store.blobs import BlobStore, register_blob
+from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
+from boresight.store.tables import ParameterSet, Run, Sensor
+
+PASSWORD = "correct horse battery"
+CHEAP_HASH = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1).hash(PASSWORD)  # hundreds sign with it
+TRUST = ssl.create_default_context()  # once: to make it costs more than a request
+WORDS = {"meaning": "I reviewed the evidence.", "comment": "Seen.", "password": PASSWORD}
+
+
+@dataclass
+class Evidence:
+    """What every installation is filled with: a sensor file, telemetry and what a calibration found in it."""
+
+    sensor: dict[str, Any]
+    telemetry: Path
+    result: dict[str, Any]
+
+
+@dataclass
+class Installation:
+    """A store on its own folder or database, filled as a test needs it."""
+
+    settings: Settings
+    evidence: Evidence
+    people: Mapping[str, tuple[str, ...]]
+    address: str = ""
+    engine: Engine = field(init=False)
+    blobs: BlobStore = field(init=False)
+    _numbers: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
+    _credentials: dict[str, tuple[dict[str, str], dict[str, str]]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Make the store and its people."""
+        self.engine = open_engine(self.settings.database_url)
+        self.blobs = BlobStore(self.settings.blob_folder)
+        migrate(self.engine)
+        with writing(self.engine) as session:
+            for name, roles in self.people.items():
+                row = users.create_user(
+                    session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
+                )
+                row.password_hash = CHEAP_HASH
+
+    def actor(self, name: str) -> Actor:
+        """Return a person as they act under a log-in."""
+        with reading(self.engine) as session:
+            row = next(row for row in users.list_users(session) if row.name == name)
+            return users.actor_of_session(session, row.id, row.session_epoch)
+
+    def sensor(self) -> int:
+        """Register a sensor with a telemetry set."""
+        document = {**self.evidence.sensor, "name": f"ST-{next(self._numbers)}"}
+        with writing(self.engine) as session:
+            row = sensors.register_sensor(session, COMMAND_LINE, document)
+            path, name = self.evidence.telemetry, self.evidence.telemetry.name
+            telemetry_sets.add_telemetry_set(session, COMMAND_LINE, self.blobs, None, row.id, path, name)
+            return row.id
+
+    def candidate(self, sensor_id: int, analyst: Actor) -> ParameterSet:
+        """Make a candidate of a run that this analyst launched."""
+        with writing(self.engine) as session:
+            run = self._run(session, sensor_id, analyst)
+            return parameter_sets.create_from_run(session, analyst, self.blobs, run.id)
+
+    def _run(self, session: Session, sensor_id: int, analyst: Actor) -> Run:
+        """Store a run that ended, as a worker would."""
+        found = self.evidence.result
+        nudged = {**found["parameters"], "f_m": found["parameters"]["f_m"] * (1.0 + 1e-7 * next(self._numbers))}
+        sha256 = self.blobs.put(orjson.dumps({**found, "parameters": nudged}, option=orjson.OPT_SERIALIZE_NUMPY))
+        register_blob(session, self.blobs, sha256, "application/json")
+        run = Run(
+            sensor_id=sensor_id,
+            telemetry_set_id=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id)[0].id,
+            method="batch",
+            settings={"method": "batch"},
+            sensor_document=session.get_one(Sensor, sensor_id).document,
+            state="SUCCEEDED",
+            launched_utc=utc_now(),
+            launched_by=analyst.user_id,
+            result_sha256=sha256,
+            summary={"status": "converged"},
+        )
+        session.add(run)
+        session.flush()
+        audit.append(session, analyst, "launched", f"runs/{run.id}")
+        return run
+
+    def set_of(self, set_id: int) -> ParameterSet:
+        """Return a set as it is now."""
+        with reading(self.engine) as session:
+            return parameter_sets.get_parameter_set(session, set_id)
+
+    def client(self, name: str) -> httpx.Client:
+        """Return a new client of a person, who logs in once."""
+        if name not in self._credentials:
+            with httpx.Client(base_url=self.address, timeout=60, verify=TRUST) as first:
+                answer = first.post("/api/v1/sessions", json={"name": name, "password": PASSWORD})
+                assert answer.status_code == 201, answer.text
+                token = answer.json()["csrf_token"]
+                self._credentials[name] = ({"X-CSRF-Token": token}, dict(first.cookies))
+        headers, cookies = self._credentials[name]
+        return httpx.Client(base_url=self.address, headers=headers, cookies=cookies, timeout=60, verify=TRUST)
+
+    def key(self, name: str) -> httpx.Client:
+        """Return a client with a new API key of a person, with every scope that a key may have."""
+        scopes = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
+        with writing(self.engine) as session:
+            secret = api_keys.create_key(session, self.actor(name), label="test", scopes=scopes)[1]
+        return httpx.Client(
+            base_url=self.address, headers={"Authorization": f"Bearer {secret}"}, timeout=60, verify=TRUST
+        )
+
+
+def tag(version: int) -> dict[str, str]:
+    """Return the header that says which version was seen."""
+    return {"If-Match": f'"v{version}"'}

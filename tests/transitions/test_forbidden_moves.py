@@ -1,0 +1,250 @@
+"""Forbidden moves, generated from one list: the server refuses each and changes nothing; the allowed few it would make."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import re
+import sqlite3
+from collections.abc import Iterator
+from functools import cache, cached_property
+from typing import Any
+
+import httpx
+import pytest
+
+from boresight.services import approvals, parameter_sets, users
+from boresight.services.actors import COMMAND_LINE, POLICY, Actor, Policy
+from boresight.services.staleness import make_stale_of_set
+from boresight.sky.catalogue import Catalogue
+from boresight.store.sessions import reading, writing
+from boresight.store.tables import GROUND_STATES, ROLES, Approval, Base, ParameterSet, User
+from tests.api.conftest import serving, settings_in
+from tests.api.operations import OPENAPI
+
+from .installation import CHEAP_HASH, PASSWORD, WORDS, Evidence, Installation, tag
+from .moves import ACTORS, ALLOWED, FORBIDDEN, MOVES, OF_REQUEST, PLACES, TRANSITIONS, Move
+
+PEOPLE = {
+    **{role: (role,) for role in ROLES},
+    "submitter": ("analyst", "approver"),
+    "launcher": ("analyst", "approver"),
+    "signer": ("approver",),
+    "newcomer": ("approver",),
+    "console": ("viewer",),
+    "promoter": ("operator",),
+}
+NO_REQUEST = ("/api/v1/approvals/999999", 1)
+BESIDE = {"assess", "waive", "export", "read-back", "activate"}  # of a set, and move no request and no ground state
+BETWEEN = {"api_keys": ("last_used_utc",)}  # columns that no transition writes
+
+
+class Board:
+    """A server with one set in each place."""
+
+    def __init__(self, installation: Installation) -> None:
+        self.installation = installation
+        self.sets: dict[str, int] = {}
+        self.clients: dict[str, httpx.Client] = {}
+        self._file = sqlite3.connect(installation.engine.url.database or "")
+
+    def close(self) -> None:
+        """Close what was opened."""
+        for client in self.clients.values():
+            client.close()
+        self._file.close()
+        self.installation.engine.dispose()
+
+    def actor(self, name: str) -> Actor:
+        """Return a person as they act under a log-in."""
+        return self.installation.actor(name)
+
+    def client(self, name: str) -> httpx.Client:
+        """Return the client of an actor, by log-in or by key."""
+        if name not in self.clients:
+            owner = name.removeprefix("key of the ")
+            self.clients[name] = self.installation.client(name) if owner == name else self.installation.key(owner)
+        return self.clients[name]
+
+    def request_of(self, place: str) -> Approval | None:
+        """Return the newest request for the set in a place."""
+        with reading(self.installation.engine) as session:
+            return next(iter(approvals.list_approvals(session, parameter_set_id=self.sets[place])), None)
+
+    @cache  # noqa: B019 - no move of this file is made, and one board is made
+    def seen(self, place: str, kind: str) -> tuple[str, int]:
+        """Return address and version of the set in a place, or of its request."""
+        if kind == "set":
+            row = self.installation.set_of(self.sets[place])
+            return f"/api/v1/parameter-sets/{row.id}", row.version
+        request = self.request_of(place)
+        return (f"/api/v1/approvals/{request.id}", request.version) if request else NO_REQUEST
+
+    @cached_property
+    def asked(self) -> int:
+        """Return the person whom an assignment asks."""
+        return self.actor("approver").user_id or 0
+
+    def try_move(self, move: Move, headers: dict[str, str] | None = None, **params: str) -> httpx.Response:
+        """Ask the server for a move, with the version as it is unless other headers are given."""
+        address, version = self.seen(move.place, "request" if move.transition in OF_REQUEST else "set")
+        name, over_the_shoulder, _ = move.transition.partition("-over-the-shoulder")
+        body: dict[str, Any] | None = {"reason": "It moved."}
+        client = self.client(move.actor)
+        if move.transition in OF_REQUEST:
+            body = {"user_id": self.asked} if name == "assign" else dict(WORDS)
+        if over_the_shoulder:
+            body = {**WORDS, "name": move.actor.removeprefix("key of the "), "decision": name.upper()}
+            name = "sign-over-the-shoulder"
+            client = client if move.actor.startswith("key") else self.client("console")
+        headers = tag(version) if headers is None else headers
+        body = None if name == "promote" else body
+        return client.post(f"{address}:{name}", json=body, headers=headers, params=params)
+
+    def digest(self) -> str:
+        """Digest every row of every table."""
+        digest = hashlib.sha256()
+        for table in Base.metadata.sorted_tables:
+            named = ", ".join(column.name for column in table.columns if column.name not in BETWEEN.get(table.name, ()))
+            query = f'SELECT {named} FROM "{table.name}"'  # noqa: S608 - names of our own columns
+            digest.update(repr(self._file.execute(query).fetchall()).encode())
+        return digest.hexdigest()
+
+
+def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | None = None) -> ParameterSet:
+    """Have a candidate of the launcher's run submitted by the submitter."""
+    house = board.installation
+    row = house.candidate(sensor_id or house.sensor(), board.actor("launcher"))
+    board.sets[place] = row.id
+    with writing(house.engine) as session:
+        asked = (house.blobs, row.id, "It moved.", row.version)
+        parameter_sets.submit(session, board.actor("submitter"), *asked, policy=policy)
+    return house.set_of(row.id)
+
+
+def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
+    """Have the signer sign the request in a place."""
+    request = board.request_of(place)
+    assert request is not None
+    with writing(board.installation.engine) as session:
+        words = (decision, WORDS["meaning"], WORDS["comment"], PASSWORD, request.version)
+        approvals.sign(session, board.actor("signer"), request.id, *words)
+
+
+def _promote(board: Board, place: str) -> None:
+    """Have the set in a place signed and promoted."""
+    _sign(board, place)
+    row = board.installation.set_of(board.sets[place])
+    with writing(board.installation.engine) as session:
+        parameter_sets.promote(session, board.actor("promoter"), row.id, row.version)
+
+
+POLICIES = {"EXPIRED": Policy(approval_days=0.0), "HALF": Policy(approvals=2)}
+
+
+def _place(board: Board, place: str) -> None:
+    """Bring a set, of a sensor of its own, into a place."""
+    house = board.installation
+    if place == "CANDIDATE":
+        board.sets[place] = house.candidate(house.sensor(), board.actor("launcher")).id
+        return
+    row = _open(board, place, POLICIES.get(place, POLICY))
+    if place in {"APPROVED", "HALF", "REJECTED"}:
+        _sign(board, place, "REFUSE" if place == "REJECTED" else "APPROVE")
+    if place in {"BASELINE", "SUPERSEDED"}:
+        _promote(board, place)
+    if place == "SUPERSEDED":
+        _open(board, "successor", sensor_id=row.sensor_id)
+        _promote(board, "successor")
+    with writing(house.engine) as session:
+        if place == "WITHDRAWN":
+            parameter_sets.withdraw(session, board.actor("submitter"), row.id, row.version)
+        if place == "EXPIRED":
+            approvals.expire_due(session)
+        if place == "STALE":
+            make_stale_of_set(session, COMMAND_LINE, row.id, "the gate profile became version 1")
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory, evidence: Evidence, catalogue: Catalogue) -> Iterator[Board]:
+    """Serve a store with a set in each place."""
+    settings = settings_in(tmp_path_factory.mktemp("moves"), login_attempts="1000")
+    made = Board(Installation(settings, evidence, PEOPLE))
+    for place in PLACES:
+        _place(made, place)
+    root, newcomer = made.actor("administrator"), made.actor("newcomer")
+    with writing(made.installation.engine) as session:
+        users.change_password(session, root, newcomer.user_id or 0, PASSWORD)
+        given = session.get_one(User, newcomer.user_id)
+        given.must_change_password, given.password_hash = 1, CHEAP_HASH
+    with serving(settings, catalogue) as (address, _):
+        made.installation.address = address
+        for name in (*ACTORS, "console"):
+            made.client(name)
+        yield made
+    made.close()
+
+
+def test_the_list_has_every_actor_with_every_transition_in_every_place() -> None:
+    assert len(MOVES) == len(set(MOVES)) == len(ACTORS) * len(TRANSITIONS) * len(PLACES)
+    assert set(MOVES) == {Move(*parts) for parts in itertools.product(ACTORS, TRANSITIONS, PLACES)}
+    assert set(FORBIDDEN) | ALLOWED == set(MOVES)
+    assert set(FORBIDDEN).isdisjoint(ALLOWED)
+    assert {*ROLES} < {*ACTORS}
+
+
+def test_the_list_has_every_transition_that_the_document_has() -> None:
+    named = {name.rpartition(":")[2] for name in _transitions_of_the_document()}
+    assert named - BESIDE == {name for name in TRANSITIONS if "shoulder" not in name} | {"sign-over-the-shoulder"}
+
+
+def _transitions_of_the_document() -> list[str]:
+    """Return the addresses of the transitions of sets and requests."""
+    paths = [path for path, methods in OPENAPI["paths"].items() if "post" in methods and ":" in path]
+    return [path for path in paths if path.startswith(("/api/v1/parameter-sets", "/api/v1/approvals"))]
+
+
+def test_every_place_holds_what_its_name_says(board: Board) -> None:
+    states = {place: board.installation.set_of(board.sets[place]).ground_state for place in PLACES}
+    requests = {place: board.request_of(place) for place in PLACES}
+    assert states == {place: place for place in GROUND_STATES} | {"STALE": "CANDIDATE", "HALF": "SUBMITTED"}
+    assert {place: request.state for place, request in requests.items() if request} == {
+        "SUBMITTED": "OPEN",
+        "HALF": "OPEN",
+        "APPROVED": "APPROVED",
+        "BASELINE": "APPROVED",
+        "SUPERSEDED": "APPROVED",
+        "REJECTED": "REJECTED",
+        "WITHDRAWN": "WITHDRAWN",
+        "EXPIRED": "EXPIRED",
+        "STALE": "STALE",
+    }
+
+
+@pytest.mark.parametrize("move", FORBIDDEN, ids=str)
+def test_a_forbidden_move_is_refused_and_changes_nothing(board: Board, move: Move) -> None:
+    before = board.digest()
+    answer = board.try_move(move)
+    absent = move.place == "CANDIDATE" and move.transition in OF_REQUEST  # it never had a request
+    assert answer.status_code in ({403, 404} if absent else {403, 409, 412}), answer.text
+    assert answer.json()["detail"]
+    assert board.digest() == before
+
+
+@pytest.mark.parametrize("move", sorted(ALLOWED, key=str), ids=str)
+def test_an_allowed_move_would_be_made(board: Board, move: Move) -> None:
+    before = board.digest()
+    answer = board.try_move(move, validate_only="true")
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["x-validate-only"] == "true"
+    assert board.digest() == before
+
+
+@pytest.mark.parametrize("move", sorted(ALLOWED, key=str), ids=str)
+def test_what_is_allowed_is_not_without_the_version_that_was_seen(board: Board, move: Move) -> None:
+    before = board.digest()
+    unsaid, older = board.try_move(move, {}), board.try_move(move, tag(0))
+    assert (unsaid.status_code, older.status_code) == (428, 412)
+    assert "If-Match" in unsaid.json()["detail"]
+    assert re.search(r"\(you saw v0, it is v\d+\): .+ it at 20\d\d-", older.json()["detail"])  # who, what and when
+    assert board.digest() == before
