@@ -110,9 +110,9 @@ def _seen(
     if catalogue is None:
         return None, NOT_SEEN
     name, sha256 = case.held_out
-    settings = CalibrationSettings.parse(case.settings or {})
     incumbent = case.candidate if case.incumbent is None else case.incumbent
     try:
+        settings = CalibrationSettings.parse(case.settings or {})
         frames = read_telemetry(blobs.path(sha256), f"{name}.parquet")
         return held_out_scores(frames, sensor, catalogue, incumbent, case.candidate, settings, cache_folder), ""
     except BoresightError as refusal:
