@@ -120,6 +120,26 @@ def test_a_second_submitter_from_the_same_version_is_told_who_was_first(house: H
     assert "Ada submitted it" in second.json()["detail"]
 
 
+def test_a_submission_sent_again_with_its_key_opens_one_request(house: House) -> None:
+    row, headers = house.candidate(), {"Idempotency-Key": "submit-once"}
+    address = f"/api/v1/parameter-sets/{row['id']}:submit"
+    first, again = (
+        house.person("ada").post(address, json={"reason": "It moved."}, headers={**_tag(row), **headers})
+        for _ in range(2)
+    )
+    assert (first.status_code, again.status_code) == (201, 201)
+    assert again.json() == first.json()
+    assert again.headers["idempotent-replayed"] == "true"
+
+
+def test_a_request_binds_the_report_of_its_gates_and_says_until_when_it_waits(house: House) -> None:
+    approval = house.submitted()
+    assert approval["bound"]["gate_report_sha256"]
+    assert approval["bound"]["profile_sha256"]
+    assert (approval["kind"], approval["needed"]) == ("PROMOTION", 1)
+    assert approval["expires_utc"] > approval["submitted_utc"]
+
+
 @pytest.mark.parametrize("tag", ["v1", "1", 'W/"v1"', "*", '"v-1"', '""', '"vx"'])
 def test_a_tag_that_is_no_version_matches_nothing(house: House, tag: str) -> None:
     row = house.candidate()
