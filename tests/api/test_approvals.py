@@ -10,6 +10,7 @@ import pytest
 
 from boresight.store.idempotent_responses import response_under
 from boresight.store.sessions import reading
+from boresight.store.users import failures_since
 
 from .conftest import PASSWORD, House
 
@@ -96,6 +97,16 @@ def test_a_signature_sent_again_with_its_key_gets_the_first_answer_and_keeps_no_
 def test_a_signature_needs_the_password_again(house: House) -> None:
     refused = house.sign("alan", house.submitted(), password="not the password")
     assert refused.status_code == 401
+
+
+def test_a_password_that_is_only_tried_counts_all_the_same(house: House) -> None:
+    approval, name = house.submitted(), "alan"
+    address, body = f"/api/v1/approvals/{approval['id']}:approve", {"meaning": "x", "password": "not the password"}
+    with reading(house.app.state.engine) as session:
+        before = len(failures_since(session, name, "2000"))
+    answer = house.person(name).post(address, params={"validate_only": "true"}, json=body, headers=_tag(approval))
+    with reading(house.app.state.engine) as session:
+        assert (answer.status_code, len(failures_since(session, name, "2000"))) == (401, before + 1)
 
 
 def test_a_refusal_needs_a_comment_and_blocks(house: House) -> None:

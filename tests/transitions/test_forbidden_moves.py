@@ -263,6 +263,9 @@ def test_what_was_bound_and_moved_is_refused_and_only_its_request_becomes_stale(
         )
         audit.append(session, COMMAND_LINE, "brought in", f"sensors/{row.sensor_id}")
     board.seen.cache_clear()
+    before = board.digest()
+    assert board.try_move(move, validate_only="true").status_code == 412
+    assert board.digest() == before
     answer = board.try_move(move)
     request = board.request_of("MOVED")
     assert answer.status_code == 412
