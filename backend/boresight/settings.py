@@ -42,6 +42,7 @@ SETTINGS = (
     Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
     Setting("upload_limit_mb", "512", "MB", "Largest telemetry file that is accepted.", float),
     Setting("session_hours", "12", "h", "A log-in ends after so long.", float),
+    Setting("session_idle_hours", "0", "h", "A log-in that is not used for so long ends too; 0 = it does not.", float),
     Setting("login_attempts", "5", "per minute", "Failed log-ins a person may make before waiting.", int),
     Setting("webhooks_local", "0", "0 or 1", "1 = webhooks may go to this machine and its link.", int),
     Setting("four_eyes", "1", "0 or 1", "0 = one person works alone here and may sign what they submitted.", int),
@@ -67,6 +68,7 @@ class Settings:
     max_attempts: int
     upload_limit_mb: float
     session_hours: float
+    session_idle_hours: float
     login_attempts: int
     webhooks_local: int
     four_eyes: int

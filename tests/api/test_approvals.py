@@ -10,6 +10,7 @@ import pytest
 
 from boresight.store.idempotent_responses import response_under
 from boresight.store.sessions import reading
+from boresight.store.users import failures_since
 
 from .conftest import PASSWORD, House
 
@@ -98,6 +99,16 @@ def test_a_signature_needs_the_password_again(house: House) -> None:
     assert refused.status_code == 401
 
 
+def test_a_password_that_is_only_tried_counts_all_the_same(house: House) -> None:
+    approval, name = house.submitted(), "alan"
+    address, body = f"/api/v1/approvals/{approval['id']}:approve", {"meaning": "x", "password": "not the password"}
+    with reading(house.app.state.engine) as session:
+        before = len(failures_since(session, name, "2000"))
+    answer = house.person(name).post(address, params={"validate_only": "true"}, json=body, headers=_tag(approval))
+    with reading(house.app.state.engine) as session:
+        assert (answer.status_code, len(failures_since(session, name, "2000"))) == (401, before + 1)
+
+
 def test_a_refusal_needs_a_comment_and_blocks(house: House) -> None:
     approval = house.submitted()
     assert house.sign("alan", approval, "refuse", comment=" ").status_code == 422
@@ -118,6 +129,26 @@ def test_a_second_submitter_from_the_same_version_is_told_who_was_first(house: H
     second = house.person("bo").post(address.format(**row), json={"reason": "It moved."}, headers=_tag(row))
     assert (first.status_code, second.status_code) == (201, 412)
     assert "Ada submitted it" in second.json()["detail"]
+
+
+def test_a_submission_sent_again_with_its_key_opens_one_request(house: House) -> None:
+    row, headers = house.candidate(), {"Idempotency-Key": "submit-once"}
+    address = f"/api/v1/parameter-sets/{row['id']}:submit"
+    first, again = (
+        house.person("ada").post(address, json={"reason": "It moved."}, headers={**_tag(row), **headers})
+        for _ in range(2)
+    )
+    assert (first.status_code, again.status_code) == (201, 201)
+    assert again.json() == first.json()
+    assert again.headers["idempotent-replayed"] == "true"
+
+
+def test_a_request_binds_the_report_of_its_gates_and_says_until_when_it_waits(house: House) -> None:
+    approval = house.submitted()
+    assert approval["bound"]["gate_report_sha256"]
+    assert approval["bound"]["profile_sha256"]
+    assert (approval["kind"], approval["needed"]) == ("PROMOTION", 1)
+    assert approval["expires_utc"] > approval["submitted_utc"]
 
 
 @pytest.mark.parametrize("tag", ["v1", "1", 'W/"v1"', "*", '"v-1"', '""', '"vx"'])

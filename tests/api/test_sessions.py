@@ -216,3 +216,31 @@ def test_the_last_use_of_a_key_is_shown(house: House) -> None:
     house.app.state.upkeep.write_uses()
     listed = client.get("/api/v1/api-keys").json()["items"]
     assert next(key for key in listed if key["id"] == made["id"])["last_used_utc"] is not None
+
+
+def test_a_log_in_that_is_not_used_ends_and_listening_is_no_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cookie = LogInCookie(settings_in(tmp_path, session_idle_hours="1"))
+    response, now_s = Response(), 1e6
+    monkeypatch.setattr("boresight.api.cookies.time.monotonic", lambda: now_s)
+    cookie.open(response, 1, 0)
+    value = response.headers["set-cookie"].partition(";")[0].partition("=")[2]
+    for minutes in (0, 50, 50):
+        now_s += 60 * minutes
+        assert cookie.read(value).user_id == 1
+    now_s += 60 * 40
+    assert cookie.read(value, active=False).user_id == 1
+    now_s += 60 * 40
+    for _ in range(2):
+        with pytest.raises(UnauthenticatedError, match="was not used for long"):
+            cookie.read(value)
+
+
+def test_without_the_setting_only_its_age_ends_a_log_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cookie, response = LogInCookie(settings_in(tmp_path)), Response()
+    cookie.open(response, 1, 0)
+    value = response.headers["set-cookie"].partition(";")[0].partition("=")[2]
+    assert cookie.read(value).user_id == 1
+    monkeypatch.setattr("boresight.api.cookies.time.monotonic", lambda: 1e9)
+    assert cookie.read(value).user_id == 1

@@ -125,6 +125,9 @@ def test_a_runs_own_validation_gives_the_scores_that_seeing_the_frames_again_giv
     )
     assert by_result == by_frames
     assert of_result({**result, "validation": None}) is None
+    kept = result["shadow"]["validation"] | {"frames": result["shadow"]["validation"]["frames"][1:]}
+    assert of_result({**result, "shadow": {"validation": kept}}) is None
+    assert of_result({**result, "validation": result["validation"] | {"intervals": {}}}) is None
 
 
 def test_calibrations_of_good_telemetry_pass_and_are_not_blocked_however_few_their_frames(catalogue):

@@ -3,10 +3,12 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.estimation.consistency import chi_square
 from boresight.gates import GATES, Measurement, judge, measurements_of, parse_profile, summarised, words
 from boresight.gates.judgement import STATUSES, worst
 
@@ -153,3 +155,21 @@ def test_a_report_judged_again_by_its_own_profile_is_the_same():
     assert measurements_of(report) == measured
     assert judge(parse_profile({}), measurements_of(report)) == report
     assert all(math.isfinite(one["margin"]) for one in report["gates"] if one["margin"] is not None)
+
+
+@pytest.mark.parametrize("dof", [5, 50, 500, 50_000])
+def test_sound_residuals_are_called_marginal_no_oftener_than_their_bounds_say_and_never_fail(dof):
+    rng = np.random.default_rng(dof)
+    answers = []
+    for value in rng.chisquare(dof, 400):
+        fit = chi_square(float(value), dof)
+        measured = Measurement(fit.mean, "", bounds=(fit.lower, fit.upper))
+        answers.append(answer("chi-square", measured)["status"])
+    assert answers.count("MARGINAL") / 400 < 0.08
+    assert "FAIL" not in answers
+
+
+@pytest.mark.parametrize("scale", [0.05, 12.0])
+def test_residuals_far_from_the_stated_noise_fail_when_there_are_enough_to_tell(scale):
+    fit = chi_square(scale * 500, 500)
+    assert answer("chi-square", Measurement(fit.mean, "", bounds=(fit.lower, fit.upper)))["status"] == "FAIL"

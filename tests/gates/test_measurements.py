@@ -6,10 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from boresight.gates import GATES, judge, measure, parse_profile
 from boresight.gates.assessment import as_set, ground_set, started_from
 from boresight.gates.measurements import MEASURES
+from boresight.store.documents import canonical
 
 from .evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
 
@@ -217,6 +220,38 @@ def test_a_run_started_from_the_incumbent_or_not():
     assert started_from({"initial": initial}, ground_set(SENSOR))
     assert not started_from({"initial": initial}, a_set())
     assert not started_from({}, ground_set(SENSOR))
+
+
+JUNK = st.one_of(
+    st.none(), st.booleans(), st.floats(), st.text(max_size=3), st.lists(st.floats(), max_size=3), st.just({})
+)
+
+
+def places(document, path=()):
+    """Every place in a document, as a path of keys."""
+    for key, value in document.items():
+        yield (*path, key)
+        if isinstance(value, dict):
+            yield from places(value, (*path, key))
+
+
+def spoiled(document, path, junk):
+    """A copy of a document with junk in one place."""
+    return {
+        key: junk if path == (key,) else spoiled(value, path[1:], junk) if path[:1] == (key,) else value
+        for key, value in document.items()
+    }
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_whatever_stands_in_a_document_there_is_a_report_that_can_be_stored(data):
+    which = data.draw(st.sampled_from(["candidate", "incumbent", "result"]))
+    sound = {"candidate": a_set(), "incumbent": ground_set(SENSOR), "result": a_result()}[which]
+    path = data.draw(st.sampled_from(list(places(sound))))
+    report = judge(parse_profile({}), measure(evidence(**{which: spoiled(sound, path, data.draw(JUNK))})))
+    assert canonical(report)
 
 
 def test_the_rms_is_told_in_multiples_of_the_stated_noise():

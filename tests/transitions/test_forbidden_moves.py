@@ -13,12 +13,12 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.services import approvals, parameter_sets, users
+from boresight.services import approvals, audit, parameter_sets, users
 from boresight.services.actors import COMMAND_LINE, POLICY, Actor, Policy
 from boresight.services.staleness import make_stale_of_set
 from boresight.sky.catalogue import Catalogue
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import GROUND_STATES, ROLES, Approval, Base, ParameterSet, User
+from boresight.store.sessions import reading, utc_now, writing
+from boresight.store.tables import GROUND_STATES, ROLES, Approval, Base, ParameterSet, TableDefinition, User
 from tests.api.conftest import serving, settings_in
 from tests.api.operations import OPENAPI
 
@@ -248,3 +248,38 @@ def test_what_is_allowed_is_not_without_the_version_that_was_seen(board: Board, 
     assert "If-Match" in unsaid.json()["detail"]
     assert re.search(r"\(you saw v0, it is v\d+\): .+ it at 20\d\d-", older.json()["detail"])  # who, what and when
     assert board.digest() == before
+
+
+@pytest.mark.parametrize("move", [Move("approver", "approve", "MOVED"), Move("operator", "promote", "MOVED")], ids=str)
+def test_what_was_bound_and_moved_is_refused_and_only_its_request_becomes_stale(board: Board, move: Move) -> None:
+    row = _open(board, "MOVED")
+    if move.transition == "promote":
+        _sign(board, "MOVED")
+    with writing(board.installation.engine) as session:  # past the services, which would make it stale at once
+        session.add(
+            TableDefinition(
+                sensor_id=row.sensor_id, number=1, document={}, sha256="0" * 64, reason="x", created_utc=utc_now()
+            )
+        )
+        audit.append(session, COMMAND_LINE, "brought in", f"sensors/{row.sensor_id}")
+    board.seen.cache_clear()
+    before = board.digest()
+    assert board.try_move(move, validate_only="true").status_code == 412
+    assert board.digest() == before
+    answer = board.try_move(move)
+    request = board.request_of("MOVED")
+    assert answer.status_code == 412
+    assert "The table definition moved since" in answer.json()["detail"]
+    assert request is not None
+    assert (request.state, board.installation.set_of(row.id).ground_state) == ("STALE", "CANDIDATE")
+
+
+def test_a_signature_that_comes_too_late_is_refused_whoever_lets_the_request_expire(board: Board) -> None:
+    _open(board, "LATE", Policy(approval_days=0.0))
+    board.seen.cache_clear()
+    answer = board.try_move(Move("approver", "approve", "LATE"))
+    request = board.request_of("LATE")
+    assert answer.status_code in {409, 412}
+    assert "expire" in answer.json()["detail"]
+    assert request is not None
+    assert request.state == "EXPIRED"

@@ -2,7 +2,9 @@
 
 The value is `{user, epoch, csrf}` signed with the installation's secret key, so it can be read by its holder and altered
 by nobody. It ends when `session_hours` have passed, when the person is disabled, or when their `session_epoch` in the
-store has moved on (a changed password, "log out everywhere"). HttpOnly keeps it from scripts, SameSite=Lax from other
+store has moved on (a changed password, "log out everywhere"). With `session_idle_hours` it ends too when it was not used
+for so long; each server remembers that of the log-ins that it has seen, and an open page that only follows the event
+feed does not use its log-in. HttpOnly keeps it from scripts, SameSite=Lax from other
 sites' forms; the CSRF token it carries must come back in every unsafe request that the cookie authenticates.
 """
 
@@ -11,6 +13,7 @@ from __future__ import annotations
 import os
 import secrets
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +26,7 @@ from boresight.settings import Settings
 SESSION_COOKIE = "boresight_session"
 SECRET_FILE = "secret.key"  # noqa: S105 - the name of a file
 SECRET_BYTES = 32
+MOST_LOG_INS = 10_000
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,8 @@ class LogInCookie:
 
     def __init__(self, settings: Settings) -> None:
         self._max_age_s = round(settings.session_hours * 3600)
+        self._idle_s = settings.session_idle_hours * 3600
+        self._used_s: dict[str, float] = {}  # by CSRF token, which no two log-ins share
         self._secure = bool(settings.secure_cookies)
         self._serializer = URLSafeTimedSerializer(read_secret(settings.data_folder), salt=SESSION_COOKIE)
 
@@ -82,16 +88,40 @@ class LogInCookie:
         """Take the log-in away from the browser."""
         response.delete_cookie(SESSION_COOKIE, path="/", secure=self._secure, httponly=True, samesite="lax")
 
-    def read(self, value: str) -> LogIn:
+    def read(self, value: str, *, active: bool = True) -> LogIn:
         """Return what a cookie says.
+
+        Parameters
+        ----------
+        active
+            Whether somebody did something; False where an open page only goes on listening.
 
         Raises
         ------
         UnauthenticatedError
-            When it is too old, altered, or signed by another installation.
+            When it is too old, was idle for too long, is altered, or signed by another installation.
         """
         try:
             user_id, epoch, csrf_token = self._serializer.loads(value, max_age=self._max_age_s)
         except (BadData, ValueError, TypeError) as error:
             raise UnauthenticatedError("Your log-in has expired; log in again.") from error
+        self._refuse_idle(str(csrf_token), active=active)
         return LogIn(int(user_id), int(epoch), str(csrf_token))
+
+    def _refuse_idle(self, csrf_token: str, *, active: bool) -> None:
+        """Refuse a log-in that was not used for too long, and go on refusing it."""
+        if not self._idle_s:
+            return
+        now_s = time.monotonic()
+        if now_s - self._used_s.get(csrf_token, now_s) > self._idle_s:
+            raise UnauthenticatedError("Your log-in was not used for long and has ended; log in again.")
+        if active or csrf_token not in self._used_s:
+            self._used_s[csrf_token] = now_s
+        if len(self._used_s) > MOST_LOG_INS:
+            self._forget_expired(now_s)
+
+    def _forget_expired(self, now_s: float) -> None:
+        """Forget the log-ins that are older than any cookie may be."""
+        for token, used_s in list(self._used_s.items()):
+            if now_s - used_s > self._max_age_s:
+                self._used_s.pop(token, None)

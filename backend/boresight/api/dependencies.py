@@ -34,7 +34,12 @@ from boresight.store.sessions import Session, only_try, reading, writing
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
-WHILE_PASSWORD_IS_DUE = ("/api/v1/sessions/current", "/password", "/logout")  # what goes until one has set one's own
+WHILE_PASSWORD_IS_DUE = (
+    "/api/v1/sessions",
+    "/api/v1/sessions/current",
+    "/password",
+    "/logout",
+)  # what goes until one has set one's own
 CSRF_HEADER = "X-CSRF-Token"
 CSRF_FIELD = "csrf_token"
 DRY = "Check everything, change nothing: 200 with what would be, and `X-Validate-Only: true`."
@@ -62,7 +67,7 @@ def current_actor(request: Request) -> Actor:
     return known
 
 
-def _identify(request: Request) -> Actor:
+def _identify(request: Request, *, active: bool = True) -> Actor:
     """Look up the credential in the store."""
     secret = _bearer(request.headers)
     if secret is not None:
@@ -72,7 +77,7 @@ def _identify(request: Request) -> Actor:
         return actor
     if SESSION_COOKIE not in request.cookies:
         raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
-    log_in: LogIn = request.app.state.log_in_cookie.read(request.cookies[SESSION_COOKIE])
+    log_in: LogIn = request.app.state.log_in_cookie.read(request.cookies[SESSION_COOKIE], active=active)
     request.state.csrf_token = log_in.csrf_token
     due = f"/api/v1/users/{log_in.user_id}:change-password"
     with reading(request.app.state.engine) as session:
@@ -83,7 +88,7 @@ def _identify(request: Request) -> Actor:
 def still_known(request: Request) -> bool:
     """Whether the credential of a long request still holds: not logged out everywhere, revoked, expired or disabled."""
     try:
-        _identify(request)
+        _identify(request, active=False)
     except UnauthenticatedError:
         return False
     return True
@@ -160,7 +165,10 @@ async def csrf(request: Request) -> None:
         raise ForbiddenError("This request was made by another site; make it from Boresight's own pages.")
     if SESSION_COOKIE not in request.cookies:
         return  # nothing to abuse; whoever needs an actor refuses it
-    await run_in_threadpool(current_actor, request)
+    try:
+        await run_in_threadpool(current_actor, request)
+    except UnauthenticatedError:
+        return  # neither is there with a log-in that has ended; it must not keep anybody from logging in anew
     given = request.headers.get(CSRF_HEADER) or await _form_token(request)
     if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
         raise ForbiddenError(f"The {CSRF_HEADER} of this log-in is missing or another's; reload the page, do it again.")

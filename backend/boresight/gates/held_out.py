@@ -82,9 +82,15 @@ def held_out_scores(
 
 
 def of_result(result: Document) -> dict[str, Score | int] | None:
-    """Take the scores of a run's own validation, against what it started from; None where it had none."""
+    """Take the scores of a run's own validation, against what it started from.
+
+    None where it had none, where an older version wrote less of it, or where it kept some of many frames: those that differ first,
+    from which nothing of all frames follows.
+    """
     validation, shadow = result.get("validation"), (result.get("shadow") or {}).get("validation")
-    if not validation or not validation.get("intervals") or not shadow:
+    if not validation or not shadow or len(shadow["frames"]) != validation["frames"]:
+        return None
+    if "rms_ratio" not in (validation.get("intervals") or {}):
         return None
     frames = shadow["frames"]
     sides = ("baseline", "candidate")

@@ -6,9 +6,9 @@ judges exactly what was measured of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 Ends = tuple[float | None, float | None]
 
@@ -40,10 +40,6 @@ class Measurement:
     incumbent: float | None = None
     met: str | None = None
 
-    def document(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        return asdict(self)
-
 
 def absent(sentence: str) -> Measurement:
     """Return a measurement of nothing, with why and what to do."""
@@ -56,15 +52,6 @@ def answer(met: str, sentence: str) -> Measurement:
 
 
 def ends(pair: Sequence[float | None] | None) -> Ends | None:
-    """Return an interval as a pair; one that is not known at either end is none."""
-    if pair is None or (pair[0] is None and pair[1] is None):
-        return None
-    return (pair[0], pair[1])
-
-
-def parse_measurement(document: Mapping[str, Any]) -> Measurement:
-    """Read a measurement back from a report."""
-    values = dict(document)
-    for key in ("interval", "bounds"):
-        values[key] = ends(values.get(key))
-    return Measurement(**values)
+    """Return an interval as a pair, None for an end that is not known; one that is known at neither end is none."""
+    low, high = (None if end is None or not math.isfinite(end) else float(end) for end in pair or (None, None))
+    return None if low is None and high is None else (low, high)

@@ -7,6 +7,7 @@ the cause.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -28,11 +29,20 @@ def measure(evidence: Evidence) -> dict[str, Measurement]:
 def _measured(function: Callable[[Evidence], Measurement], evidence: Evidence) -> Measurement:
     """Measure for one gate; what cannot be had is absent, with the reason."""
     try:
-        return function(evidence)
+        return _finite(function(evidence))
     except RefusedInputError as refusal:
         return absent(str(refusal))
-    except (KeyError, TypeError, ValueError, np.linalg.LinAlgError):
+    except (AttributeError, LookupError, TypeError, ValueError, np.linalg.LinAlgError):
         return absent("The numbers of this set are not complete enough to tell: calibrate again.")
+
+
+def _finite(measured: Measurement) -> Measurement:
+    """Return a measurement whose value is a number, or none at all."""
+    if measured.value is not None and not np.isfinite(measured.value):
+        return absent(f"This is no finite number for this set. {measured.sentence}")
+    if measured.incumbent is not None and not np.isfinite(measured.incumbent):
+        return replace(measured, incumbent=None)
+    return measured
 
 
 def _score(name: str, evidence: Evidence) -> Measurement:

@@ -55,10 +55,11 @@ def nis(evidence: Evidence) -> Measurement:
 
 def _around_one(value: float, test: Document, what: str) -> Measurement:
     """Describe a mean square beside its 95 % bounds."""
-    size = f"{what} are {np.sqrt(value):.3g} times as large as expected"
-    bounds = f"{test['lower']:.4g} to {test['upper']:.4g} holds 95 of 100 sound sets"
+    inside = "inside" if test["lower"] <= value <= test["upper"] else "outside"
     return Measurement(
-        float(value), f"{size} (root of {value:.4g}; {bounds}).", bounds=ends((test["lower"], test["upper"]))
+        float(value),
+        f"{what} are {np.sqrt(value):.3g} times as large as expected, {inside} the 95 % bounds of sound sets.",
+        bounds=ends((test["lower"], test["upper"])),
     )
 
 

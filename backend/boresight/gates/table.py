@@ -21,7 +21,8 @@ class GateRow:
     name, title, status, sentence
         As in the report.
     value, interval, limit, marginal, incumbent, margin
-        Numbers in the unit, shares with their sign of per cent; a dash where there is none.
+        Numbers in the unit, shares with their sign of per cent; a dash where there is none. The interval is the value's, or
+        where a ratio should be 1 that of sound sets.
     unit
         Of all of them; empty for shares and plain numbers.
     notes
@@ -59,7 +60,7 @@ def _row(answer: Mapping[str, Any], blocking: bool) -> GateRow:
         title=answer["title"],
         status=answer["status"],
         value=met if answer["met"] else in_unit(name, answer["value"]),
-        interval=_between(name, answer["interval"]),
+        interval=_between(name, answer["interval"] or answer["bounds"]),
         limit=threshold_text(name, answer["limit"]),
         marginal=threshold_text(name, answer["marginal"]),
         incumbent=in_unit(name, answer["incumbent"]),

@@ -13,7 +13,7 @@ from boresight.pages.audit import line_of
 from boresight.pages.rendering import render
 from boresight.pages.states import LEVELS
 from boresight.services import approvals, audit, parameter_sets, runs, sensors
-from boresight.services.actors import Actor
+from boresight.services.actors import Actor, Policy
 from boresight.services.sensors import SensorTile
 from boresight.store.sessions import Session
 from boresight.store.tables import TERMINAL_RUN_STATES, Approval, ParameterSet
@@ -34,10 +34,10 @@ class Action:
     label: str
 
 
-def _signatures(session: Session, actor: Actor, names: Mapping[int, str]) -> Iterator[Action]:
+def _signatures(session: Session, actor: Actor, names: Mapping[int, str], policy: Policy) -> Iterator[Action]:
     """Yield the requests that this person may sign now."""
     for request in approvals.list_approvals(session, state="OPEN"):
-        if approvals.why_not_sign(session, actor, request.id) is None:
+        if approvals.why_not_sign(session, actor, request.id, policy=policy) is None:
             name = names.get(request.parameter_set_id, "A set")
             yield Action("standby", f"{name} waits for your signature.", f"/approvals/{request.id}", "Review")
 
@@ -95,14 +95,14 @@ class Desk:
     queue: Mapping[str, int]
 
 
-def _desk(session: Session, actor: Actor) -> Desk:
+def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
     """Gather the fleet's work for a person."""
     tiles, sets = sensors.fleet_overview(session), parameter_sets.list_parameter_sets(session, limit=500)
     names = {row.id: row.name for row in sets}
     sensor_of = {row.id: row.sensor_id for row in sets}
     opened = approvals.list_approvals(session, state="OPEN")
     actions = [
-        *_signatures(session, actor, names),
+        *_signatures(session, actor, names, policy),
         *_promotions(session, actor),
         *_own_requests(session, actor, names),
         *_calibrations(tiles, sets, actor),
@@ -155,7 +155,7 @@ def _counts(tiles: Sequence[SensorTile]) -> dict[str, int]:
 @router.get("/", response_class=HTMLResponse)
 def overview_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the fleet."""
-    desk = _desk(session, actor)
+    desk = _desk(session, actor, request.app.state.policy)
     return render(
         request,
         "overview.html",

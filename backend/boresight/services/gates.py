@@ -28,7 +28,7 @@ from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.gate_evidence import Case, bound_now, gather
 from boresight.services.gate_profiles import ensure_profile
-from boresight.services.transitions import get_parameter_set
+from boresight.services.transitions import get_parameter_set, whose_baseline
 from boresight.sky.catalogue import Catalogue
 from boresight.store import gates as rows
 from boresight.store.blobs import BlobStore
@@ -110,9 +110,9 @@ def _seen(
     if catalogue is None:
         return None, NOT_SEEN
     name, sha256 = case.held_out
-    settings = CalibrationSettings.parse(case.settings or {})
     incumbent = case.candidate if case.incumbent is None else case.incumbent
     try:
+        settings = CalibrationSettings.parse(case.settings or {})
         frames = read_telemetry(blobs.path(sha256), f"{name}.parquet")
         return held_out_scores(frames, sensor, catalogue, incumbent, case.candidate, settings, cache_folder), ""
     except BoresightError as refusal:
@@ -141,7 +141,8 @@ def _record(session: Session, actor: Actor, assessment: Assessment) -> GateRepor
     bound = assessment.document["bound"]
     moved = [_word(name) for name, now in bound_now(session, row).items() if bound[name] != now]
     if moved:
-        raise StaleError(f"The {' and the '.join(moved)} moved while {row.name} was assessed; assess it again.")
+        since = whose_baseline(session, row.sensor_id)
+        raise StaleError(f"The {' and the '.join(moved)} moved while {row.name} was assessed.{since} Do it again.")
     sha256 = sha256_of(assessment.document)
     newest = rows.newest_reports(session, [row.id]).get(row.id)
     if newest is not None and newest.sha256 == sha256:

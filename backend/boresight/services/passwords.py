@@ -59,7 +59,7 @@ def check_password(session: Session, name: str, user: User | None, password: str
         return
     rows.forget_failures(session, before_utc=utc_after(-3600.0))
     session.add(LoginFailure(name=name, at_utc=utc_now()))
-    keep_despite_refusal(session)
+    keep_despite_refusal(session, of_a_trial=True)
     raise UnauthenticatedError("Name and password do not fit; try again or ask an administrator.")
 
 

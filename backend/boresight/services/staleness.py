@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from boresight.errors import ConflictError, StaleError
 from boresight.services.actors import SYSTEM, Actor
 from boresight.services.evidence import moved
-from boresight.services.transitions import move, resting_state, who_changed
+from boresight.services.transitions import move, resting_state, whose_baseline
 from boresight.store import approvals as approval_rows
-from boresight.store import parameter_sets as rows
 from boresight.store.sessions import Session, keep_despite_refusal, utc_now
 from boresight.store.tables import Approval, ParameterSet
 
@@ -63,8 +62,7 @@ def refuse_moved(session: Session, actor: Actor, approval: Approval, row: Parame
     names = moved(session, approval, row)
     if not names:
         return
-    incumbent = rows.baseline(session, row.sensor_id)
-    since = f" The baseline is {incumbent.name}: {who_changed(session, incumbent)}." if incumbent else ""
+    since = whose_baseline(session, row.sensor_id)
     _make_stale(session, actor, approval, f"the {' and the '.join(names)} moved")
     keep_despite_refusal(session)
     raise StaleError(f"The {' and the '.join(names)} moved since {row.name} was submitted.{since} Submit it again.")

@@ -7,6 +7,7 @@ from typing import Any
 from boresight.errors import NotFoundError, PreconditionRequiredError, StaleError
 from boresight.services import audit
 from boresight.services.actors import Actor
+from boresight.store import parameter_sets as rows
 from boresight.store.sessions import Session
 from boresight.store.tables import Approval, ParameterSet, Sensor
 
@@ -75,6 +76,12 @@ def who_changed(session: Session, row: Versioned) -> str:
     """Say who changed a row last, what and when."""
     record = audit.last_change(session, subject_of(row))
     return f"{record.actor} {record.action} it at {record.at_utc}" if record else "nobody is on record for it"
+
+
+def whose_baseline(session: Session, sensor_id: int) -> str:
+    """Say which set is the baseline and who made it that; nothing where there is none."""
+    row = rows.baseline(session, sensor_id)
+    return f" The baseline is {row.name}: {who_changed(session, row)}." if row else ""
 
 
 def move(

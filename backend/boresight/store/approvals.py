@@ -38,7 +38,7 @@ def due(session: Session, now_utc: str) -> Sequence[Approval]:
     return session.scalars(_undecided().where(Approval.expires_utc <= now_utc)).all()
 
 
-def _undecided() -> sa.Select[tuple[Approval]]:
+def _undecided() -> sa.Select[Approval]:
     """Select the requests that are not decided, with those approved and not yet promoted, and their sets."""
     live = ParameterSet.ground_state.in_(("SUBMITTED", "APPROVED"))
     newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # an older one had its promotion

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -76,13 +77,14 @@ def words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
     return actors, session.scalars(sa.select(newest.c.action).distinct().order_by(newest.c.action)).all()
 
 
-def walk(session: Session, *, after_id: int = 0) -> Iterator[dict[str, Any]]:
+def walk(session: Session) -> Generator[dict[str, Any], None, None]:
     """Yield every record in the order it was written, documents as their text, without holding them all."""
     chain.write_out(session)
     columns = [
         sa.type_coerce(column, sa.Text) if column.key in chain.DOCUMENTS else column
         for column in (AuditRecord.__table__.columns[name] for name in chain.COLUMNS)
     ]
-    query = sa.select(*columns).where(AuditRecord.id > after_id).order_by(AuditRecord.id)
-    for row in session.execute(query, execution_options={"yield_per": RAW_AT_A_TIME}):
-        yield dict(zip(chain.COLUMNS, row, strict=True))
+    query = sa.select(*columns).order_by(AuditRecord.id)
+    with closing(session.execute(query, execution_options={"yield_per": RAW_AT_A_TIME})) as found:
+        for row in found:
+            yield dict(zip(chain.COLUMNS, row, strict=True))

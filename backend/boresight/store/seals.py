@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from typing import Any
 
 import sqlalchemy as sa
@@ -152,8 +153,9 @@ def digests_of(session: Session, model: type[Base], ids: Sequence[int] | None = 
     query = sa.select(*columns).order_by(table.columns["id"])
     if ids is not None:
         query = query.where(table.columns["id"].in_(ids))
-    for row in session.execute(query, execution_options={"yield_per": ROWS_AT_A_TIME}):
-        yield row[0], _digest(model, dict(zip(names, row, strict=True)))
+    with closing(session.execute(query, execution_options={"yield_per": ROWS_AT_A_TIME})) as found:
+        for row in found:
+            yield row[0], _digest(model, dict(zip(names, row, strict=True)))
 
 
 def _digest(model: type[Base], values: Mapping[str, Any]) -> str:

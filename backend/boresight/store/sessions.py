@@ -163,12 +163,18 @@ def only_try(session: Session) -> None:
     session.info[TRIED] = True
 
 
-def keep_despite_refusal(session: Session) -> None:
+def keep_despite_refusal(session: Session, *, of_a_trial: bool = False) -> None:
     """Keep what this transaction wrote although a refusal is about to be raised.
 
-    For the two refusals whose trace must survive: a failed log-in that counts, a request found stale.
+    For the refusals whose trace must survive: a failed log-in that counts, a request found stale or overdue.
+
+    Parameters
+    ----------
+    of_a_trial
+        Also when the transaction only tries: or passwords could be guessed without being counted.
     """
-    session.info[KEPT] = True
+    if of_a_trial or not session.info.get(TRIED):
+        session.info[KEPT] = True
 
 
 def _be_the_only_writer(connection: sa.Connection) -> None:

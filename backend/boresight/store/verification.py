@@ -98,14 +98,15 @@ def verify(session: Session, expected_head: str | None) -> Findings:
 
 def _walk(session: Session, scratch: sqlite3.Connection, found: Findings, expected_head: str | None) -> None:
     """Check every record against the one before, and gather the seals."""
-    for record in audit.walk(session):
-        if record["previous_hash"] != found.head or record["hash"] != chain.hash_of(found.head, record):
-            found.broken_id = record["id"]
-            return
-        if record["rows"] is not None:
-            scratch.executemany(PUT, _seals_in(record["rows"], record["id"]))
-        found.records, found.head, found.last_id = found.records + 1, record["hash"], record["id"]
-        found.met = found.met or found.head == expected_head
+    with closing(audit.walk(session)) as records:
+        for record in records:
+            if record["previous_hash"] != found.head or record["hash"] != chain.hash_of(found.head, record):
+                found.broken_id = record["id"]
+                return
+            if record["rows"] is not None:
+                scratch.executemany(PUT, _seals_in(record["rows"], record["id"]))
+            found.records, found.head, found.last_id = found.records + 1, record["hash"], record["id"]
+            found.met = found.met or found.head == expected_head
 
 
 def _seals_in(text: str, record_id: int) -> Iterator[tuple[str, int, str | None, int]]:

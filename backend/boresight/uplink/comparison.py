@@ -51,9 +51,10 @@ class DifferingByte:
     @property
     def sentence(self) -> str:
         """Name the bits, the byte and the field: `bit 3 of byte 17 (mask 0x10), in f_m`."""
-        named = ", ".join(map(str, self.bits))
+        numbers = ", ".join(map(str, self.bits))
+        named = "all bits" if len(self.bits) == BITS_A_BYTE else f"bit{'s' * (len(self.bits) > 1)} {numbers}"
         mask = f"mask 0x{self.expected ^ self.found:02X}"
-        return f"bit{'s' * (len(self.bits) > 1)} {named} of byte {self.offset} ({mask}), in {' and '.join(self.fields)}"
+        return f"{named} of byte {self.offset} ({mask}), in {' and '.join(self.fields)}"
 
     def document(self) -> dict[str, Any]:
         """Write it as JSON."""

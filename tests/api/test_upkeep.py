@@ -1,0 +1,102 @@
+"""The upkeep of a server: the light of the chain, and the last use of keys."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from boresight.api import upkeep as upkeep_module
+from boresight.api.upkeep import Upkeep
+from boresight.services import api_keys, audit, users
+from boresight.services.actors import COMMAND_LINE
+from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
+
+from .conftest import PASSWORD
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Engine]:
+    """A store with a person who has a key."""
+    store = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
+    migrate(store)
+    with writing(store) as session:
+        row = users.create_user(session, COMMAND_LINE, name="ada", printed_name="Ada", password=PASSWORD, roles=[])
+        actor = users.actor_of_session(session, row.id, 0)
+        api_keys.create_key(session, actor, label="passes")
+    yield store
+    store.dispose()
+
+
+def test_before_the_first_walk_nothing_is_claimed(store: Engine) -> None:
+    light = Upkeep(store).light()
+    assert (light.state, light.at_utc) == ("not yet", None)
+
+
+def test_the_light_tells_through_which_record_and_when(store: Engine) -> None:
+    upkeep = Upkeep(store)
+    upkeep.verify()
+    with reading(store) as session:
+        newest = audit.list_records(session, limit=1)[0]
+    light = upkeep.light()
+    assert (light.state, light.last_id) == ("verified", newest.id)
+    assert light.at_utc is not None
+    assert light.at_utc >= newest.at_utc
+
+
+def test_an_edit_by_hand_turns_the_light(store: Engine, caplog: pytest.LogCaptureFixture) -> None:
+    upkeep = Upkeep(store)
+    with store.begin() as connection:
+        connection.exec_driver_sql("UPDATE users SET roles = '[\"administrator\"]'")
+    for _ in range(2):
+        upkeep.verify()
+    light = upkeep.light()
+    assert light.state == "broken"
+    assert "users/1 was changed outside Boresight" in light.sentence
+    assert caplog.text.count("The audit log does not hold") == 1  # said when it is found, not every minute
+
+
+def test_a_finding_that_is_not_renewed_becomes_stale(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    upkeep = Upkeep(store)
+    upkeep.verify()
+    monkeypatch.setattr(time, "monotonic", lambda: 1e9)
+    assert upkeep.light().state == "stale"
+
+
+def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(store: Engine) -> None:
+    upkeep = Upkeep(store)
+    with reading(store) as session:
+        key = api_keys.list_keys(session)[0]
+    upkeep.start()
+    for _ in range(200):
+        if upkeep.light().state == "verified":
+            break
+        time.sleep(0.05)
+    upkeep.used(f"key:{key.prefix}")
+    upkeep.close()
+    upkeep.close()
+    assert upkeep.light().state == "verified"
+    with reading(store) as session:
+        assert api_keys.get_key(session, key.id).last_used_utc is not None
+
+
+def test_what_fails_is_tried_again(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    walks = []
+
+    def failing(session: object) -> None:
+        walks.append(session)
+        raise OSError("no disk")
+
+    monkeypatch.setattr(upkeep_module, "ROUND_S", 0.01)
+    monkeypatch.setattr(audit, "verify", failing)
+    upkeep = Upkeep(store)
+    upkeep.start()
+    for _ in range(200):
+        if len(walks) > 1:
+            break
+        time.sleep(0.02)
+    upkeep.close()
+    assert len(walks) > 1
+    assert upkeep.light().state == "not yet"

@@ -1,0 +1,150 @@
+"""Requests that wait too long, and the way back: a request of its own kind with less time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from datetime import datetime
+
+import pytest
+
+from boresight.api.heartbeat import Heartbeat
+from boresight.errors import ConflictError, ForbiddenError
+from boresight.services import approvals, audit, parameter_sets
+from boresight.services.actors import POLICY, Actor, Policy
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, reading, writing
+from boresight.store.tables import Approval, ParameterSet
+
+PASSWORD = "correct horse battery"
+AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
+People = Mapping[str, Actor]
+Ask = Callable[..., Approval]
+
+
+@pytest.fixture
+def ask(engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..., ParameterSet]) -> Ask:
+    """Submit a candidate under a policy."""
+
+    def make(policy: Policy = POLICY) -> Approval:
+        row = candidate()
+        with writing(engine) as session:
+            return parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=policy)
+
+    return make
+
+
+def _sign(engine: Engine, actor: Actor, approval: Approval) -> None:
+    with writing(engine) as session:
+        approvals.sign(session, actor, approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+
+
+def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
+    with reading(engine) as session:
+        row = approvals.get_approval(session, approval.id)
+        return row.state, parameter_sets.get_parameter_set(session, row.parameter_set_id).ground_state
+
+
+def _days(approval: Approval) -> float:
+    until, since = (datetime.fromisoformat(text or "") for text in (approval.expires_utc, approval.submitted_utc))
+    return round((until - since).total_seconds() / 86400, 3)
+
+
+def test_whoever_signs_too_late_finds_the_request_expired(engine: Engine, people: People, ask: Ask) -> None:
+    approval = ask(AT_ONCE)
+    with reading(engine) as session:
+        assert "expired at" in str(approvals.why_not_sign(session, people["cy"], approval.id))
+    with pytest.raises(ConflictError, match=r"Request 1 expired at 20.* Submit PS-ST16-1-1 again"):
+        _sign(engine, people["cy"], approval)
+    assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
+
+
+def test_the_heartbeat_lets_expire_what_nobody_decided_and_tells_of_it_once(engine: Engine, ask: Ask) -> None:
+    waiting, late, told = ask(), ask(AT_ONCE), []
+    heart = Heartbeat(engine, lambda: told.append("told"))
+    heart.beat()
+    heart.beat()
+    assert (_states(engine, waiting), _states(engine, late)) == (("OPEN", "SUBMITTED"), ("EXPIRED", "EXPIRED"))
+    assert told == ["told"]
+    with reading(engine) as session:
+        record = audit.last_change(session, f"approvals/{late.id}")
+        assert record is not None
+        assert (record.actor, record.action) == ("Boresight", "let expire")
+        assert str(late.expires_utc) in str(record.reason)
+
+
+def test_the_heartbeat_beats_by_itself_and_stops(engine: Engine, ask: Ask) -> None:
+    late = ask(AT_ONCE)
+    heart = Heartbeat(engine, lambda: None)
+    heart.start()
+    heart.close()
+    heart.close()
+    assert _states(engine, late) == ("EXPIRED", "EXPIRED")
+
+
+def test_an_approval_that_nobody_used_in_time_promotes_nothing(
+    engine: Engine, people: People, ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    approval = ask()
+    _sign(engine, people["cy"], approval)
+    monkeypatch.setattr("boresight.services.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
+    with writing(engine) as session, pytest.raises(ConflictError, match="expired at"):
+        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 3)
+    assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
+
+
+def test_what_expired_may_be_submitted_again_and_what_was_promoted_never_expires(
+    engine: Engine, people: People, blobs: BlobStore, ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late, used = ask(AT_ONCE), ask()
+    _sign(engine, people["cy"], used)
+    with writing(engine) as session:
+        approvals.expire_due(session)
+        row = parameter_sets.get_parameter_set(session, late.parameter_set_id)
+        parameter_sets.submit(session, people["ana"], blobs, row.id, "once more", row.version)
+        parameter_sets.promote(session, people["dee"], used.parameter_set_id, 3)
+    monkeypatch.setattr("boresight.services.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
+    with writing(engine) as session:
+        assert approvals.expire_due(session) == []
+    assert _states(engine, used) == ("APPROVED", "BASELINE")
+
+
+def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(
+    engine: Engine, people: People, blobs: BlobStore, ask: Ask
+) -> None:
+    approval = ask()
+    _sign(engine, people["cy"], approval)
+    with writing(engine) as session:
+        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 3)
+        ground = parameter_sets.list_parameter_sets(session, ground_state="SUPERSEDED")[0]
+        back = parameter_sets.roll_back(session, people["dee"], blobs, ground.id, "it drifts", ground.version)
+    assert (approval.kind, _days(approval)) == ("PROMOTION", 30.0)
+    assert (back.kind, _days(back), back.submitted_by) == ("ROLLBACK", 3.0, people["dee"].user_id)
+    _sign(engine, people["cy"], back)
+    with writing(engine) as session:
+        row = parameter_sets.get_parameter_set(session, ground.id)
+        assert parameter_sets.promote(session, people["dee"], row.id, row.version).ground_state == "BASELINE"
+        record = audit.last_change(session, f"parameter-sets/{ground.id}")
+        assert record is not None
+        assert (record.action, (record.after or {})["kind"]) == ("promoted", "ROLLBACK")
+
+
+def test_a_roll_back_that_expired_stays_superseded(engine: Engine, people: People, blobs: BlobStore, ask: Ask) -> None:
+    approval = ask()
+    _sign(engine, people["cy"], approval)
+    with writing(engine) as session:
+        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 3)
+        ground = parameter_sets.list_parameter_sets(session, ground_state="SUPERSEDED")[0]
+        asked = (blobs, ground.id, "it drifts", ground.version)
+        back = parameter_sets.roll_back(session, people["dee"], *asked, policy=AT_ONCE)
+        approvals.expire_due(session)
+    assert _states(engine, back) == ("EXPIRED", "SUPERSEDED")
+
+
+def test_there_is_no_way_back_to_what_never_was_baseline(
+    engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..., ParameterSet]
+) -> None:
+    row = candidate()
+    with writing(engine) as session, pytest.raises(ConflictError, match="was never baseline"):
+        parameter_sets.roll_back(session, people["dee"], blobs, row.id, "it drifts", row.version)
+    with writing(engine) as session, pytest.raises(ForbiddenError, match="analyst or operator"):
+        parameter_sets.roll_back(session, people["cy"], blobs, row.id, "it drifts", row.version)

@@ -1,0 +1,117 @@
+"""Holding rows against the chain, on both engines: what was changed, removed or inserted by hand is named."""
+
+from __future__ import annotations
+
+import pytest
+import sqlalchemy as sa
+
+from boresight.store import chain, verification
+from boresight.store.sessions import Engine, reading, writing
+from boresight.store.tables import AuditRecord, Base, Sensor, User
+from boresight.store.verification import Findings, Misfit
+
+NOW = "2026-11-21T00:00:00.000000Z"
+MALLORY = (
+    "INSERT INTO users (id, name, printed_name, password_hash, roles, created_utc, session_epoch) "
+    "VALUES (9, 'mallory', 'M', 'x', '[]', '2026', 0)"
+)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def store(request: pytest.FixtureRequest) -> Engine:
+    """Each engine in turn, with three people and a sensor of ψ, whose rows were sealed one after another."""
+    store: Engine = request.getfixturevalue("engine" if request.param == "sqlite" else "postgresql")
+    for name in ("ana", "bo", "cy"):
+        with writing(store) as session:
+            session.add(User(name=name, printed_name=name, password_hash="x", roles=["analyst"], created_utc=NOW))
+            chain.append_own(session, "added", f"users/{name}")
+    with writing(store) as session:
+        session.add(Sensor(name="ST1", document={"ψ": 1e22, "n": [0.1, None]}, created_utc=NOW, created_by=1))
+        chain.append_own(session, "registered", "sensors/1")
+    return store
+
+
+def _by_hand(store: Engine, *statements: str) -> None:
+    """Edit the database as its owner could, with the triggers out of the way."""
+    with store.begin() as connection:
+        if store.dialect.name == "sqlite":
+            names = connection.exec_driver_sql("SELECT name FROM sqlite_master WHERE type = 'trigger'").scalars().all()
+            statements = (*(f"DROP TRIGGER {name}" for name in names), *statements)
+        else:
+            tables = Base.metadata.tables
+            statements = (*(f"ALTER TABLE {name} DISABLE TRIGGER USER" for name in tables), *statements)
+        for statement in statements:
+            connection.exec_driver_sql(statement)
+
+
+def _found(store: Engine, head: str | None = None) -> Findings:
+    with reading(store) as session:
+        return verification.verify(session, head)
+
+
+def test_what_nobody_touched_is_as_it_was_written(store: Engine) -> None:
+    found = _found(store)
+    assert (found.records, found.rows, found.misfits, found.misfit, found.broken_id) == (4, 4, 0, None, None)
+
+
+@pytest.mark.parametrize(
+    ("statement", "misfit"),
+    [
+        ("UPDATE users SET roles = '[\"administrator\"]' WHERE id = 2", Misfit("users/2", "changed", 2)),
+        ("UPDATE users SET roles = '[\"analyst\" ]' WHERE id = 2", Misfit("users/2", "changed", 2)),
+        ("UPDATE users SET disabled_utc = '2026' WHERE id = 3", Misfit("users/3", "changed", 3)),
+        ("UPDATE users SET session_epoch = 1 WHERE id = 3", Misfit("users/3", "changed", 3)),
+        ("UPDATE sensors SET document = '{}'", Misfit("sensors/1", "changed", 4)),
+        ("DELETE FROM users WHERE id = 3", Misfit("users/3", "removed", 3)),
+        (MALLORY, Misfit("users/9", "inserted", None)),
+        ("UPDATE users SET id = 8 WHERE id = 2", Misfit("users/2", "removed", 2)),
+    ],
+)
+def test_an_edit_by_hand_is_named_with_its_record(store: Engine, statement: str, misfit: Misfit) -> None:
+    _by_hand(store, statement)
+    assert _found(store).misfit == misfit
+
+
+@pytest.mark.parametrize(
+    ("statements", "broken_id"),
+    [
+        (("UPDATE audit SET reason = 'x' WHERE id = 2",), 2),
+        (("UPDATE audit SET rows = NULL WHERE id = 3",), 3),
+        (("DELETE FROM audit WHERE id = 2",), 3),
+        (("UPDATE audit SET id = 20 WHERE id = 2", "UPDATE audit SET id = 2 WHERE id = 3"), 2),
+    ],
+)
+def test_a_record_edited_by_hand_is_named(store: Engine, statements: tuple[str, ...], broken_id: int) -> None:
+    _by_hand(store, *statements)
+    assert _found(store).broken_id == broken_id
+
+
+def test_a_tail_that_was_cut_leaves_rows_without_seals_and_misses_the_head(store: Engine) -> None:
+    head = _found(store).head
+    _by_hand(store, "DELETE FROM audit WHERE id = 4")
+    found = _found(store, head)
+    assert (found.met, found.misfit) == (False, Misfit("sensors/1", "inserted", None))
+
+
+def test_a_later_seal_stands_for_the_row(store: Engine) -> None:
+    with writing(store) as session:
+        session.get_one(User, 2).roles = ["viewer"]
+        chain.append_own(session, "changed", "users/2")
+    assert _found(store).misfit is None
+    _by_hand(store, "UPDATE users SET roles = '[\"analyst\"]' WHERE id = 2")  # as it was sealed before
+    assert _found(store).misfit == Misfit("users/2", "changed", 5)
+
+
+def test_many_misfits_are_counted_and_the_one_with_the_oldest_record_kept(store: Engine) -> None:
+    _by_hand(store, "UPDATE sensors SET version = 7", "UPDATE users SET printed_name = 'M'")
+    found = _found(store)
+    assert (found.misfits, found.misfit) == (4, Misfit("users/1", "changed", 1))
+
+
+def test_the_chain_is_walked_in_pieces(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("boresight.store.audit.RAW_AT_A_TIME", 2)
+    monkeypatch.setattr("boresight.store.seals.ROWS_AT_A_TIME", 2)
+    found = _found(store)
+    assert (found.records, found.rows, found.misfits) == (4, 4, 0)
+    with reading(store) as session:
+        assert session.scalar(sa.select(sa.func.max(AuditRecord.id))) == found.last_id
