@@ -136,9 +136,7 @@ def test_nobody_there_is_an_outcome_and_no_error(store: Engine, hook: Webhook, r
     receiver.thread.start()
 
 
-@pytest.mark.parametrize(
-    "host", ["localhost", "127.0.0.1", "[::1]", "169.254.169.254", "[::ffff:127.0.0.1]"]
-)
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "169.254.169.254", "[::ffff:127.0.0.1]"])
 def test_this_machine_and_its_link_are_not_reached_unless_allowed(
     store: Engine, hook: Webhook, receiver: Receiver, host: str
 ) -> None:

@@ -168,6 +168,8 @@ def test_a_narrow_field_gets_arcs_of_a_quarter_of_its_side(sensor, catalogue):
     narrow = replace(sensor, rows=800, columns=900)
 
     assert np.degrees(arc_length_rad(sensor, wide.estimate.x)) == pytest.approx(5)
-    assert np.degrees(arc_length_rad(narrow, wide.estimate.x)) == pytest.approx(np.degrees(800 * 2.2e-6 / 0.016) / 4, rel=0.05)
+    assert np.degrees(arc_length_rad(narrow, wide.estimate.x)) == pytest.approx(
+        np.degrees(800 * 2.2e-6 / 0.016) / 4, rel=0.05
+    )
     part = arc_sigma_map(wide)
     assert np.array(part["sigma_arcsec"]).shape == (len(part["row_px"]), len(part["col_px"]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import accumulate
 from typing import Any
 
 import pytest
@@ -18,7 +17,6 @@ from boresight.store.sessions import (
     downgrade,
     head_revision,
     migrate,
-    open_engine,
     reading,
     writing,
 )
@@ -123,39 +121,6 @@ def _fill(store: Engine) -> None:
 def test_the_migrated_schema_is_the_one_of_the_models(store: Engine) -> None:
     with store.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
-
-
-def test_every_table_and_index_is_spelled_as_the_models_spell_it(engine: Engine, tmp_path: Any) -> None:
-    direct = open_engine(f"sqlite:///{tmp_path}/direct.sqlite3")
-    with direct.begin() as connection:
-        Base.metadata.create_all(connection)
-    migrated, modelled = _spelling(engine), _spelling(direct)
-    assert {name: _parts(sql) for name, sql in migrated.items()} == {
-        name: _parts(sql) for name, sql in modelled.items()
-    }
-    direct.dispose()
-
-
-def _parts(sql: str) -> set[str]:
-    """Split a statement at its outer commas: a column that was added later stands after the constraints."""
-    head, _, rest = sql.partition("(")
-    body, _, tail = rest.rpartition(")")
-    depths = accumulate((letter == "(") - (letter == ")") for letter in body)
-    cut = "".join("\n" if letter == "," and depth == 0 else letter for letter, depth in zip(body, depths, strict=True))
-    return {head.strip(), tail.strip(), *(part.strip().replace('"', "") for part in cut.split("\n"))}
-
-
-def _spelling(engine: Engine) -> dict[str, str]:
-    query = "SELECT name, sql FROM sqlite_master WHERE type IN ('table', 'index') AND sql IS NOT NULL"
-    with engine.connect() as connection:
-        rows = connection.exec_driver_sql(query)
-        return {name: " ".join(sql.split()) for name, sql in rows if name != "alembic_version"}
-
-
-def test_every_table_is_strict(engine: Engine) -> None:
-    tables = {name: sql for name, sql in _spelling(engine).items() if sql.startswith("CREATE TABLE")}
-    assert len(tables) == len(Base.metadata.tables)
-    assert all(sql.endswith("STRICT") for sql in tables.values())
 
 
 def test_data_survive_a_migration_that_has_nothing_to_do(store: Engine) -> None:
