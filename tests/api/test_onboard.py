@@ -59,6 +59,7 @@ def test_the_same_form_under_one_key_is_one_record_though_its_text_differs(house
         ({"data": {"source": "x"}, "files": {"file": ("d", bytes(300_000))}}, 422, "over 200,000 bytes"),
         ({"data": {"source": "x"}, "files": {"file": ("d", bytes(1_100_000))}}, 413, "over 1,000,000 bytes"),
         ({"json": {"source": "x", "crc": "1"}}, 422, "the dump or the CRC"),
+        ({"data": {f"field{n}": "x" for n in range(20)}, "files": {"file": ("d", b"1")}}, 400, "Too many fields"),
     ],
 )
 def test_what_is_no_read_back_is_refused(house: House, given: dict[str, Any], status: int, says: str) -> None:

@@ -20,6 +20,7 @@ from boresight.pages import formats
 from boresight.pages.frame import FLASH_COOKIE, frame_of
 from boresight.pages.states import LEVELS, level_of, worst
 from boresight.resources import folder
+from boresight.services.history import how_known
 
 FLASH_SECONDS = 60
 
@@ -34,7 +35,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {function.__name__: function for function in formats.FILTERS}
-    environment.filters |= {"level_of": level_of, "worst": worst}
+    environment.filters |= {"level_of": level_of, "worst": worst, "how_known": how_known}
     environment.globals |= {"LEVELS": LEVELS, "version": boresight.__version__}
     return environment
 

@@ -13,7 +13,6 @@ from boresight.errors import RefusedInputError
 from boresight.pages.rendering import render
 from boresight.pages.runs import read_names
 from boresight.services import sensors, timeline
-from boresight.services.history import how_known
 from boresight.services.timeline import AsOf
 from boresight.store.sessions import Session, utc_now
 
@@ -45,7 +44,6 @@ def timeline_page(
         later=before_id is not None,
         older=events[-1].id if len(found) > EVENTS_A_PAGE else None,
         names=read_names(session),
-        how_known=how_known,
         actor=actor,
     )
 

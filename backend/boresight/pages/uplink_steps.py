@@ -24,7 +24,6 @@ from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import packages, parameter_sets, read_backs, sensors, timeline, uplinks
 from boresight.services.actors import Actor
-from boresight.services.history import how_known
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import Package, ParameterSet, Uplink
@@ -82,7 +81,6 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
             readable=row.onboard_state in read_backs.READABLE,
             blocked=None if "operator" in actor.roles else NO_ROLE,
             names=names,
-            how_known=how_known,
             shown=shown,
         )
 

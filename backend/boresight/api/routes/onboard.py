@@ -82,7 +82,7 @@ def once_read(request: Request, came: Came, asked: OnlyAsked, idempotency_key: I
     summary="Compare a dump or a CRC",
     status_code=201,
     response_model=schemas.Uplink,
-    responses=refusals(404, 409, 412, 413, 428),
+    responses=refusals(400, 404, 409, 412, 413, 428),
     openapi_extra={"requestBody": FORM},
 )
 def read_back(
