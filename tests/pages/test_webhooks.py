@@ -54,7 +54,7 @@ def test_a_disabled_webhook_offers_to_be_enabled_and_nothing_else(house):
     visitor, address = house.visitor("adele"), _made(house)
     visitor.post(f"{address}/disable")
     page = visitor.get(address)
-    assert "Send a trial" not in page
+    assert f'action="{address}/try"' not in page
     assert f'action="{address}/enable"' in page
 
 
