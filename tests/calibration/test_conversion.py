@@ -108,3 +108,11 @@ def test_a_model_that_is_none_or_its_own_is_refused(target, said):
 def test_parameters_of_another_model_are_refused():
     with pytest.raises(RefusedInputError, match="of the camera model inverted_wang"):
         convert({"camera_model": "inverted_wang", "parameters": {}})
+
+
+def test_parameters_that_were_not_estimated_are_named_beside_the_sigmas():
+    only_f = {"parameters": LENS, "covariance": {"names": ["f_m"], "matrix": [[1e-12]]}}
+
+    assert convert(only_f)["conversion"]["assumed"] == ["s", "u0_px", "v0_px", "k1", "k2"]
+    assert convert(MEASURED)["conversion"]["assumed"] == []
+    assert convert()["conversion"]["assumed"] == [], "without a covariance no sigma is told"

@@ -87,7 +87,7 @@ def ending(rng):
         "trust": trust(named(sigma)),
         "matching": matching(),
         "shadow": shadow(),
-        "timing_s": {"read": 0.1, "fit": 0.4},
+        "timing_s": {"read": 0.1, "fit": 0.9, "method": 0.4},
         "inputs": {
             "sha256s": {"telemetry": "ab" * 32, "sensor": "cd" * 32},
             "versions": {"boresight": "0.1.0", "numpy": "2.4.0"},

@@ -41,7 +41,7 @@ def test_the_nees_takes_correlation_into_account_over_ten_decades(sequential_res
     assert method_scores(result).honesty.mean == pytest.approx(offset @ np.linalg.solve(correlation, offset) / 2)
 
 
-def test_the_cost_is_that_of_the_fit_a_frame_and_a_replay_has_none(sequential_result):
+def test_the_cost_is_that_of_the_method_a_frame_and_a_replay_has_none(sequential_result):
     assert method_scores(sequential_result).ms_per_frame == pytest.approx(1e3 * 0.4 / 200)
     replay = changed(sequential_result, inputs={"settings": {"replay_frames_per_s": 5.0}})
     assert method_scores(replay).ms_per_frame is None
@@ -123,7 +123,7 @@ def test_frames_that_determine_too_little_are_gaps_in_every_curve(sequential_res
         *(f"Model {model}" for model in (1, 2, 3, 4)), *(f"σ{k} alone" for k in (1, 2, 3))
     ]  # fmt: skip
     assert all(np.isnan(line.y[7]) and not line.connectgaps for line in drawn.data)
-    assert "120 frames spaced evenly over 200" in drawn.layout.title.text
+    assert "120 spaced evenly over 200" in drawn.layout.xaxis2.title.text
 
 
 def test_one_frame_that_hardly_determines_anything_does_not_flatten_the_others(sequential_result):

@@ -71,7 +71,7 @@ def converted(
         "units": dict(zip(names, camera.units, strict=True)),
         "sigma": dict(zip(names, sigma, strict=True)),
         "covariance": None if found.P is None else {"names": names, "matrix": found.P.tolist()},
-        "conversion": _how(name, sensor.camera_model, x, found, allowed),
+        "conversion": _how(name, sensor.camera_model, x, found, allowed, _assumed(document, sensor)),
     }
     parse_parameters(written, sensor_under(sensor, written), f"{name} in {target}")
     return written
@@ -88,6 +88,13 @@ def _given(document: Mapping[str, Any], sensor: Sensor, name: str, target: str) 
     return x, P
 
 
+def _assumed(document: Mapping[str, Any], sensor: Sensor) -> list[str]:
+    """Name the parameters that a document with a covariance did not estimate."""
+    covariance = document.get("covariance")
+    estimated = covariance["names"] if covariance else ()
+    return [name for name in CAMERA_MODELS[sensor.camera_model].parameter_names if estimated and name not in estimated]
+
+
 def _refusal(name: str, source: str, target: str, found: Conversion, allowed_px: float, *, by_rule: bool) -> str:
     """One sentence that says by how much, why, and what to do instead."""
     size = (
@@ -102,8 +109,10 @@ def _refusal(name: str, source: str, target: str, found: Conversion, allowed_px:
     )
 
 
-def _how(name: str, source: str, x: FloatArray, found: Conversion, allowed_px: float) -> dict[str, Any]:
-    """What was converted, and how well."""
+def _how(
+    name: str, source: str, x: FloatArray, found: Conversion, allowed_px: float, assumed: list[str]
+) -> dict[str, Any]:
+    """What was converted, how well, and for which parameters the spread of a ground calibration stands as their sigma."""
     return {
         "source": name,
         "camera_model": source,
@@ -112,6 +121,7 @@ def _how(name: str, source: str, x: FloatArray, found: Conversion, allowed_px: f
         "misfit_arcsec": {"max": found.misfit_rad * ARCSEC_PER_RAD, "rms": found.rms_rad * ARCSEC_PER_RAD},
         "allowed_px": allowed_px,
         "lost_sigma_px": found.lost_sigma_px,
+        "assumed": assumed,
     }
 
 

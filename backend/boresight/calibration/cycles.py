@@ -7,6 +7,7 @@ frame by frame, and is judged by the set as its end state matches it.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,12 +49,16 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Ended:
-    """Where the cycles ended: the set and estimate that belong together, every cycle, and whether the matches rest."""
+    """Where the cycles ended: the set and estimate that belong together, every cycle, and whether the matches rest.
+
+    `method_s` is the processor time of the method alone in its last cycle, matching left out.
+    """
 
     matched: Matched
     estimate: Estimate
     cycles: tuple[Cycle, ...] = ()
     rested: bool = True
+    method_s: float = 0.0
 
 
 def fit_in_cycles(
@@ -67,14 +72,16 @@ def fit_in_cycles(
     """Run the batch estimator until its matches rest."""
     matched, cycles = first, list[Cycle]()
     while True:
+        began = time.thread_time()
         estimate = run_batch(matched.problem, parameters, settings, listen, cancelled)
+        method_s = time.thread_time() - began
         if sets.matcher is None or estimate.status == "diverged":
-            return Ended(matched, estimate, tuple(cycles), rested=sets.matcher is None)
+            return Ended(matched, estimate, tuple(cycles), sets.matcher is None, method_s)
         again = sets.at(estimate, matched.problem)
         cycles.append(_cycle(len(cycles) + 1, matched, again, estimate))
         rested = cycles[-1].changed == 0
         if rested or len(cycles) == MOST_CYCLES or again.problem.arcs.n_exposures == 0:
-            return Ended(matched, estimate, tuple(cycles), rested)
+            return Ended(matched, estimate, tuple(cycles), rested, method_s)
         matched = again
 
 
@@ -89,14 +96,16 @@ def filter_set(
     """Run a filter, on the baseline's matches or on those of its latest state."""
     follows = sets.matcher is not None and settings.matched_with == "latest"
     frames: Frames = RematchedFrames(sets) if follows else ProblemFrames(first.problem)
+    began = time.thread_time()
     history, updated = run_sequential(frames, first.problem, parameters, settings, listen, cancelled)
+    method_s = time.thread_time() - began - (frames.matching_s if isinstance(frames, RematchedFrames) else 0.0)
     if not follows or not history.finite:
-        return Ended(first, finished(first.problem, parameters, history, updated))
+        return Ended(first, finished(first.problem, parameters, history, updated), method_s=method_s)
     last = sets.at_covariance(history.last.x, history.last.P)
     if last.problem.arcs.n_exposures == 0:
-        return Ended(first, finished(first.problem, parameters, history, updated), rested=False)
+        return Ended(first, finished(first.problem, parameters, history, updated), rested=False, method_s=method_s)
     estimate = finished(last.problem, parameters, history, updated)
-    return Ended(last, estimate, (_cycle(1, first, last, estimate),))
+    return Ended(last, estimate, (_cycle(1, first, last, estimate),), method_s=method_s)
 
 
 def _cycle(number: int, before: Matched, after: Matched, estimate: Estimate) -> Cycle:

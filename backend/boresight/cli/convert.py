@@ -96,3 +96,8 @@ def _lines(written: dict[str, Any]) -> Iterator[str]:
     )
     if written["covariance"] is not None:
         yield f"\nuncertainty that {written['camera_model']} cannot express: at most {how['lost_sigma_px']:.2g} px (1 sigma)"
+    if how["assumed"]:
+        yield (
+            f"not estimated: {', '.join(how['assumed'])}; before the conversion ten typical sigmas stand for each, "
+            "so a sigma above may be theirs"
+        )

@@ -61,7 +61,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure.update_yaxes(title_text="min s, models" if len(drawn) == 1 else "min s, Model 4", row=1, col=1)
     figure.update_yaxes(title_text="min s, one value" if len(drawn) == 1 else "min s, σ2 alone", row=2, col=1)
     figure.update_xaxes(showticklabels=True)
-    figure.update_xaxes(title_text="frame", row=2, col=1)
+    figure.update_xaxes(title_text=f"frame{_spacing(drawn)}", row=2, col=1)
     return figure
 
 
@@ -110,10 +110,14 @@ def _headline(drawn: Sequence[Part]) -> str:
     """Say what is drawn, and of how many frames."""
     if len(drawn) > 1:
         return f"Minimum singular value by frame, {len(drawn)} runs"
+    return f"Minimum singular value by frame{_spacing(drawn)}"
+
+
+def _spacing(drawn: Sequence[Part]) -> str:
+    """Say of how many frames the curves are, where it is not all of one run's."""
     view = drawn[0][2]
     used, frames = view.get("frames_used"), view.get("frames")
-    of = "" if used == frames else f", {used} frames spaced evenly over {frames}"
-    return f"Minimum singular value by frame{of}"
+    return "" if len(drawn) > 1 or used == frames else f" ({used} spaced evenly over {frames})"
 
 
 def table(result: Result) -> Table:

@@ -36,7 +36,7 @@ class MethodScores:
     honesty
         NEES / n with its 95 % bounds.
     ms_per_frame
-        Time of the fit over the frames, matching again included where the run did so.
+        Processor time of the method alone over the frames, matching left out; measured once.
     settled_frames, settled_iterations
         After how many the parameters stay within `SETTLED_SIGMAS` final sigmas of their end.
     condition
@@ -125,8 +125,8 @@ def _honesty(result: Result) -> ChiSquare | None:
 
 
 def _ms_per_frame(result: Result) -> float | None:
-    """Time of the fit over the frames; None for a replay, whose pace was chosen."""
-    seconds, frames = (result.get("timing_s") or {}).get("fit"), result.get("frames")
+    """Processor time of the method over the frames; None for a replay, which takes its frames one by one."""
+    seconds, frames = (result.get("timing_s") or {}).get("method"), result.get("frames")
     chosen = (result.get("inputs") or {}).get("settings") or {}
     if seconds is None or not frames or (chosen.get("replay_frames_per_s") or 0) > 0:
         return None

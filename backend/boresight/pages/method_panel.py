@@ -120,7 +120,8 @@ def _lines(compared: Sequence[HasResult]) -> list[Line]:
             "Cost",
             "ms / frame",
             [number(score.ms_per_frame, 3) for score in scores],
-            "Time of the fit over the frames, matching again included, on the machine that computed it; a replay has none.",
+            "Processor time of the method alone, matching left out, measured once: below a factor of two it ranks nothing. "
+            "A replay has none; paired rounds of every method are in the report of boresight reproduce wu.",
         ),
         Line(
             "Converged after",
@@ -170,8 +171,13 @@ def _against_truth(scores: Sequence[MethodScores]) -> list[Line]:
 def _settled(one: HasResult, score: MethodScores) -> str:
     """Write how long a method took to its end."""
     if is_sequential(one.run.method):
-        return MISSING if score.settled_frames is None else f"{count(score.settled_frames)} frames"
-    return MISSING if score.settled_iterations is None else f"{count(score.settled_iterations)} iterations"
+        return MISSING if score.settled_frames is None else _many(score.settled_frames, "frame")
+    return MISSING if score.settled_iterations is None else _many(score.settled_iterations, "iteration")
+
+
+def _many(number_of: int, what: str) -> str:
+    """Write so many of something."""
+    return f"{count(number_of)} {what}{'' if number_of == 1 else 's'}"
 
 
 def _verdict(value: float | None, consistent: bool | None, digits: int) -> str:

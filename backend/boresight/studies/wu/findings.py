@@ -35,8 +35,21 @@ def _noise(pooled: Pooled) -> Finding:
         "4.1: “normally-distributed noise (with a standard deviation of 0.5 pixel)”; Table 4: criterion B from 10.608″ to 10.854″.",
         f"With the true parameters criterion B is {at[0.5]:.2f}″ at 0.5 px and {at[0.2]:.2f}″ at 0.2 px, so that the printed "
         f"{PRINTED_B:.3f}″ is that of {implied:.3f} px.",
-        f"Calibrated at 0.2 px, Model 4 {{2,3}} gives {ours:.3f}″, {100 * (ours / PRINTED_B - 1):+.2f} % from the printed.",
+        f"Calibrated at 0.2 px, Model 4 {{2,3}} gives {ours:.3f}″, {100 * (ours / PRINTED_B - 1):+.2f} % from the printed; by "
+        f"groups of {_of_groups(pooled)} %.",
     )
+
+
+def _of_groups(pooled: Pooled) -> str:
+    """How far criterion B at 0.2 px lies from the printed in each group of Table 4, with its stars."""
+    printed_b = printed.TABLE_4["B", "mean"][1::2]
+    found = [mean_of(pooled.of("svd-4-23", "full", NOISES_PX[0], limit), "B") for limit in printed.GROUPS]
+    stars = [np.mean([record["stars"] for record in pooled.of("angular", limit=limit)]) for limit in printed.GROUPS]
+    said = [
+        f"{count:.0f} stars {100 * (ours / theirs - 1):+.1f}"
+        for count, ours, theirs in zip(stars, found, printed_b, strict=True)
+    ]
+    return ", ".join(said)
 
 
 def _first_value(pooled: Pooled) -> Finding:
