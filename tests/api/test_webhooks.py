@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from boresight.api.deliveries import Deliveries
-from boresight.services import users, webhooks
+from boresight.services import audit, users, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
 from boresight.store.tables import Webhook, WebhookDelivery
@@ -136,14 +136,13 @@ def test_nobody_there_is_an_outcome_and_no_error(store: Engine, hook: Webhook, r
     receiver.thread.start()
 
 
-@pytest.mark.parametrize(
-    "host", ["localhost", "127.0.0.1", "[::1]", "169.254.169.254", "[::ffff:127.0.0.1]"]
-)
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "169.254.169.254", "[::ffff:127.0.0.1]"])
 def test_this_machine_and_its_link_are_not_reached_unless_allowed(
     store: Engine, hook: Webhook, receiver: Receiver, host: str
 ) -> None:
     with writing(store) as session:
         session.get_one(Webhook, hook.id).url = f"http://{host}:{receiver.server.server_address[1]}/hook"
+        audit.append(session, _root(session), "brought in", f"webhooks/{hook.id}")
         webhooks.try_webhook(session, _root(session), hook.id)
     Deliveries(store, local=False).deliver()
     assert receiver.heard == []
