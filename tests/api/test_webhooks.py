@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from boresight.api.deliveries import Deliveries
-from boresight.services import users, webhooks
+from boresight.services import audit, users, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
 from boresight.store.tables import Webhook, WebhookDelivery
@@ -142,6 +142,7 @@ def test_this_machine_and_its_link_are_not_reached_unless_allowed(
 ) -> None:
     with writing(store) as session:
         session.get_one(Webhook, hook.id).url = f"http://{host}:{receiver.server.server_address[1]}/hook"
+        audit.append(session, _root(session), "brought in", f"webhooks/{hook.id}")
         webhooks.try_webhook(session, _root(session), hook.id)
     Deliveries(store, local=False).deliver()
     assert receiver.heard == []
