@@ -101,9 +101,9 @@ def test_validate_only_answers_200_and_changes_nothing(name: str, house: House) 
 
 
 def _written(house: House) -> list[int]:
-    """Count the rows of every table."""
+    """Count the rows of every table but of the messages to webhooks, which a thread makes of what was done before."""
     with reading(house.app.state.engine) as session:
-        tables = Base.metadata.sorted_tables
+        tables = [table for table in Base.metadata.sorted_tables if table.name != "webhook_deliveries"]
         return [session.scalar(sa.select(sa.func.count()).select_from(table)) or 0 for table in tables]
 
 
@@ -122,6 +122,17 @@ ABLE = {
     "read_back": "olga",
     "activate_parameter_set": "olga",
     "set_gate_profile": "adele",
+    **dict.fromkeys(
+        (
+            "get_webhook",
+            "disable_webhook",
+            "enable_webhook",
+            "try_webhook",
+            "list_webhook_deliveries",
+            "redeliver",
+        ),
+        "adele",
+    ),
 }  # who may do it, where not the analyst
 BODIES: dict[str, dict[str, Any]] = {
     "convert_parameter_set": {"params": {"to": "pinhole_radial"}},

@@ -102,7 +102,7 @@ def test_a_receiver_can_check_the_signature_of_the_bytes_it_got(
     assert path == "/hook?team=1"
     assert headers["host"].startswith("localhost:")
     assert abs(time.time() - int(headers["webhook-timestamp"])) < 60
-    signed = webhooks.signature(hook.secret, headers["webhook-id"], int(headers["webhook-timestamp"]), body)
+    signed = webhook_messages.signature(hook.secret, headers["webhook-id"], int(headers["webhook-timestamp"]), body)
     assert headers["webhook-signature"] == signed
     assert json.loads(body)["id"] == headers["webhook-id"]
     assert (_delivery(store, number).state, _delivery(store, number).status) == ("DELIVERED", 204)
@@ -134,6 +134,18 @@ def test_nobody_there_is_an_outcome_and_no_error(store: Engine, hook: Webhook, r
     receiver.server = ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler)
     receiver.thread = threading.Thread(target=receiver.server.serve_forever, daemon=True)
     receiver.thread.start()
+
+
+def test_a_dead_receiver_is_asked_once_a_look_and_delays_nobody(
+    store: Engine, hook: Webhook, receiver: Receiver
+) -> None:
+    with writing(store) as session:
+        dead = webhooks.create_webhook(session, _root(session), label="Dead", url="http://127.0.0.1:9/")
+    numbers = [_trial(store, dead) for _ in range(3)]
+    _trial(store, hook)
+    Deliveries(store, local=True).deliver()
+    assert len(receiver.heard) >= 1
+    assert [_delivery(store, number).attempts for number in numbers] == [1, 0, 0]
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "169.254.169.254", "[::ffff:127.0.0.1]"])

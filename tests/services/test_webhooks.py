@@ -13,9 +13,9 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import api_keys, audit, users, webhooks
+from boresight.services import api_keys, audit, users, webhook_messages, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.sessions import Session
+from boresight.store.sessions import Session, utc_after
 from boresight.store.tables import Webhook, WebhookDelivery
 
 URL = "https://mission.example/hooks?team=1"
@@ -85,7 +85,7 @@ def test_a_message_says_what_who_and_which_record_of_the_chain(session: Session,
     row = _deliveries(session)[0]
     record = audit.list_records(session, limit=1)[0]
     body = json.loads(row.body)
-    assert body["id"] == webhooks.message_id(row.id)
+    assert body["id"] == webhook_messages.message_id(row.id)
     assert (body["object"], body["action"], body["actor"]) == (record.object, "created", "Command line")
     assert body["data"]["audit_hash"] == record.hash
     assert row.audit_id == record.id
@@ -94,7 +94,10 @@ def test_a_message_says_what_who_and_which_record_of_the_chain(session: Session,
 
 def test_a_signature_is_the_hmac_of_id_second_and_body() -> None:
     expected = hmac.new(b"whsec_x", b'msg_7.1700000000.{"a":1}', hashlib.sha256).digest()
-    assert webhooks.signature("whsec_x", "msg_7", 1700000000, '{"a":1}') == "v1," + base64.b64encode(expected).decode()
+    assert (
+        webhook_messages.signature("whsec_x", "msg_7", 1700000000, '{"a":1}')
+        == "v1," + base64.b64encode(expected).decode()
+    )
 
 
 def test_a_message_under_way_is_not_taken_twice(session: Session, people: Mapping[str, Actor], hook: Webhook) -> None:
@@ -163,3 +166,25 @@ def test_a_disabled_webhook_is_told_nothing_and_not_of_the_meantime_when_enabled
 def test_the_audit_log_tells_of_a_webhook_without_its_secret(session: Session, hook: Webhook) -> None:
     record = audit.list_records(session, subject=f"webhooks/{hook.id}", limit=1)[0]
     assert record.after == {"label": "Chat", "url": URL, "actions": ["users.*"]}
+
+
+def test_a_webhook_with_many_messages_takes_no_place_of_another(
+    session: Session, people: Mapping[str, Actor], hook: Webhook
+) -> None:
+    other = webhooks.create_webhook(session, people["root"], label="Other", url=URL)
+    for _ in range(30):
+        webhooks.try_webhook(session, people["root"], hook.id)
+    webhooks.try_webhook(session, people["root"], other.id)
+    taken = [message.webhook_id for message in webhooks.take_due(session, 20)]
+    assert taken.count(hook.id) == webhooks.MESSAGES_A_TURN
+    assert taken.count(other.id) == 1
+
+
+def test_messages_that_were_put_off_are_due_again_and_count_no_attempt(
+    session: Session, people: Mapping[str, Actor], hook: Webhook
+) -> None:
+    row = webhooks.try_webhook(session, people["root"], hook.id)
+    webhooks.take_due(session, 10)
+    webhooks.put_off(session, [row.id])
+    assert (row.state, row.attempts) == ("PENDING", 0)
+    assert datetime.fromisoformat(row.due_utc) < datetime.fromisoformat(utc_after(webhooks.LEASE_S / 2))

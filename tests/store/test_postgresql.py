@@ -55,7 +55,7 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
         "camera_model": "inverted_wang",
         "parameters": INITIAL | {"f_m": f_m},
         "sigma": SPREAD,
-        "covariance": {"names": names, "matrix": [[1e-12] * 8] * 8},
+        "covariance": {"names": names, "matrix": [[1e-12 * (i == j) for j in range(8)] for i in range(8)]},
         "status": "converged",
     }
     with writing(engine) as session:

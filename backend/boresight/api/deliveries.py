@@ -1,4 +1,7 @@
-"""Sends webhooks' messages: one thread a server, one message after another, each with a deadline of its own.
+"""Sends webhooks' messages: one thread a server that looks, and one for each webhook it has something for.
+
+A webhook's messages go out in their order. One that gives no answer is asked once a look and its other messages wait, so
+that a dead receiver delays nobody: the look ends after its one deadline, the others have long been served.
 
 Where a name leads is looked up before every attempt, and the connection goes to the address that was judged, not to one
 looked up again. Addresses of this machine and of its link are refused unless the operator of the server allows them: a
@@ -12,12 +15,14 @@ import logging
 import socket
 import threading
 import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit, urlunsplit
 
 import httpx
 
 import boresight
-from boresight.services import webhooks
+from boresight.services import webhook_messages, webhooks
 from boresight.services.webhooks import Message
 from boresight.store import webhooks as rows
 from boresight.store.sessions import Engine, reading, utc_now, writing
@@ -84,12 +89,24 @@ class Deliveries:
         with writing(self._database) as session:
             webhooks.queue_new(session)
             messages = webhooks.take_due(session, AT_ONCE)
+        by_webhook: dict[int, list[Message]] = {}
         for message in messages:
+            by_webhook.setdefault(message.webhook_id, []).append(message)
+        if by_webhook:
+            with ThreadPoolExecutor(len(by_webhook), "boresight-delivery") as threads:
+                list(threads.map(self._serve, by_webhook.values()))
+
+    def _serve(self, messages: Sequence[Message]) -> None:
+        """Send a webhook's messages until one gets no answer; the others wait for the next look."""
+        for place, message in enumerate(messages):
             if self._closing.is_set():
                 return
             status, outcome = self._send(message)
             with writing(self._database) as session:
                 webhooks.settle(session, message.delivery_id, status=status, outcome=outcome)
+                if status is None:
+                    webhooks.put_off(session, [waiting.delivery_id for waiting in messages[place + 1 :]])
+                    return
 
     def _send(self, message: Message) -> tuple[int | None, str]:
         """Make one attempt; return the answer's status, None where there was none, and what came of it."""
@@ -108,14 +125,14 @@ class Deliveries:
         port = parts.port or (443 if parts.scheme == "https" else 80)
         address = self._allowed_address(host, port)
         netloc = f"[{address}]:{port}" if ":" in address else f"{address}:{port}"
-        identity, now_s = webhooks.message_id(message.delivery_id), int(time.time())
+        identity, now_s = webhook_messages.message_id(message.delivery_id), int(time.time())
         headers = {
             "Host": parts.netloc,
             "Content-Type": "application/json",
             "User-Agent": f"Boresight/{boresight.__version__}",
             "webhook-id": identity,
             "webhook-timestamp": str(now_s),
-            "webhook-signature": webhooks.signature(message.secret, identity, now_s, message.body),
+            "webhook-signature": webhook_messages.signature(message.secret, identity, now_s, message.body),
         }
         with httpx.Client(timeout=TIMEOUT_S, trust_env=False, follow_redirects=False) as client:
             request = client.build_request(

@@ -13,9 +13,6 @@ door (`boresight.api.deliveries`); here is only what is to be sent and what came
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import hmac
 import json
 import secrets
 from collections.abc import Collection, Sequence
@@ -25,16 +22,18 @@ from urllib.parse import urlsplit
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, refuse_key, require_role
+from boresight.services.webhook_messages import kind_of, message_id, told
 from boresight.services.words import refuse_control_characters
 from boresight.store import webhooks as rows
 from boresight.store.sessions import Session, utc_after, utc_now
-from boresight.store.tables import AuditRecord, Webhook, WebhookDelivery
+from boresight.store.tables import Webhook, WebhookDelivery
 
 FIRST_WAIT_S = 5.0
 WAIT_GROWS = 4.0
 MOST_ATTEMPTS = 8
 LEASE_S = 60.0  # a message under way is not taken up by another server before this
 RECORDS_A_TURN = 200
+MESSAGES_A_TURN = 5  # to one webhook, so that none takes the places of the others
 LONGEST_URL = 2000
 TRIAL = "boresight.trial"
 
@@ -44,6 +43,7 @@ class Message:
     """A message under way: where to, with which secret, and what."""
 
     delivery_id: int
+    webhook_id: int
     url: str
     secret: str
     body: str
@@ -188,9 +188,11 @@ def redeliver(session: Session, actor: Actor, delivery_id: int) -> WebhookDelive
     delivery = session.get(WebhookDelivery, delivery_id)
     if delivery is None:
         raise NotFoundError(f"There is no delivery {delivery_id}.")
-    _refuse_disabled(session.get_one(Webhook, delivery.webhook_id))
+    webhook = session.get_one(Webhook, delivery.webhook_id)
+    _refuse_disabled(webhook)
+    last = {name: getattr(delivery, name) for name in ("state", "attempts", "attempted_utc", "status", "outcome")}
     delivery.state, delivery.attempts, delivery.due_utc = "PENDING", 0, utc_now()
-    session.flush()
+    audit.append(session, actor, "redelivered", _subject(webhook), last, {"message": message_id(delivery.id)})
     return delivery
 
 
@@ -200,7 +202,7 @@ def queue_new(session: Session) -> int:
     for webhook in rows.webhooks(session, enabled_only=True):
         for record in rows.records_after(session, webhook.told_audit_id, RECORDS_A_TURN):
             if _wants(webhook, kind_of(record)):
-                _queue(session, webhook, record.id, _told(record))
+                _queue(session, webhook, record.id, told(record))
                 made += 1
             webhook.told_audit_id = record.id
     return made
@@ -209,10 +211,16 @@ def queue_new(session: Session) -> int:
 def take_due(session: Session, limit: int) -> list[Message]:
     """Take messages that are due; they are not due again before their lease is over, whoever else looks."""
     taken = []
-    for delivery, webhook in rows.due(session, utc_now(), limit):
+    for delivery, webhook in rows.due(session, utc_now(), limit, of_each=MESSAGES_A_TURN):
         delivery.due_utc = utc_after(LEASE_S)
-        taken.append(Message(delivery.id, webhook.url, webhook.secret, delivery.body))
+        taken.append(Message(delivery.id, webhook.id, webhook.url, webhook.secret, delivery.body))
     return taken
+
+
+def put_off(session: Session, delivery_ids: Collection[int]) -> None:
+    """Give messages back that were taken and not tried: they are due again soon, and no attempt is counted."""
+    for delivery_id in delivery_ids:
+        session.get_one(WebhookDelivery, delivery_id).due_utc = utc_after(FIRST_WAIT_S)
 
 
 def settle(session: Session, delivery_id: int, *, status: int | None, outcome: str) -> None:
@@ -228,32 +236,9 @@ def settle(session: Session, delivery_id: int, *, status: int | None, outcome: s
         delivery.state, delivery.due_utc = "PENDING", utc_after(FIRST_WAIT_S * WAIT_GROWS ** (delivery.attempts - 1))
 
 
-def signature(secret: str, message_id: str, timestamp: int, body: str) -> str:
-    """Return the `webhook-signature` of a message sent at a second of Unix time."""
-    signed = f"{message_id}.{timestamp}.{body}".encode()
-    return "v1," + base64.b64encode(hmac.new(secret.encode(), signed, hashlib.sha256).digest()).decode()
-
-
-def kind_of(record: AuditRecord) -> str:
-    """Name the kind of an audit record: `parameter-sets.promoted`."""
-    return f"{record.object.partition('/')[0]}.{'-'.join(record.action.split())}"
-
-
 def _wants(webhook: Webhook, kind: str) -> bool:
     """Whether a webhook asked for a kind of event."""
     return not webhook.actions or kind in webhook.actions or f"{kind.partition('.')[0]}.*" in webhook.actions
-
-
-def _told(record: AuditRecord) -> dict[str, object]:
-    """Tell an audit record to programs."""
-    return {
-        "type": kind_of(record),
-        "at_utc": record.at_utc,
-        "object": record.object,
-        "action": record.action,
-        "actor": record.actor,
-        "data": {"before": record.before, "after": record.after, "reason": record.reason, "audit_hash": record.hash},
-    }
 
 
 def _queue(session: Session, webhook: Webhook, audit_id: int | None, content: dict[str, object]) -> WebhookDelivery:
@@ -265,11 +250,6 @@ def _queue(session: Session, webhook: Webhook, audit_id: int | None, content: di
     session.flush()
     delivery.body = json.dumps({"id": message_id(delivery.id), **content}, ensure_ascii=False)
     return delivery
-
-
-def message_id(delivery_id: int) -> str:
-    """Return the id under which a receiver knows a message again."""
-    return f"msg_{delivery_id}"
 
 
 def _described(row: Webhook) -> dict[str, object]:

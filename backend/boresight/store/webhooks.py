@@ -35,12 +35,16 @@ def deliveries(session: Session, *, webhook_id: int, before_id: int | None, limi
     return session.scalars(query.order_by(WebhookDelivery.id.desc()).limit(limit)).all()
 
 
-def due(session: Session, now_utc: str, limit: int) -> Sequence[tuple[WebhookDelivery, Webhook]]:
-    """Return what is to be delivered now to webhooks that are told things, the longest due first."""
-    query = sa.select(WebhookDelivery, Webhook).join(Webhook, WebhookDelivery.webhook_id == Webhook.id)
-    query = query.where(
-        WebhookDelivery.state == "PENDING", WebhookDelivery.due_utc <= now_utc, Webhook.disabled_utc.is_(None)
+def due(session: Session, now_utc: str, limit: int, of_each: int = 1) -> Sequence[tuple[WebhookDelivery, Webhook]]:
+    """Return what is to be delivered now to webhooks that are told things, at most so many of each, the longest due first."""
+    place = sa.func.row_number().over(
+        partition_by=WebhookDelivery.webhook_id, order_by=(WebhookDelivery.due_utc, WebhookDelivery.id)
     )
+    is_due = (WebhookDelivery.state == "PENDING", WebhookDelivery.due_utc <= now_utc)
+    ranked = sa.select(WebhookDelivery.id, place.label("place")).where(*is_due).subquery()
+    query = sa.select(WebhookDelivery, Webhook).join(Webhook, WebhookDelivery.webhook_id == Webhook.id)
+    query = query.join(ranked, ranked.c.id == WebhookDelivery.id)
+    query = query.where(ranked.c.place <= of_each, Webhook.disabled_utc.is_(None))
     found = session.execute(query.order_by(WebhookDelivery.due_utc, WebhookDelivery.id).limit(limit))
     return [(delivery, webhook) for delivery, webhook in found]
 

@@ -52,7 +52,7 @@ def _similar(pooled: Pooled) -> str:
 
 def _promising(pooled: Pooled) -> str:
     keys = (*SEQUENTIAL, "ekf", "ukf", "printed")
-    ranked = sorted(keys, key=lambda key: over_bound(pooled, key))
+    ranked = sorted(keys, key=lambda key: round(over_bound(pooled, key), 6))  # twins differ by rounding: as listed
     said = "; ".join(described(pooled, key) for key in ranked)
     return f"Ordered by their error against the Cramér-Rao bound, where the parameters do not drift: {said}."
 

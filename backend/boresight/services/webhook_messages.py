@@ -1,0 +1,44 @@
+"""What a webhook's message says and how it is signed.
+
+With the secret s, the message's id, the second t at which it is sent and its body::
+
+    webhook-signature: v1,base64(HMAC-SHA256(s, id "." t "." body))
+
+These are the headers and the scheme of the Standard Webhooks convention, so receivers have libraries that check it.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+
+from boresight.store.tables import AuditRecord
+
+
+def signature(secret: str, message_id: str, timestamp: int, body: str) -> str:
+    """Return the `webhook-signature` of a message sent at a second of Unix time."""
+    signed = f"{message_id}.{timestamp}.{body}".encode()
+    return "v1," + base64.b64encode(hmac.new(secret.encode(), signed, hashlib.sha256).digest()).decode()
+
+
+def message_id(delivery_id: int) -> str:
+    """Return the id under which a receiver knows a message again."""
+    return f"msg_{delivery_id}"
+
+
+def kind_of(record: AuditRecord) -> str:
+    """Name the kind of an audit record: `parameter-sets.promoted`."""
+    return f"{record.object.partition('/')[0]}.{'-'.join(record.action.split())}"
+
+
+def told(record: AuditRecord) -> dict[str, object]:
+    """Tell an audit record to programs."""
+    return {
+        "type": kind_of(record),
+        "at_utc": record.at_utc,
+        "object": record.object,
+        "action": record.action,
+        "actor": record.actor,
+        "data": {"before": record.before, "after": record.after, "reason": record.reason, "audit_hash": record.hash},
+    }
