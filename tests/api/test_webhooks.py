@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from boresight.api.deliveries import Deliveries
-from boresight.services import audit, users, webhooks
+from boresight.services import audit, users, webhook_messages, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
 from boresight.store.tables import Webhook, WebhookDelivery
