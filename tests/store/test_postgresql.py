@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from boresight.errors import StaleError, TooManyAttemptsError, UnauthenticatedError
@@ -55,7 +56,7 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
         "camera_model": "inverted_wang",
         "parameters": INITIAL | {"f_m": f_m},
         "sigma": SPREAD,
-        "covariance": {"names": names, "matrix": [[1e-12 * (i == j) for j in range(8)] for i in range(8)]},
+        "covariance": {"names": names, "matrix": np.diag([SPREAD[name] ** 2 for name in names]).tolist()},
         "status": "converged",
     }
     with writing(engine) as session:
@@ -109,16 +110,24 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
         assert audit.verify(session).ok
 
 
-def test_the_ladder_and_the_question_of_when_work(postgresql: Engine, people: Mapping[str, Actor]) -> None:
+def test_the_ladder_and_the_question_of_when_work(
+    postgresql: Engine, people: Mapping[str, Actor], tmp_path: Path
+) -> None:
+    dee, blobs, plain = people["dee"], BlobStore(tmp_path / "blobs"), plain_definition("inverted_wang")
     with writing(postgresql) as session:
-        for state in ("SENT", "LOADED", "VERIFIED", "ACTIVE"):
-            uplinks.record(session, people["dee"], 1, state, "pass 4711")
+        table_definitions.set_definition(session, people["ana"], 1, plain, "As flown.", 0)
+        for state in ("SENT", "LOADED"):
+            uplinks.record(session, dee, 1, state, "pass 4711")
+        seen = session.get_one(ParameterSet, 1)
+        sent = reference_of(session, blobs, seen).content
+        read_back(session, dee, blobs, 1, sent, "pass 4711", seen.version)
+        uplinks.activate(session, dee, 1, "pass 4711", "I saw it.", PASSWORD, seen.version)
     with reading(postgresql) as session:
         assert uplinks.baseline_at(session, 1, "2000-01-01") is None
         assert [row.name for row, _ in uplinks.onboard_at(session, 1, "2100-01-01")] == ["PS-ST16-1-0"]
         assert timeline.as_of(session, 1).sentence == "baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same"
         listed = timeline.events(session, 1)
-        assert [event.state for event in listed] == ["ACTIVE", "VERIFIED", "LOADED", "SENT", "BASELINE"]
+        assert [event.state for event in listed] == ["ACTIVE", "VERIFIED", "LOADED", "SENT", None, "BASELINE"]
         assert timeline.events(session, 1, before_id=listed[1].id, limit=2) == listed[2:4]
         tile = sensors.fleet_overview(session)[0]
     assert (tile.status, tile.active is not None) == ("off", True)
