@@ -76,7 +76,13 @@ def create_app(settings: Settings) -> FastAPI:
         app.add_exception_handler(kind, _refuse)
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
     limit_mb = settings.upload_limit_mb
-    app.add_middleware(Border, observe=app.state.metrics.observe, refuse=_refuse, upload_limit_mb=limit_mb)
+    app.add_middleware(
+        Border,
+        observe=app.state.metrics.observe,
+        refuse=_refuse,
+        upload_limit_mb=limit_mb,
+        four_eyes=lambda: app.state.policy.four_eyes,
+    )
     return app
 
 

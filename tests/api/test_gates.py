@@ -45,7 +45,8 @@ def test_limits_are_tried_without_being_set(house: House) -> None:
 def test_a_set_is_assessed_by_a_key_and_the_report_is_read_by_anybody(house: House) -> None:
     row = house.candidate()
     address = f"/api/v1/parameter-sets/{row['id']}"
-    assert house.person("victor").get(f"{address}/gate-report").status_code == 404
+    none = house.person("victor").get(f"{address}/gate-report")
+    assert (none.status_code, "POST :assess" in none.json()["detail"]) == (404, True)
 
     made = house.key("ada", "parameter-sets").post(f"{address}:assess")
     assert made.status_code == 201, made.text
@@ -106,5 +107,21 @@ def test_limits_that_move_make_the_report_and_the_request_stale(house: House) ->
     assert house.person("ada").get(f"{address}/gate-report").status_code == 200
     tight_profile(house, row["sensor_id"])
     assert house.person("ada").get(f"/api/v1/approvals/{request['id']}").json()["state"] == "STALE"
-    gone = house.person("ada").get(f"{address}/gate-report")
-    assert (gone.status_code, "POST :assess" in gone.json()["detail"]) == (404, True)
+    moved = house.person("ada").get(f"{address}/gate-report")
+    assert (moved.status_code, moved.json()["holds"]) == (200, False)
+
+
+def test_the_report_that_a_signature_is_bound_to_is_read_by_its_hash_after_the_promotion(house: House) -> None:
+    row = house.approved()
+    address, headers = f"/api/v1/parameter-sets/{row['id']}", {"If-Match": f'"v{row["version"]}"'}
+    assert house.person("olga").post(f"{address}:promote", headers=headers).status_code == 200
+    listed = house.person("victor").get("/api/v1/approvals", params={"sensor_id": row["sensor_id"]}).json()["items"]
+    bound = listed[0]["bound"]["gate_report_sha256"]
+    assert house.person("ada").post(f"{address}:assess").json()["sha256"] != bound
+
+    found = house.key("ada", "runs").get(f"{address}/gate-report", params={"sha256": bound})
+    assert (found.status_code, found.json()["sha256"], found.json()["holds"]) == (200, bound, False)
+    newest = house.person("victor").get(f"{address}/gate-report").json()
+    assert (newest["sha256"] != bound, newest["holds"]) == (True, True)
+    for hash_, status in (("0" * 64, 404), ("bound", 422)):
+        assert house.person("ada").get(f"{address}/gate-report", params={"sha256": hash_}).status_code == status

@@ -44,6 +44,11 @@ def test_the_report_has_verdict_advice_parameters_provenance_and_the_command(rep
     assert "change / sigma" in report
 
 
+def test_the_report_of_where_one_person_works_alone_says_so(report, sequential_result):
+    assert "FOUR EYES ARE OFF" not in report
+    assert "FOUR EYES ARE OFF" in render_report(sequential_result, four_eyes=False)
+
+
 def test_nothing_that_came_from_outside_becomes_markup(sequential_result):
     hostile = sequential_result | {
         "sensor": HOSTILE,

@@ -45,6 +45,20 @@ def test_a_single_user_install_says_so_on_every_page(house, read):
         assert "Four-eyes is OFF: in this installation one person may submit and sign alone." in read(visitor.get(path))
 
 
+def test_where_one_person_works_alone_every_download_says_so(house):
+    visitor, report = house.visitor("ada"), "/api/v1/runs/1/report"
+    addresses = ["/runs.csv", "/runs/1/log", "/runs/1/sensor.json", "/api/v1/runs/1/figures/radial/data", report]
+    addresses += ["/api/v1/runs/1/result", "/api/v1/parameter-sets/1", "/api/v1/audit/export", "/api/v1/runs/999"]
+    for four_eyes in (True, False):
+        house.app.state.policy = dataclasses.replace(house.app.state.policy, four_eyes=four_eyes)
+        for address in addresses:
+            answer = visitor.send("GET", address)
+            assert answer.headers.get("boresight-four-eyes") == (None if four_eyes else "off"), address
+            named = answer.headers.get("content-disposition")
+            assert named is None or ('filename="four-eyes-off-' in named) is not four_eyes, named
+        assert ("FOUR EYES ARE OFF" in visitor.send("GET", report).text) is not four_eyes
+
+
 def test_what_would_hold_up_work_is_said():
     people = [_person("analyst", "approver"), _person("operator"), _person("administrator", disabled_utc=NOW)]
     said = warnings(people, four_eyes=True)

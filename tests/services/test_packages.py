@@ -129,6 +129,14 @@ def test_signatures_and_their_meaning_travel_with_it(build, approved):
     assert b"I approve" in files["verification_sheet.html"]
 
 
+def test_who_gave_a_signer_s_password_stands_under_the_printed_name(build, approved):
+    files = build(approved())[1]
+    said = json.loads(files["MANIFEST.json"])["approval"]["signatures"][0]["password_by"]
+
+    assert said.startswith("given by Command line at")
+    assert f"Cy<br>Password {said}." in files["verification_sheet.html"].decode()
+
+
 def test_an_installation_without_four_eyes_says_so(build, approved):
     files = build(approved(), policy=Policy(four_eyes=False))[1]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import zipfile
 from typing import Any
 
 import pytest
@@ -15,7 +17,7 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import approvals, audit, gate_profiles, gates, parameter_sets, waivers
+from boresight.services import approvals, audit, gate_profiles, gates, packages, parameter_sets, waivers
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store import sessions
 from boresight.store.sessions import reading, utc_after, writing
@@ -179,3 +181,27 @@ def test_a_set_that_is_promoted_with_a_waiver_tells_of_it_as_baseline(waive, eng
     with reading(engine) as session:
         assert parameter_sets.baseline_of(session, 1).id == blocked.id
         assert gates.verdicts(session, [blocked.id]) == {blocked.id: "NO-DATA (1 gate waived)"}
+
+
+def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_over(
+    waive, engine, blobs, people, blocked, monkeypatch
+):
+    waive()
+    with writing(engine) as session:
+        request = parameter_sets.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
+        for name in ("cy", "bo"):
+            approvals.sign(session, people[name], request.id, "APPROVE", "Seen.", "Waived.", PASSWORD, request.version)
+        row = parameter_sets.get_parameter_set(session, blocked.id)
+        parameter_sets.promote(session, people["dee"], row.id, row.version)
+        package = packages.build(session, people["dee"], blobs, row.id)
+        shown = gates.verdicts(session, [blocked.id])[blocked.id]
+    with zipfile.ZipFile(blobs.path(package.sha256)) as packed:
+        said = json.loads(packed.read("MANIFEST.json"))["gates"]
+        assert f"<h2>Gates: {shown}</h2>" in packed.read("verification_sheet.html").decode()
+    assert (said["words"], said["verdict"], said["waived"]) == (shown, "NO-DATA", ["parameter-shift"])
+    assert said["document"]["verdict"] == "FAIL", "the report itself stays as its hash has it"
+
+    later = sessions.utc_after(2 * DAY_S)
+    monkeypatch.setattr(gates, "utc_now", lambda: later)
+    with writing(engine) as session:
+        assert packages.build(session, people["dee"], blobs, blocked.id).id == package.id

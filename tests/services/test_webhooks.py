@@ -141,6 +141,10 @@ def test_a_message_that_was_given_up_can_be_sent_again_with_its_id_and_its_words
         webhooks.settle(session, row.id, status=None, outcome="No answer.")
     body = row.body
     webhooks.redeliver(session, people["root"], row.id)
+    record = audit.last_change(session, f"webhooks/{hook.id}")
+    assert (record.action, record.actor, record.after) == ("redelivered", "Root", {"message": f"msg_{row.id}"})
+    last = {"state": "FAILED", "attempts": webhooks.MOST_ATTEMPTS, "status": None, "outcome": "No answer."}
+    assert last.items() <= record.before.items(), "the last attempt is kept where another will take its place"
     assert (row.state, row.attempts, row.body) == ("PENDING", 0, body)
     assert [message.delivery_id for message in webhooks.take_due(session, 10)] == [row.id]
     with pytest.raises(NotFoundError):

@@ -19,7 +19,7 @@ import pytest
 from boresight.errors import RefusedInputError
 from boresight.uplink.package import build_package
 
-from .packages import inputs_of, set_of
+from .packages import GATE, inputs_of, set_of
 from .tables import INITIAL, definition_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -111,6 +111,17 @@ def test_the_way_back_is_the_package_of_the_other_set(files):
     rows, back = _rows(files["parameters.csv"]), _rows(files["backout/parameters.csv"])
 
     assert [(row["old"], row["new"]) for row in rows] == [(row["new"], row["old"]) for row in back]
+
+
+def test_the_sheet_marks_a_gate_that_is_only_observed():
+    inputs = inputs_of()
+    said = []
+    for observed in (False, True):
+        gates = inputs["subject"]["gates"] | {"document": {"gates": [GATE | {"observe_only": observed}]}}
+        sheet = _files(inputs | {"subject": inputs["subject"] | {"gates": gates}})["verification_sheet.html"]
+        said.append(b"<td>FAIL (observed only)</td>" in sheet)
+
+    assert said == [False, True]
 
 
 def test_what_is_active_on_board_is_there_too_where_it_is_neither():

@@ -1,5 +1,8 @@
 """What holds for every answer: a request id, security headers, a limit on the body, a count, and no bare failure.
 
+Where one person works alone every answer says so in a header, and every file in its name: what is laid away loses its headers,
+and a comment line in a CSV would break whoever reads it.
+
 The policy allows nothing but what this server sends: no inline script, no other host, no framing. Styles have three
 exceptions, all for Plotly and none of which can load anything, for `default-src` is this server. Plotly makes an empty
 `<style>` element that it fills through the CSSOM, and one with the style of its maps: each is admitted by the hash of its
@@ -51,6 +54,9 @@ SECURITY_HEADERS = {
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
 REQUEST_ID = "X-Request-ID"
+FOUR_EYES = "Boresight-Four-Eyes"
+ALONE = "four-eyes-off-"  # begins the names of files
+FILE_NAME = re.compile(r"""(filename\*?=(?:"|utf-8''|))""")
 USABLE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 BODY_LIMIT_BYTES = 1_000_000  # JSON and plain forms, and what a multipart form says around its file
 UPLOADED = ("/telemetry-sets", "/telemetry")  # paths that take a file
@@ -76,10 +82,15 @@ class Border:
         Makes the answer to an error.
     upload_limit_mb
         Largest telemetry file.
+    four_eyes
+        Whether a second person is asked for here, at the moment of an answer.
     """
 
-    def __init__(self, app: ASGIApp, observe: Observe, refuse: Refuse, upload_limit_mb: float) -> None:
+    def __init__(
+        self, app: ASGIApp, observe: Observe, refuse: Refuse, upload_limit_mb: float, four_eyes: Callable[[], bool]
+    ) -> None:
         self.app = app
+        self.four_eyes = four_eyes
         self.observe = observe
         self.refuse = refuse
         self.upload_limit_mb = upload_limit_mb
@@ -89,7 +100,7 @@ class Border:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        answer = _Answer(scope, send)
+        answer = _Answer(scope, send, four_eyes=self.four_eyes())
         try:
             await self.app(scope, self._limited(scope, receive), answer.send)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is logged whole and answered without its words
@@ -125,11 +136,12 @@ class Border:
 class _Answer:
     """One answer on its way out."""
 
-    def __init__(self, scope: Scope, send: Send) -> None:
+    def __init__(self, scope: Scope, send: Send, *, four_eyes: bool) -> None:
         self.began_s = time.perf_counter()
         self.status = 0
         self._scope = scope
         self._send = send
+        self._four_eyes = four_eyes
         self._state: MutableMapping[str, Any] = scope.setdefault("state", {})
         self._state["request_id"] = request_id_of(Headers(scope=scope))
 
@@ -141,6 +153,8 @@ class _Answer:
             for name, value in SECURITY_HEADERS.items():
                 headers.setdefault(name, value)
             headers[REQUEST_ID] = self._state["request_id"]
+            if not self._four_eyes:
+                _say_alone(headers)
         await self._send(message)
 
     async def fail(self, error: Exception, refuse: Refuse) -> None:
@@ -150,6 +164,14 @@ class _Answer:
             raise error
         response = await refuse(Request(self._scope), error)
         await response(self._scope, _nothing, self.send)
+
+
+def _say_alone(headers: MutableHeaders) -> None:
+    """Say in an answer, and in the name of a file, that one person may submit and sign alone here."""
+    headers[FOUR_EYES] = "off"
+    named = headers.get("content-disposition")
+    if named is not None:
+        headers["content-disposition"] = FILE_NAME.sub(rf"\g<1>{ALONE}", named)
 
 
 async def _nothing() -> Message:

@@ -30,7 +30,8 @@ unless you say otherwise, 200 at most. Filters are query parameters; several sta
 **Dry runs.** `validate_only=true` makes the same checks and changes nothing.
 
 **Names.** Units are in the names, times are UTC (ISO 8601), a number that cannot be given is null. `X-Request-ID` is
-taken over from you or made, and comes back in every answer, problem and audit record.
+taken over from you or made, and comes back in every answer, problem and audit record. `Boresight-Four-Eyes: off` in an
+answer: here one person may submit and sign alone; the names of files begin with `four-eyes-off-` then.
 """
 
 TAGS = [

@@ -17,18 +17,21 @@ from boresight.settings import read_settings
 @click.argument("source", metavar="RUN|JSON")
 @click.option("--out", "out_file", required=True, metavar="FILE.html", help="The report to write.")
 def report(source: str, out_file: str) -> None:
-    """Write the report of a stored run, by its number, or of a calibration JSON file."""
+    """Write the report of a stored run, by its number, or of a calibration JSON file.
+
+    A number is a file only where there is one of that name. Of a stored run the report says when one person may sign alone here.
+    """
     from boresight.figures.report import write_report
 
     check_writable(out_file)
-    write_report(_document(source), Path(out_file))
+    stored = source.isdecimal() and not Path(source).exists()
+    document = _stored(int(source)) if stored else _read(source)
+    write_report(document, Path(out_file), four_eyes=not stored or read_settings().policy.four_eyes)
     click.echo(f"Wrote {out_file}")
 
 
-def _document(source: str) -> dict[str, Any]:
-    """Read the calibration: a number is a run of the store, anything else a file."""
-    if source.isdecimal() and not Path(source).exists():
-        return _stored(int(source))
+def _read(source: str) -> dict[str, Any]:
+    """Read a calibration from a file."""
     try:
         document: dict[str, Any] = orjson.loads(Path(source).read_bytes())
     except FileNotFoundError as error:

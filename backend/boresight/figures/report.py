@@ -41,23 +41,28 @@ SCHEMA = "boresight.calibration/1"
 MOST_STARS = 25  # in print; the run's CSV has more
 
 
-def write_report(result: Result, path: Path) -> None:
+def write_report(result: Result, path: Path, *, four_eyes: bool = True) -> None:
     """Write the report of a calibration.
+
+    Parameters
+    ----------
+    four_eyes
+        Whether the installation that it comes from asks for a second person; where it does not the report says so.
 
     Raises
     ------
     RefusedInputError
         When the document is not a calibration, or the file cannot be written.
     """
-    text = render_report(result)
+    text = render_report(result, four_eyes=four_eyes)
     try:
         Path(path).write_text(text, encoding="utf-8")
     except OSError as error:
         raise RefusedInputError(f"{path} cannot be written: {error.strerror}; choose another place.") from error
 
 
-def render_report(result: Result) -> str:
-    """Render the report as HTML text.
+def render_report(result: Result, *, four_eyes: bool = True) -> str:
+    """Render the report as HTML text; `four_eyes` as in `write_report`.
 
     Raises
     ------
@@ -71,6 +76,7 @@ def render_report(result: Result) -> str:
     )
     return environment.get_template("report.html").render(
         result=result,
+        four_eyes=four_eyes,
         verdict=verdict(result),
         summary=list(_summary(result)),
         headings=HEADINGS,

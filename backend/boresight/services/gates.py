@@ -202,14 +202,21 @@ def report_for_submission(
     return known or _record(session, actor, measure(session, blobs, None, parameter_set_id))
 
 
-def with_waivers(session: Session, report: GateReport) -> dict[str, Any]:
-    """Return a report with the waivers laid over it: who waived what, what blocks now, and the verdict in words."""
-    return _laid_over(report, rows.waivers(session, [report.parameter_set_id]))
+def with_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> dict[str, Any]:
+    """Return a report with the waivers laid over it: who waived what, what blocks, and the verdict in words.
+
+    Parameters
+    ----------
+    bound
+        Numbers of the waivers that a request binds: the report as it was signed, whatever expired since. None: as it stands now.
+    """
+    return _laid_over(report, rows.waivers(session, [report.parameter_set_id]), bound)
 
 
-def _laid_over(report: GateReport, waivers: Collection[Waiver]) -> dict[str, Any]:
+def _laid_over(report: GateReport, waivers: Collection[Waiver], bound: Collection[int] | None = None) -> dict[str, Any]:
     now = utc_now()
-    waived = {waiver.gate for waiver in waivers if waiver.expires_utc > now}
+    holding = [waiver for waiver in waivers if (waiver.expires_utc > now if bound is None else waiver.id in bound)]
+    waived = {waiver.gate for waiver in holding}
     return gates.summarised(report.document, waived, {waiver.gate for waiver in waivers})
 
 

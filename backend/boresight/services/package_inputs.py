@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from boresight.gates.judgement import words
 from boresight.services.actors import Policy
+from boresight.services.gates import newest_report, with_waivers
 from boresight.services.signers import second_persons
 from boresight.store import approvals as approval_rows
 from boresight.store import packages as rows
 from boresight.store.sessions import Session
-from boresight.store.tables import Approval, ParameterSet, Run, TelemetrySet, User
+from boresight.store.tables import Approval, ParameterSet, Run, Signature, TelemetrySet, User
 
 SIGNED = ("printed_name", "decision", "meaning", "comment", "signed_utc", "shown_sha256", "console")
 WAIVED = ("gate", "code", "reason", "printed_name", "made_utc", "expires_utc")
@@ -88,20 +88,23 @@ def _telemetry(session: Session, telemetry_set_id: int | None) -> dict[str, Any]
 
 
 def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
-    """Say what the gate report that was signed found, and which gates were waived by whom; None when nothing was judged."""
+    """Say what the gate report that was signed found, and which gates were waived by whom; None when nothing was judged.
+
+    The verdict is the signed one: the report with the waivers that the request binds, though they expired since. Of a set that
+    nobody signed it is the one that stands now. `document` is the report without waivers, as `sha256` has it.
+    """
     approval = approval_rows.latest_of(session, row.id, "APPROVED")
-    bound = None if approval is None else approval.bound.get("gate_report_sha256")
-    report = rows.report_of(session, row.id, bound) if bound else approval_rows.newest_report(session, row.id)
+    bound = {} if approval is None else approval.bound
+    report = newest_report(session, row.id, bound.get("gate_report_sha256"))
     if report is None:
         return None
-    waivers = [{key: getattr(waiver, key) for key in WAIVED} for waiver in rows.waivers(session, row.id)]
-    waived = sorted({waiver["gate"] for waiver in waivers})
+    laid_over = with_waivers(session, report, bound.get("waivers"))
     return {
         "sha256": report.sha256,
-        "verdict": report.verdict,
-        "words": words(report.verdict, len(waived)),
-        "waived": waived,
-        "waivers": waivers,
+        "verdict": laid_over["verdict"],
+        "words": laid_over["words"],
+        "waived": laid_over["waived"],
+        "waivers": [{key: getattr(waiver, key) for key in WAIVED} for waiver in rows.waivers(session, row.id)],
         "document": report.document,
     }
 
@@ -119,11 +122,15 @@ def _approval(session: Session, row: ParameterSet) -> dict[str, Any] | None:
         "submitted_utc": approval.submitted_utc,
         "needed": approval.needed,
         "bound": approval.bound,
-        "signatures": [
-            {key: getattr(signature, key) for key in SIGNED}
-            for signature in approval_rows.signatures(session, approval.id)
-        ],
+        "signatures": [_signed(signature) for signature in approval_rows.signatures(session, approval.id)],
     }
+
+
+def _signed(signature: Signature) -> dict[str, Any]:
+    """Say who signed what, and who else knew the password, where somebody did."""
+    password_by = getattr(signature, "password_by", None)
+    said = {key: getattr(signature, key) for key in SIGNED}
+    return said if password_by is None else said | {"password_by": password_by}
 
 
 def _printed(session: Session, user_id: int | None) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import sqlalchemy as sa
 
 from boresight.store.sessions import Session
-from boresight.store.tables import GateReport, Package, ParameterSet, Promotion, Waiver
+from boresight.store.tables import Package, ParameterSet, Promotion, Waiver
 
 
 def packages(
@@ -33,12 +33,6 @@ def waivers(session: Session, parameter_set_id: int) -> Sequence[Waiver]:
     """Return every waiver that was ever given for a set, in order."""
     query = sa.select(Waiver).where(Waiver.parameter_set_id == parameter_set_id)
     return session.scalars(query.order_by(Waiver.id)).all()
-
-
-def report_of(session: Session, parameter_set_id: int, sha256: str) -> GateReport | None:
-    """Return a set's gate report of a hash."""
-    query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id, GateReport.sha256 == sha256)
-    return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
 
 
 def baseline_before(session: Session, row: ParameterSet) -> ParameterSet | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Query
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.requests import Request
 from starlette.responses import Response
@@ -24,6 +24,15 @@ from boresight.store.sessions import Session, reading
 router = APIRouter(prefix="/parameter-sets", tags=["gates"])
 
 LAID_OVER = ("verdict", "words", "blocking", "waived", "gates", "held_out", "bound")
+
+
+Hash = Annotated[
+    str,
+    Query(
+        pattern="^[0-9a-f]{64}$",
+        description="A request's `bound.gate_report_sha256`: that report, be it the newest or not.",
+    ),
+]
 
 
 class Waiving(BaseModel):
@@ -57,13 +66,14 @@ Examined = Annotated[gates.Assessment, Depends(_examine)]
 
 
 def _shown(session: Session, row: Any) -> schemas.Document:
-    """Write a report with the waivers laid over it."""
+    """Write a report with the waivers laid over it, and whether what it rests on is as it was."""
     document = gates.with_waivers(session, row)
     given = waivers.all_waivers(session, row.parameter_set_id)
     columns = {name: getattr(row, name) for name in schemas.GateReport.model_fields if hasattr(row, name)}
     return {
         **columns,
         **{name: document[name] for name in LAID_OVER},
+        "holds": not gates.moved_since(session, row),
         "waivers": [schemas.written(schemas.Waiver, waiver) for waiver in given],
     }
 
@@ -104,12 +114,17 @@ def get_gate_report(
     parameter_set_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
+    sha256: Hash | None = None,
 ) -> Response:
-    """Read the report that holds now, with its waivers; 404 when none was made since its evidence moved."""
+    """Read the newest report, or the one that a request binds, with the waivers; `holds` says whether its evidence moved since."""
     row = get_parameter_set(session, parameter_set_id)
-    report = gates.latest_report(session, parameter_set_id)
+    report = gates.newest_report(session, parameter_set_id, sha256)
+    if report is None and sha256 is not None:
+        raise NotFoundError(
+            f"{row.name} (parameter set {row.id}) has no gate report {sha256}; leave sha256 out for the newest."
+        )
     if report is None:
-        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report that holds now; POST :assess.")
+        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report; POST :assess.")
     return json_response(_shown(session, report))
 
 

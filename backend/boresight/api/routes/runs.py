@@ -188,7 +188,8 @@ def get_run_report(
     request: Request,
 ) -> HTMLResponse:
     """Read the report of a run that has ended: one HTML file that needs nothing else, figures included."""
-    report = render_report(runs.final_result(session, request.app.state.blobs, run_id))
+    state = request.app.state
+    report = render_report(runs.final_result(session, state.blobs, run_id), four_eyes=state.policy.four_eyes)
     headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}
     return HTMLResponse(report, headers=headers)
 

@@ -70,6 +70,7 @@ class GateReport(Row):
     gates: list[Document] = Field(description="One answer a gate: status, value, interval, limit, margin, sentence.")
     held_out: Document | None = Field(description="The frames that were looked at: name and SHA-256.")
     bound: Document = Field(description="Hashes of all that the report rests on.")
+    holds: bool = Field(description="Whether all that it rests on is as it was; a promotion moves the incumbent.")
     sha256: str = Field(description="SHA-256 of the report as it was stored, without waivers.")
     created_utc: str
     created_by: int | None
