@@ -83,6 +83,39 @@ def test_a_key_reads_back_and_does_not_sign(house: House) -> None:
     assert (signed.status_code, signed.json()["printed_name"]) == (201, "Olga")
 
 
+def _stated(client: httpx.Client, row: dict[str, Any], state: str, **given: Any) -> httpx.Response:
+    step = {"parameter_set_id": row["id"], "onboard_state": state, "source": "TM 1", **given}
+    return client.post("/api/v1/uplinks", json=step, headers={"If-Match": f'"v{row["version"]}"'})
+
+
+def test_verified_and_active_are_nobodys_to_state(house: House) -> None:
+    row = onboard.at(house, "SENT", "LOADED")
+    key, olga = house.key("olga", "uplinks"), house.person("olga")
+    asked = [(who, state) for who in (olga, key) for state in ("VERIFIED", "ACTIVE")]
+    answers = [_stated(who, row, state) for who, state in asked]
+    assert [answer.status_code for answer in answers] == [409, 409, 409, 403]
+    doors = [":read-back", ":activate", ":read-back", "Only a person who is logged in"]
+    assert all(door in answer.json()["detail"] for door, answer in zip(doors, answers, strict=True))
+    assert _seen(house, row)["onboard_state"] == "LOADED"
+    as_of = olga.get(f"/api/v1/sensors/{row['sensor_id']}/as-of").json()
+    assert as_of["sentence"].endswith("on board no set known to be active")
+
+
+def test_the_old_address_takes_the_signed_entry_of_a_person_and_of_no_key(house: House) -> None:
+    row, signature = onboard.verified(house), {"meaning": "I saw it.", "password": PASSWORD}
+    olga = house.person("olga")
+    assert _stated(house.key("olga", "uplinks"), row, "ACTIVE", **signature).status_code == 403
+    assert _stated(olga, row, "ACTIVE", **signature | {"password": "wrong"}).status_code == 401
+    assert _stated(olga, row, "ACTIVE", password=PASSWORD).status_code == 422
+    assert _stated(olga, row, "UNKNOWN", **signature).status_code == 422
+    assert _seen(house, row)["onboard_state"] == "VERIFIED"
+    made = _stated(olga, row, "ACTIVE", **signature)
+    assert made.status_code == 201, made.text
+    body = made.json()
+    assert (body["onboard_state"], body["printed_name"], body["meaning"]) == ("ACTIVE", "Olga", "I saw it.")
+    assert body["evidence"]["shown_sha256"]
+
+
 def test_what_held_is_answered_for_any_time_and_the_old_address_still_answers(house: House) -> None:
     row = onboard.at(house, "SENT")
     between = utc_after(0.0)

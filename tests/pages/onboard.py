@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from boresight.services import read_backs, table_definitions, uplinks
-from boresight.store.sessions import reading, writing
+from boresight.store.sessions import Session, reading, writing
 from boresight.store.tables import ParameterSet
+
+from .conftest import PASSWORD
 
 NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
 DOCUMENT: dict[str, Any] = {
@@ -28,10 +30,25 @@ def define(house: Any) -> None:
 
 
 def climb(house: Any, *states: str, set_id: int = 1) -> None:
-    """Record states by statement."""
+    """Bring a set to one state after another, each by its door: statement, dump, signature."""
     for state in states:
+        with reading(house.engine) as session:
+            undefined = table_definitions.definition_in_force(session, 1) is None
+        if state == "VERIFIED" and undefined:
+            define(house)
         with writing(house.engine) as session:
-            uplinks.record(session, house.actor("olga"), set_id, state, f"pass for {state}")
+            _step(session, house, set_id, state)
+
+
+def _step(session: Session, house: Any, set_id: int, state: str) -> None:
+    olga, source, row = house.actor("olga"), f"pass for {state}", session.get_one(ParameterSet, set_id)
+    if state == "VERIFIED":
+        sent = read_backs.reference_of(session, house.blobs, row).content
+        read_backs.read_back(session, olga, house.blobs, set_id, sent, source, row.version)
+    elif state == "ACTIVE":
+        uplinks.activate(session, olga, set_id, source, "I saw it.", PASSWORD, row.version)
+    else:
+        uplinks.record(session, olga, set_id, state, source)
 
 
 def table(house: Any, set_id: int = 1) -> bytes:

@@ -20,7 +20,7 @@ def test_the_answer_for_now_names_baseline_board_and_definition(house, read):
     assert "As of now" in words
     assert "Baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same." in words
     assert re.search(r"Table definition 1 .*Ada Analyst: As flown\.", words)
-    assert re.search(r"PS-ST16-1-0 ACTIVE .*Olga Operator pass for ACTIVE by statement", words)
+    assert re.search(r"PS-ST16-1-0 ACTIVE .*Olga Operator pass for ACTIVE signed: I saw it\.", words)
 
 
 def test_the_answer_for_a_time_is_of_that_time_and_in_the_address(house, read):

@@ -9,9 +9,10 @@ import pytest
 from boresight.pages.climb import LADDER, exported_of, members_of, steps_of
 from boresight.pages.runs import Names
 from boresight.pages.sensors import EXAMPLE
-from boresight.services import packages, parameter_sets
+from boresight.services import packages, parameter_sets, uplinks
+from boresight.services.onboard import add_entry
 from boresight.store.sessions import reading, writing
-from boresight.store.tables import Package, Uplink
+from boresight.store.tables import Package, ParameterSet, Uplink
 
 from .conftest import PASSWORD
 from .onboard import climb, define, send_dump, table, version
@@ -58,7 +59,7 @@ def test_the_fleet_shows_ground_and_board_side_by_side_and_active_only_where_it_
     visitor = house.visitor("victor")
     assert re.search(r"NOT SENT .*PS-ST16-1-0 .*nothing recorded", read(visitor.get("/uplink")))
     climb(house, *LADDER)
-    assert re.search(r"THE SAME .*PS-ST16-1-0 .*ACTIVE .*pass for ACTIVE by statement", read(visitor.get("/uplink")))
+    assert re.search(r"THE SAME .*PS-ST16-1-0 .*ACTIVE .*pass for ACTIVE signed", read(visitor.get("/uplink")))
 
 
 def test_a_set_that_was_only_promoted_is_never_shown_as_active(house):
@@ -109,7 +110,9 @@ def test_a_typed_crc_verifies_and_the_page_says_that_it_was_by_crc(house, read):
 def test_a_signed_entry_makes_it_active_with_name_and_meaning(house, read):
     climb(house, "SENT", "LOADED", "VERIFIED")
     visitor = house.visitor("olga")
-    assert "VERIFIED by statement: nobody compared" in read(visitor.get(STEPS))
+    page = visitor.get(STEPS)
+    assert "VERIFIED by statement" not in read(page)
+    assert [state for state in uplinks.NEXT if f'<option value="{state}"' in page] == ["SENT", "MISMATCH", "UNKNOWN"]
     entry = {"source": "TM page 2", "meaning": "I saw it in telemetry.", "version": version(house)}
     wrong = visitor.post(f"{STEPS}/activate", password="guess", **entry)
     assert wrong.status_code == 401
@@ -117,6 +120,26 @@ def test_a_signed_entry_makes_it_active_with_name_and_meaning(house, read):
     assert "guess" not in wrong.text
     assert visitor.post(f"{STEPS}/activate", password=PASSWORD, **entry).status_code == 303
     assert re.search(r"Active done .*Olga Operator TM page 2 signed", read(visitor.get(STEPS)))
+
+
+def test_what_was_verified_by_word_alone_is_to_be_read_back_before_it_is_signed(house, read):
+    climb(house, "SENT", "LOADED")
+    with writing(house.engine) as session:
+        add_entry(session, house.actor("olga"), session.get_one(ParameterSet, 1), "VERIFIED", "pass 1")
+    visitor = house.visitor("olga")
+    assert "VERIFIED by statement alone: read it back before you sign." in read(visitor.get(STEPS))
+
+
+def test_loaded_is_not_offered_while_a_dump_stands_against_it(house):
+    define(house)
+    climb(house, "SENT", "LOADED")
+    visitor, sent = house.visitor("olga"), table(house)
+    send_dump(house, visitor, bytes([sent[0] ^ 1]) + sent[1:])
+    climb(house, "UNKNOWN")
+    assert '<option value="LOADED"' not in visitor.get(STEPS)
+    send_dump(house, visitor, sent)
+    climb(house, "UNKNOWN")
+    assert '<option value="LOADED"' in visitor.get(STEPS)
 
 
 def test_a_refused_step_says_why_in_place_and_keeps_what_was_typed(house, read):
@@ -128,7 +151,7 @@ def test_a_refused_step_says_why_in_place_and_keeps_what_was_typed(house, read):
     assert 'value="pass 9"' in stale.text
     assert visitor.post(f"{STEPS}/record", onboard_state="LOADED", source="pass 9").status_code == 422
     early = visitor.post(f"{STEPS}/record", onboard_state="ACTIVE", source="pass 9", version=version(house))
-    assert (early.status_code, "next can be LOADED" in read(early.text)) == (409, True)
+    assert (early.status_code, "ACTIVE is not recorded by statement" in read(early.text)) == (409, True)
 
 
 @pytest.mark.parametrize("name", ["victor", "ada", "alan", "adele"])

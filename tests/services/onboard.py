@@ -7,10 +7,12 @@ from typing import Any
 
 from boresight.services import audit, table_definitions, uplinks
 from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.read_backs import Reference, reference_of
+from boresight.services.read_backs import Reference, read_back, reference_of
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.store.tables import ParameterSet, Promotion, TableDefinition, Uplink
+
+from .conftest import PASSWORD
 
 NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
 DOCUMENT: dict[str, Any] = {
@@ -34,10 +36,29 @@ def define(engine: Engine, actor: Actor, **changed: Any) -> TableDefinition:
 
 
 def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
-    """Record states by statement, one after another."""
+    """Bring a set to one state after another, each by its door: statement, CRC, signature."""
     for state in states:
+        if state == "VERIFIED":
+            _tell_crc(engine, actor, set_id)
+            continue
         with writing(engine) as session:
-            uplinks.record(session, actor, set_id, state, "pass 4711")
+            if state == "ACTIVE":
+                seen = session.get_one(ParameterSet, set_id).version
+                uplinks.activate(session, actor, set_id, "pass 4711", "I saw it.", PASSWORD, seen)
+            else:
+                uplinks.record(session, actor, set_id, state, "pass 4711")
+
+
+def _tell_crc(engine: Engine, actor: Actor, set_id: int) -> None:
+    """Read a set back by the CRC that it was sent with; where there is no table definition yet, put one into force."""
+    with reading(engine) as session:
+        known = table_definitions.definition_in_force(session, 1)
+    if known is None:
+        define(engine, COMMAND_LINE)
+    told = sent_table(engine, set_id).crc or ""
+    with writing(engine) as session:
+        seen = session.get_one(ParameterSet, set_id).version
+        read_back(session, actor, BlobStore(Path("nowhere")), set_id, told, "pass 4711", seen)
 
 
 def sent_table(engine: Engine, set_id: int = 1) -> Reference:

@@ -19,6 +19,7 @@ from boresight.errors import (
 )
 from boresight.services import audit, uplinks, users
 from boresight.services.actors import Actor
+from boresight.services.onboard import add_entry
 from boresight.store.sessions import Engine, reading, utc_now, writing
 from boresight.store.tables import Package, ParameterSet, Uplink
 
@@ -39,7 +40,7 @@ def activate(engine: Engine, actor: Actor, **given: Any) -> Uplink:
 
 @pytest.fixture
 def verified(engine: Engine, people: People) -> None:
-    """Set 1, verified by statement."""
+    """Set 1, verified by its CRC."""
     climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED")
 
 
@@ -105,6 +106,18 @@ def test_only_what_is_verified_is_signed_as_active(engine: Engine, people: Peopl
     climb(engine, people["dee"], "SENT", "LOADED")
     with pytest.raises(ConflictError, match="is LOADED on board; next can be VERIFIED"):
         activate(engine, people["dee"])
+
+
+def test_what_an_earlier_version_took_for_verified_on_somebodys_word_is_read_back_before_it_is_signed(
+    engine: Engine, people: People
+) -> None:
+    climb(engine, people["dee"], "SENT", "LOADED")
+    with writing(engine) as session:
+        add_entry(session, people["dee"], session.get_one(ParameterSet, 1), "VERIFIED", "pass 4711")
+    with pytest.raises(ConflictError, match="is VERIFIED by statement alone; read it back by dump or CRC"):
+        activate(engine, people["dee"])
+    climb(engine, people["dee"], "VERIFIED")
+    assert activate(engine, people["dee"]).onboard_state == "ACTIVE"
 
 
 def test_a_record_names_the_package_that_was_sent_and_no_other_sets(

@@ -15,6 +15,8 @@ from boresight.store.sessions import Engine, Session, reading, utc_after, writin
 from boresight.store.tables import ParameterSet, Run
 from boresight.workers.summary import summary_of
 
+from .onboard import climb, promote_by_hand
+
 NOTHING = Known(baseline=None, last_run=None, onboard=(), waiting=None, telemetry_sets=0, days=None)
 
 
@@ -125,13 +127,9 @@ def test_an_active_set_that_is_not_the_baseline_is_a_caution(
     engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet]
 ) -> None:
     row = candidate()
+    climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED", "ACTIVE")
     with writing(engine) as session:
-        for state in ("SENT", "LOADED", "VERIFIED", "ACTIVE"):
-            uplinks.record(session, people["dee"], 1, state, "pass 4711")
-        ground = session.get_one(ParameterSet, 1)
-        ground.ground_state = "SUPERSEDED"
-        session.flush()
-        session.get_one(ParameterSet, row.id).ground_state = "BASELINE"
+        promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(0.0))
     tile = _tile(engine)
     assert tile.active is not None
     assert tile.active.id == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -14,6 +15,8 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.sessions import Engine, Session, reading, utc_after, writing
 from boresight.store.tables import ONBOARD_STATES, ParameterSet, Promotion
 
+from .onboard import climb
+
 People = Mapping[str, Actor]
 LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
 
@@ -23,18 +26,13 @@ def _record(engine: Engine, actor: Actor, state: str, source: str = "pass 4711",
         uplinks.record(session, actor, set_id, state, source)
 
 
-def _climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
-    for state in states:
-        _record(engine, actor, state, set_id=set_id)
-
-
 def _onboard(engine: Engine, set_id: int = 1) -> str:
     with reading(engine) as session:
         return parameter_sets.get_parameter_set(session, set_id).onboard_state
 
 
 def test_the_ladder_is_climbed_step_by_step_with_a_record_each(engine: Engine, people: People) -> None:
-    _climb(engine, people["dee"], *LADDER)
+    climb(engine, people["dee"], *LADDER)
     assert _onboard(engine) == "ACTIVE"
     with reading(engine) as session:
         records = uplinks.list_uplinks(session, parameter_set_id=1)
@@ -64,7 +62,7 @@ def test_every_state_says_what_may_follow() -> None:
 @pytest.mark.parametrize(
     ("state", "source", "error", "says"),
     [
-        ("ACTIVE", "x", ConflictError, "PS-ST16-1-0 is NOT SENT on board; next can be SENT, not ACTIVE"),
+        ("LOADED", "x", ConflictError, "PS-ST16-1-0 is NOT SENT on board; next can be SENT, not LOADED"),
         ("FLYING", "x", RefusedInputError, "no on-board state 'FLYING'; the states are NOT SENT, SENT"),
         ("SENT", "  ", RefusedInputError, "Say where this is known from"),
     ],
@@ -77,6 +75,33 @@ def test_a_step_off_the_ladder_leaves_no_record(
     assert _onboard(engine) == "NOT SENT"
     with reading(engine) as session:
         assert not uplinks.list_uplinks(session)
+
+
+@pytest.mark.parametrize("climbed", [(), ("SENT", "LOADED"), ("SENT", "LOADED", "VERIFIED"), ("SENT", "UNKNOWN")])
+def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(
+    engine: Engine, people: People, climbed: tuple[str, ...]
+) -> None:
+    climb(engine, people["dee"], *climbed)
+    before = _onboard(engine)
+    with pytest.raises(
+        ConflictError, match=r"VERIFIED is not recorded by statement: .* `:read-back`, which compares\."
+    ):
+        _record(engine, people["dee"], "VERIFIED")
+    with pytest.raises(ConflictError, match=r"ACTIVE is not recorded by statement: .* by `:activate`\."):
+        _record(engine, people["dee"], "ACTIVE")
+    key = replace(people["dee"], credential="key:abc", scopes=frozenset({"uplinks"}))
+    with pytest.raises(ForbiddenError, match="Only a person who is logged in"):
+        _record(engine, key, "ACTIVE")
+    with pytest.raises(ConflictError, match="VERIFIED is not recorded by statement"):
+        _record(engine, key, "VERIFIED")
+    assert _onboard(engine) == before
+
+
+@pytest.mark.parametrize("state", uplinks.NEXT)
+def test_what_is_offered_to_be_stated_can_be_and_is_never_verified_or_active(state: str, engine: Engine) -> None:
+    with reading(engine) as session:
+        offered = uplinks.next_statements(session, ParameterSet(id=1, onboard_state=state))
+    assert set(offered) == set(uplinks.NEXT[state]) - {"VERIFIED", "ACTIVE"}
 
 
 @pytest.mark.parametrize("name", ["ana", "cy", "eve", "root"])
@@ -122,10 +147,10 @@ def test_one_set_is_active_and_the_one_before_becomes_unknown(
     engine: Engine, people: People, candidate: object
 ) -> None:
     row: ParameterSet = candidate()  # type: ignore[operator]
-    _climb(engine, people["dee"], *LADDER)
+    climb(engine, people["dee"], *LADDER)
     with writing(engine) as session:
         _promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(0.0))
-    _climb(engine, people["dee"], *LADDER, set_id=row.id)
+    climb(engine, people["dee"], *LADDER, set_id=row.id)
     assert (_onboard(engine, 1), _onboard(engine, row.id)) == ("UNKNOWN", "ACTIVE")
     with reading(engine) as session:
         newest = uplinks.list_uplinks(session, parameter_set_id=1)[0]
@@ -156,7 +181,7 @@ def test_a_time_on_the_second_counts_what_happened_within_it_as_later(engine: En
 def test_what_was_on_board_is_answered_for_any_time(engine: Engine, people: People) -> None:
     _record(engine, people["dee"], "SENT")
     between = utc_after(0.0)
-    _climb(engine, people["dee"], "LOADED", "VERIFIED")
+    climb(engine, people["dee"], "LOADED", "VERIFIED")
     with reading(engine) as session:
         assert list(uplinks.onboard_at(session, 1, "2000-01-01")) == []
         then = [(row.name, record.onboard_state) for row, record in uplinks.onboard_at(session, 1, between)]

@@ -11,12 +11,24 @@ import numpy as np
 import pytest
 
 from boresight.errors import StaleError, TooManyAttemptsError, UnauthenticatedError
-from boresight.services import approvals, audit, parameter_sets, sensors, telemetry_sets, timeline, uplinks, users
+from boresight.services import (
+    approvals,
+    audit,
+    parameter_sets,
+    sensors,
+    table_definitions,
+    telemetry_sets,
+    timeline,
+    uplinks,
+    users,
+)
 from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.services.read_backs import read_back, reference_of
 from boresight.store.blobs import BlobStore
 from boresight.store.documents import canonical
 from boresight.store.sessions import Engine, reading, writing
 from boresight.store.tables import ParameterSet, Run
+from boresight.uplink.plain_table import plain_definition
 
 PASSWORD = "correct horse battery"
 PEOPLE: Mapping[str, tuple[str, ...]] = {"ana": ("analyst",), "cy": ("approver",), "dee": ("operator",)}

@@ -75,7 +75,7 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
             members=_members(session, request.app.state.blobs, exported),
             reference=reference,
             why_no_reference=why,
-            next_states=[state for state in uplinks.NEXT[row.onboard_state] if state != "ACTIVE"],
+            next_states=uplinks.next_statements(session, row),
             why_not_sent=_why_not_sent(row),
             may_export=row.ground_state in packages.EXPORTED,
             readable=row.onboard_state in read_backs.READABLE,

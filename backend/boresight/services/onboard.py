@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from boresight.errors import RefusedInputError
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope, require_user
 from boresight.services.parameter_sets import get_parameter_set
 from boresight.services.transitions import require_seen, subject_of
 from boresight.services.words import refuse_control_characters
+from boresight.store import uplinks as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import ParameterSet, Uplink
 
@@ -63,6 +64,31 @@ def set_for_entry(
     if not source.strip():
         raise RefusedInputError("Say where this is known from: the pass, the procedure or the read-back file.")
     return row
+
+
+def shown_mismatch(session: Session, row: ParameterSet) -> bool:
+    """Say whether a dump of what was last sent differed, and no dump has agreed since.
+
+    What was recorded in between, by statement or by CRC, changes nothing of it: of all that was recorded since the set was
+    last SENT only the comparisons of bytes count, and the newest of them decides.
+    """
+    sent = rows.newest_record(session, row.id, "SENT")
+    compared = rows.newest_compared(session, row.id, "bytes", 0 if sent is None else sent.id)
+    return compared is not None and compared.onboard_state == "MISMATCH"
+
+
+def refuse_shown_mismatch(session: Session, row: ParameterSet) -> None:
+    """Refuse what would take back, without bytes, a mismatch that bytes showed.
+
+    Raises
+    ------
+    ConflictError
+        When a mismatch stands.
+    """
+    if shown_mismatch(session, row):
+        raise ConflictError(
+            f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again."
+        )
 
 
 def add_entry(

@@ -2,7 +2,8 @@
 
 A dump that is the same in every byte makes a set VERIFIED by bytes; a CRC that is the same makes it VERIFIED by CRC, which
 is weaker: of w bits it passes one wrong table in 2^w. Anything else is MISMATCH, with the differing bytes and fields kept
-as evidence beside the dump itself. A mismatch that bytes showed is taken back by bytes only, or by sending again.
+as evidence beside the dump itself. A mismatch that bytes showed is taken back by bytes only, or by sending again, whatever
+was recorded in between.
 
 What was sent is the table in the package that the SENT record names; without one, the set in the definition in force when
 it was sent, or where there was none yet, in the one in force now.
@@ -20,7 +21,7 @@ from typing import Any
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.services import packages
 from boresight.services.actors import Actor
-from boresight.services.onboard import Basis, add_entry, set_for_entry
+from boresight.services.onboard import Basis, add_entry, refuse_shown_mismatch, set_for_entry
 from boresight.services.table_definitions import parsed
 from boresight.services.timeline import happened_on
 from boresight.services.transitions import require_seen
@@ -92,7 +93,7 @@ def reference_of(session: Session, blobs: BlobStore, parameter_set: ParameterSet
     if row is None:
         raise RefusedInputError(
             f"There is no table definition to read {parameter_set.name} back with: "
-            "have an analyst or an administrator set one, or record what is known by statement."
+            "have an analyst or an administrator set one."
         )
     definition = parsed(session, row)
     if package is not None and package.table_definition_id == row.id:
@@ -187,11 +188,8 @@ def _refuse_unreadable(session: Session, row: ParameterSet, read: bytes | str) -
         raise ConflictError(
             f"{row.name} is {row.onboard_state} on board; record it as LOADED before a read-back of it."
         )
-    shown = rows.newest_record(session, row.id)
-    if isinstance(read, str) and row.onboard_state == "MISMATCH" and shown is not None and shown.method == "bytes":
-        raise ConflictError(
-            f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again."
-        )
+    if isinstance(read, str):
+        refuse_shown_mismatch(session, row)
 
 
 def _by_crc(reference: Reference, told: str) -> tuple[bool, dict[str, Any]]:

@@ -2,12 +2,16 @@
 
     NOT SENT --> SENT --> LOADED --> VERIFIED --> ACTIVE
 
-One step at a time, each with its source. ACTIVE therefore always follows a verified read-back. MISMATCH and UNKNOWN can
-be recorded for anything that was sent, and are left by sending again or by a read-back. One set is active: when another
-is recorded as ACTIVE, the one before becomes UNKNOWN. Nothing on the ground moves these states: a set that is promoted or
-rolled back says nothing about what the sensor runs with.
+One step at a time, each with its source, and each by its own door:
 
-What a record rests on is kept with it: a comparison (`read_backs`), a signature (`activate`), or somebody's statement.
+    SENT, LOADED, MISMATCH, UNKNOWN     somebody's statement          `record`
+    VERIFIED, MISMATCH                  a comparison of what was read `read_backs.read_back`
+    ACTIVE                              a signature in person         `activate`
+
+ACTIVE therefore always follows a read-back that agreed. MISMATCH and UNKNOWN can be recorded for anything that was sent, and
+are left by sending again or by a read-back; what `onboard.shown_mismatch` says stands, no statement takes back. One set is
+active: when another is signed as ACTIVE, the one before becomes UNKNOWN. Nothing on the ground moves these states: a set
+that is promoted or rolled back says nothing about what the sensor runs with.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from typing import Any
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.services import users
 from boresight.services.actors import Actor, require_person
-from boresight.services.onboard import Basis, add_entry, set_for_entry
+from boresight.services.onboard import Basis, add_entry, refuse_shown_mismatch, set_for_entry, shown_mismatch
 from boresight.services.table_definitions import definition_in_force
 from boresight.services.timeline import happened_on, read_time
 from boresight.services.transitions import require_seen
@@ -38,6 +42,7 @@ NEXT: dict[str, tuple[str, ...]] = {
     "MISMATCH": ("SENT", "UNKNOWN"),
     "UNKNOWN": ("SENT", "LOADED", "VERIFIED", "MISMATCH"),
 }
+STATED = ("SENT", "LOADED", "MISMATCH", "UNKNOWN")
 
 
 def record(
@@ -51,12 +56,14 @@ def record(
     package_id: int | None = None,
     happened: str | None = None,
 ) -> Uplink:
-    """Record the next on-board state of a set, with where it is known from.
+    """Record the next on-board state of a set by statement, with where it is known from.
 
     Parameters
     ----------
+    onboard_state
+        Of STATED; nobody's word makes a set VERIFIED or ACTIVE.
     source
-        Pass, procedure or read-back file that it is known from; needed.
+        Pass, procedure or log line that it is known from; needed.
     seen_version
         Version of the set that was looked at; None where a form shows the next steps itself.
     package_id
@@ -67,20 +74,21 @@ def record(
     Raises
     ------
     ForbiddenError
-        When the actor is no operator.
+        When the actor is no operator, or a key would have the set ACTIVE.
     StaleError
         When the set changed since.
     RefusedInputError
         When the state does not exist, the source is missing, the package is another set's, or the time is none.
     ConflictError
-        When the state does not follow the one recorded, or what is to be sent is not the baseline, or its package was built
-        for a table definition that is no longer in force.
+        When the state is VERIFIED or ACTIVE, or does not follow the one recorded, or a dump showed otherwise than LOADED, or
+        what is to be sent is not the baseline, or its package was built for a table definition that is no longer in force.
     """
     row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    _refuse_statement(actor, row, onboard_state)
     _refuse_step(row, onboard_state)
+    if onboard_state == "LOADED":
+        refuse_shown_mismatch(session, row)
     evidence = _package(session, row, package_id, onboard_state) | happened_on(happened)
-    if onboard_state == "ACTIVE":
-        _retire_active(session, actor, row, source.strip())
     return add_entry(session, actor, row, onboard_state, source, Basis(evidence))
 
 
@@ -115,7 +123,7 @@ def activate(
     RefusedInputError
         When source or meaning is missing.
     ConflictError
-        When the set is not VERIFIED.
+        When the set is not VERIFIED, or no read-back verified it.
     """
     require_person(actor, "sign that a set is active")
     if "administrator" in actor.roles:
@@ -125,6 +133,7 @@ def activate(
     row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_step(row, "ACTIVE")
+    _refuse_unread(session, row)
     refuse_control_characters(meaning=meaning)
     if not meaning.strip():
         raise RefusedInputError("Say what your signature means, such as: I saw this table active in telemetry.")
@@ -140,6 +149,33 @@ def shown_sha256(session: Session, row: ParameterSet) -> str:
     newest = rows.uplinks(session, parameter_set_id=row.id, sensor_id=None, before_id=None, limit=1)
     verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in newest]
     return sha256_of({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
+
+
+def next_statements(session: Session, row: ParameterSet) -> list[str]:
+    """Return the states that can be recorded next of a set by statement."""
+    told = [state for state in NEXT[row.onboard_state] if state in STATED]
+    return [state for state in told if state != "LOADED"] if shown_mismatch(session, row) else told
+
+
+def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> None:
+    """Refuse what is nobody's to state, and name the door that it comes by."""
+    if onboard_state == "VERIFIED":
+        raise ConflictError(
+            f"VERIFIED is not recorded by statement: give the dump or the CRC of {row.name} to `:read-back`, which compares."
+        )
+    if onboard_state == "ACTIVE":
+        require_person(actor, "sign that a set is active")
+        raise ConflictError(
+            f"ACTIVE is not recorded by statement: an operator signs it for {row.name} with password and meaning, "
+            "by `:activate`."
+        )
+
+
+def _refuse_unread(session: Session, row: ParameterSet) -> None:
+    """Refuse to sign for a set that was recorded as VERIFIED by word alone, as earlier versions let it be."""
+    newest = rows.newest_record(session, row.id)
+    if newest is None or newest.method is None:
+        raise ConflictError(f"{row.name} is VERIFIED by statement alone; read it back by dump or CRC, then sign.")
 
 
 def _refuse_step(row: ParameterSet, onboard_state: str) -> None:

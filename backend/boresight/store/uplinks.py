@@ -43,6 +43,12 @@ def newest_record(session: Session, parameter_set_id: int, onboard_state: str | 
     return session.scalar(query if onboard_state is None else query.where(Uplink.onboard_state == onboard_state))
 
 
+def newest_compared(session: Session, parameter_set_id: int, method: str, after_id: int) -> Uplink | None:
+    """Return the newest of a set's records after one that rests on a comparison by a method."""
+    query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id, Uplink.method == method)
+    return session.scalar(query.where(Uplink.id > after_id).order_by(Uplink.id.desc()).limit(1))
+
+
 def other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
     """Return the other sets of a set's sensor that were ever baseline, newest first: what may be on board instead."""
     query = sa.select(ParameterSet).where(ParameterSet.sensor_id == row.sensor_id, ParameterSet.id != row.id)

@@ -1,4 +1,4 @@
-"""Transitions of a set on board that rest on more than a statement: a read-back, and the signed entry that it is active.
+"""Transitions of a set on board that no statement makes: a read-back, and the signed entry that it is active.
 
 A dump is small, so its form is read whole, under the limit that the border sets for every body.
 """

@@ -1,4 +1,7 @@
-"""Uplinks: what people recorded of a parameter set on board."""
+"""Uplinks: what people recorded of a parameter set on board.
+
+By statement, or signed where the body carries a password and a meaning: then it is the entry that `:activate` makes.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,11 @@ from boresight.api.dependencies import Reading, SeenVersion, Who, Writing
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
+from boresight.errors import RefusedInputError
 from boresight.services import uplinks
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session
+from boresight.store.tables import Uplink
 
 router = APIRouter(prefix="/uplinks", tags=["uplinks"])
 
@@ -29,6 +36,28 @@ class Record(BaseModel):
     )
     package_id: Id | None = Field(None, description="The uplink package that was sent, where one was built.")
     happened_utc: str | None = Field(None, description="When it happened, where that is earlier than now.")
+    meaning: str | None = Field(None, description="Of ACTIVE: what the signature means.")
+    password: str | None = Field(None, description="Of ACTIVE: once more, for the signature is of the person.")
+
+    @property
+    def signed(self) -> bool:
+        """Whether it comes with anything of a signature."""
+        return self.password is not None or self.meaning is not None
+
+
+def _entry(session: Session, actor: Actor, record: Record, seen: int | None) -> Uplink:
+    """Make the entry: a signed one as `:activate` does, any other by statement."""
+    set_id, state, source, happened = record.parameter_set_id, record.onboard_state, record.source, record.happened_utc
+    if not record.signed:
+        return uplinks.record(
+            session, actor, set_id, state, source, seen, package_id=record.package_id, happened=happened
+        )
+    if state != "ACTIVE" or record.package_id is not None:
+        raise RefusedInputError(
+            "Only ACTIVE is signed, and of a package that was named before; leave out password and meaning, or the package."
+        )
+    meaning, password = record.meaning or "", record.password or ""
+    return uplinks.activate(session, actor, set_id, source, meaning, password, seen, happened=happened)
 
 
 @router.get("", name="list_uplinks", summary="List records", response_model=Page[schemas.Uplink])
@@ -52,26 +81,17 @@ def list_uplinks(
     summary="Record a step on board",
     status_code=201,
     response_model=schemas.Uplink,
-    responses=refusals(404, 409, 412, 428),
+    responses=refusals(404, 409, 412, 428, 429),
 )
 def record_uplink(record: Record, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing) -> Response:
-    """Record the next on-board state of a set by statement: SENT, LOADED, VERIFIED, ACTIVE; MISMATCH or UNKNOWN.
+    """Record the next on-board state of a set by statement: SENT, LOADED, MISMATCH or UNKNOWN.
 
-    `If-Match` is the ETag of the parameter set. A comparison of what was read back is `:read-back` of the set, and a signed
-    entry that it is active `:activate`.
+    `If-Match` is the ETag of the parameter set. VERIFIED comes only of `:read-back` of the set, which compares; ACTIVE only
+    of a signed entry: `:activate`, or this with the password and the meaning of a person.
     """
 
     def act() -> Answer:
-        row = uplinks.record(
-            session,
-            actor,
-            record.parameter_set_id,
-            record.onboard_state,
-            record.source,
-            seen,
-            package_id=record.package_id,
-            happened=record.happened_utc,
-        )
+        row = _entry(session, actor, record, seen)
         return Answer(schemas.written(schemas.Uplink, row), 201, {"Location": f"/api/v1/uplinks/{row.id}"})
 
     return once.answer(session, actor, act)
