@@ -35,6 +35,10 @@ ADDRESSES = {
     "forbidden": "/",
 }
 VISITORS = {"log-in": None, "users": "administrator"}
+LISTS = ("approvals", "timeline", "parameter-sets", "set-gates", "users", "audit")
+CUT = """() => [...document.querySelectorAll(".scroll")]
+    .filter(panel => panel.scrollWidth > panel.clientWidth).map(panel => panel.ariaLabel)"""
+LONG_NAME = "Wolfeschlegelsteinhausenbergerdorffwelchevoralternwarengewis"
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +71,23 @@ def test_a_page_keeps_nobody_out_and_fits_its_window(people, numbers, name):
         window.holds_in_every_theme_and_width(name)
         if name in {"no-such-page", "forbidden"}:
             window.forgive("40[34]")
+
+
+@pytest.mark.parametrize("name", LISTS)
+def test_a_list_shows_what_can_be_done_with_its_rows_without_being_scrolled(people, numbers, name):
+    with people.seat(VISITORS.get(name, "analyst")) as window:
+        visit(window, name, numbers)
+        assert window.page.evaluate(CUT) == []
+
+
+def test_a_name_of_sixty_letters_and_a_long_label_cut_no_list(people):
+    with people.seat("administrator") as window:
+        window.open("/users")
+        person = {"name": "w" * 30, "printed_name": LONG_NAME, "password": "of-sixty-letters", "roles": "analyst"}
+        assert window.send("/users", person).ok
+        assert window.send("/users/keys", {"label": f"The key of {LONG_NAME}", "days": "1"}).ok
+        for address in ("/users", "/audit"):
+            window.open(address)
+            expect(window.page.locator("main")).to_contain_text(LONG_NAME)
+            window.fits()
+            assert window.page.evaluate(CUT) == [], address
