@@ -36,6 +36,7 @@ NEW_COLUMNS = (
     ("approvals", "expires_utc", "TEXT"),
     ("approvals", "assigned_to", "INTEGER"),
     ("signatures", "console", "TEXT"),
+    ("signatures", "password_by", "TEXT"),
     ("uplinks", "method", "TEXT"),
     ("uplinks", "evidence", "TEXT"),
     ("uplinks", "printed_name", "TEXT"),
@@ -64,6 +65,8 @@ def upgrade() -> None:
 
 def downgrade() -> None:
     """Take guards, tables and columns away again."""
+    if _is_postgresql():  # records were numbered by their writer; the older version lets the sequence number them
+        op.execute("SELECT setval(pg_get_serial_sequence('audit', 'id'), coalesce(max(id), 0) + 1, false) FROM audit")
     _drop_guard("approvals", "change")
     for table in KEPT:
         _drop_guard(table, "removal")

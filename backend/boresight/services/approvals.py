@@ -4,6 +4,8 @@ Four eyes, in the server's transaction: `signers` says who may sign, the passwor
 bound by its hashes; if one moved, the request is STALE. As many approvals as the request needs approve it, one refusal
 blocks, also after an approval, until the set is promoted. A request that its gates stop can be refused, not approved.
 
+Who else gave the password of who signs stands in the signature, as `passwords.password_by` tells it from the audit log.
+
 Over the shoulder a second person signs at the console of another, with name and password: the signature is theirs, the
 console's owner stands beside it, and the log-in of the console stays whose it was.
 """
@@ -22,6 +24,7 @@ from boresight.services import users
 from boresight.services.actors import POLICY, Actor, Policy, require_person
 from boresight.services.discussions import assign, openings_of, record_opening, remark, remarks_of
 from boresight.services.evidence import refuse_blocked, shown_sha256
+from boresight.services.passwords import password_by
 from boresight.services.signers import refuse_signer, second_persons
 from boresight.services.staleness import any_due, expire_due, is_expired, refuse_expired, refuse_moved
 from boresight.services.transitions import get_approval, move, require_seen, resting_state, who_changed
@@ -213,9 +216,10 @@ def _sign(
     refuse_moved(session, actor, approval, parameter_set)
     if decision == "APPROVE":
         refuse_blocked(session, parameter_set)
+    user_id = require_person(actor, "sign")
     signature = Signature(
         approval_id=approval.id,
-        user_id=require_person(actor, "sign"),
+        user_id=user_id,
         printed_name=actor.printed_name,
         decision=decision,
         meaning=meaning,
@@ -223,6 +227,7 @@ def _sign(
         shown_sha256=shown_sha256(approval),
         signed_utc=utc_now(),
         console=console,
+        password_by=password_by(session, user_id),
     )
     session.add(signature)
     session.flush()
@@ -239,7 +244,12 @@ def _decide(
     policy: Policy,
 ) -> None:
     """Bring request and set into the state that the signature gives them."""
-    told = {"shown_sha256": signature.shown_sha256, "console": signature.console, "four_eyes": policy.four_eyes}
+    told = {
+        "shown_sha256": signature.shown_sha256,
+        "console": signature.console,
+        "password_by": signature.password_by,
+        "four_eyes": policy.four_eyes,
+    }
     reason = f"{signature.meaning}: {signature.comment}" if signature.comment else signature.meaning
     if signature.decision == "REFUSE":
         approval.closed_utc = signature.signed_utc

@@ -1,7 +1,7 @@
 """The audit log: append-only, hash-chained, and a seal on every row that it tells of.
 
-`boresight.store.chain` says how records are chained, `boresight.store.seals` what a seal is. Changing, removing or
-reordering a record breaks the chain at that record; changing, removing or inserting a sealed row by hand leaves it
+`boresight.store.chain` says how records are chained, `boresight.store.seals` what a seal is. Changing, removing,
+reordering or renumbering a record breaks the chain at that record; changing, removing or inserting a sealed row by hand leaves it
 without its seal. The log is tamper-evident, not tamper-proof: whoever owns the database can rebuild it from any point,
 and can cut its tail unseen where no row was sealed in it, unless someone outside holds a later head. So every export
 carries the head, and `verify` takes a head that must still be there.
@@ -196,7 +196,8 @@ def _sentence(found: Findings, expected_head: str | None) -> str:
     count = found.records
     if found.broken_id is not None:
         return (
-            f"Record {found.broken_id} is not as it was written, or one before it was removed; {count} before it are."
+            f"Record {found.broken_id} is not as it was written, or it was renumbered, or one before it was removed; "
+            f"{count} before it are."
         )
     if found.misfit is not None:
         more = f", and {found.misfits - 1} more are not as they were written" if found.misfits > 1 else ""

@@ -6,12 +6,14 @@ Each line of the export but the last is one record, as JSON with its keys sorted
 `canon` that spelling of a record without `id`, `previous_hash` and `hash`, and without `rows` and `roles` where they
 are null::
 
+    id_0 = 0,            id_n = id_(n-1) + 1
     hash_0 = 64 zeros,   hash_n = SHA-256(hash_(n-1) || canon(record_n))
 
+A record without `roles` is of an older version, which could skip numbers before it; no other record may follow a gap.
 The last line says how many records there are, the hash of the last one, and as `sha256` the SHA-256 of all lines before
 it and of the last line itself without that member. Found are: any byte that is not as it was exported, any record
-changed, removed, added or moved, and with --head a chain that was rewritten after you came to hold one of its hashes.
-The exit code is 0 when all is as it was written, 1 otherwise.
+changed, renumbered, removed, added or moved, and with --head a chain that was rewritten after you came to hold one of
+its hashes. The exit code is 0 when all is as it was written, 1 otherwise.
 """
 
 from __future__ import annotations
@@ -85,7 +87,10 @@ def verify(export: BinaryIO, expected_head: Optional[str] = None) -> Tuple[bool,
 
 def _follows(record: Dict[str, Any], previous: str, last_id: int) -> bool:  # noqa: UP006 - Python 3.8
     """Whether a record is the one that comes next in the chain."""
-    if not isinstance(record.get("id"), int) or record["id"] <= last_id:
+    number = record.get("id")
+    if not isinstance(number, int) or number <= last_id:
+        return False
+    if number != last_id + 1 and record.get("roles") is not None:
         return False
     return record.get("previous_hash") == previous and record.get("hash") == hash_of(previous, record)
 

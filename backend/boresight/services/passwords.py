@@ -2,6 +2,10 @@
 
 They are kept as argon2id hashes. A name that does not exist costs the same hash as one that does, and too many failures
 make a name wait, whether it exists or not, so that an answer does not tell who has an account.
+
+A password proves a person only if nobody else chose it. Administrators create people and reset passwords, and one could
+then sign as somebody else; that cannot be told from the person doing it, so `password_by` says of every signature what
+the audit log knows, and it stays with the signature.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
 from boresight.errors import RefusedInputError, TooManyAttemptsError, UnauthenticatedError
+from boresight.store import audit as records
 from boresight.store import users as rows
 from boresight.store.sessions import Session, keep_despite_refusal, utc_after, utc_now
 from boresight.store.tables import LoginFailure, User
@@ -22,6 +27,8 @@ MINIMUM_PASSWORD_LENGTH = 12
 MAXIMUM_PASSWORD_LENGTH = 256  # a longer one only costs time
 LOGIN_ATTEMPTS_PER_MINUTE = 5
 FAILURE_COUNTS_S = 60.0
+CREATED, CHANGED, RESET = "created", "changed the password of", "reset the password of"  # in the audit log
+TOLD_FOR_S = 24 * 3600.0  # a password of one's own that followed another's within this time may be the other's too
 
 _HASHER = PasswordHasher()
 _UNKNOWN = _HASHER.hash("nobody has this password")
@@ -79,3 +86,29 @@ def _fits(password_hash: str, password: str) -> bool:
         return _HASHER.verify(password_hash, password[: MAXIMUM_PASSWORD_LENGTH + 1])
     except (VerificationError, InvalidHashError):
         return False
+
+
+def password_by(session: Session, user_id: int) -> str | None:
+    """Say who else gave a person's password, as a signature keeps it; None when it is the person's own since long.
+
+    It is somebody else's when they gave the one that is in use, and may be when the person set one within `TOLD_FOR_S`
+    after somebody else had given one: whoever gave it could log in with it and set the next.
+    """
+    subject, actions = f"users/{user_id}", (CREATED, CHANGED, RESET)
+    newest = records.newest_of(session, subject, actions)
+    given = records.newest_of(session, subject, actions, not_by=user_id)
+    if newest is None or given is None:
+        return "given by nobody on record"
+    given_at = datetime.fromisoformat(given.at_utc)
+    how = f"{'given' if given.action == CREATED else 'reset'} by {given.actor} at {given_at:%Y-%m-%d %H:%M:%S} UTC"
+    if newest.id == given.id:
+        return f"{how}, not changed since"
+    later_s = (datetime.fromisoformat(newest.at_utc) - given_at).total_seconds()
+    return f"{how}, set anew {_span(later_s)} later" if later_s < TOLD_FOR_S else None
+
+
+def _span(seconds: float) -> str:
+    """Print a span of time under a day with its largest unit."""
+    if seconds < 60.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 3600.0 else f"{seconds / 3600.0:.0f} h"

@@ -13,7 +13,10 @@ from boresight.errors import ConflictError, NotFoundError, PasswordDueError, Ref
 from boresight.services import audit
 from boresight.services.actors import Actor, refuse_key, require_person, require_role
 from boresight.services.passwords import (
+    CHANGED,
+    CREATED,
     LOGIN_ATTEMPTS_PER_MINUTE,
+    RESET,
     check_password,
     hash_password,
 )
@@ -65,7 +68,7 @@ def create_user(
     session.add(user)
     session.flush()
     after = {"name": name, "printed_name": user.printed_name, "roles": user.roles}
-    audit.append(session, actor, "created", _subject(user), None, after)
+    audit.append(session, actor, CREATED, _subject(user), None, after)
     return user
 
 
@@ -181,8 +184,7 @@ def change_password(session: Session, actor: Actor, user_id: int, password: str,
     user.password_hash = hash_password(user.name, password)
     user.session_epoch += 1
     user.must_change_password = int(not own)
-    action = "changed the password of" if own else "reset the password of"
-    audit.append(session, actor, action, _subject(user), before, {"must_change_password": not own})
+    audit.append(session, actor, CHANGED if own else RESET, _subject(user), before, {"must_change_password": not own})
     return user
 
 

@@ -45,6 +45,16 @@ def last_change(session: Session, subject: str) -> AuditRecord | None:
     return session.scalar(query.order_by(AuditRecord.id.desc()).limit(1))
 
 
+def newest_of(
+    session: Session, subject: str, actions: Sequence[str], *, not_by: int | None = None
+) -> AuditRecord | None:
+    """Return the newest record of one of these actions on an object, of all or of those that a person did not do."""
+    query = sa.select(AuditRecord).where(AuditRecord.object == subject, AuditRecord.action.in_(actions))
+    if not_by is not None:
+        query = query.where(AuditRecord.actor_id.is_distinct_from(not_by))
+    return session.scalar(query.order_by(AuditRecord.id.desc()).limit(1))
+
+
 def records(session: Session, *, before_id: int | None, sought: Sought, limit: int) -> Sequence[AuditRecord]:
     """Return records, newest first, older than a cursor and only those sought."""
     query = sa.select(AuditRecord).order_by(AuditRecord.id.desc()).limit(limit)

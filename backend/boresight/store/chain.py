@@ -3,7 +3,13 @@
 With `canon` the canonical JSON of a record's columns except `id`, `previous_hash` and `hash`, `rows` and `roles` left
 out where they are NULL::
 
+    id_0 = 0,            id_n = id_(n-1) + 1
     hash_0 = 64 zeros,   hash_n = SHA-256(hash_(n-1) || canon(record_n))
+
+The number is outside the hash, so it must follow: the one writer at a time gives it, and a record that was renumbered,
+with all after it or alone, does not follow the one before. Records of before there were seals, which alone have no
+`roles`, were numbered by the database, whose sequence skips a number when a transaction of PostgreSQL's is undone: a
+gap is let pass before such a record, and before no other.
 
 A record waits in its session until the transaction commits. Then the digests of every sealed row that the transaction
 touched go into `rows` of its last record, and the records are written in their order. This hangs on the session's own
@@ -14,7 +20,7 @@ no record at all is refused.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from json.encoder import encode_basestring
 from typing import Any
 
@@ -54,6 +60,13 @@ def hash_of(previous_hash: str, raw: Mapping[str, Any]) -> str:
     return hashlib.sha256(f"{previous_hash}{{{','.join(parts)}}}".encode()).hexdigest()
 
 
+def follows(last_id: int, previous_hash: str, raw: Mapping[str, Any]) -> bool:
+    """Whether a record, its columns as they are stored, is the next after one with this number and this hash."""
+    skipped = raw["roles"] is None and raw["id"] > last_id  # of before there were seals
+    numbered = raw["id"] == last_id + 1 or skipped
+    return numbered and raw["previous_hash"] == previous_hash and raw["hash"] == hash_of(previous_hash, raw)
+
+
 def spelled(raw: Mapping[str, Any]) -> str:
     """Return a whole record as canonical JSON, for exports."""
     return f"{{{','.join(f'{encode_basestring(name)}:{_value(name, raw[name])}' for name in sorted(COLUMNS))}}}"
@@ -66,16 +79,16 @@ def _value(name: str, value: Any) -> str:
     return str(value) if name in NUMBERS or name in DOCUMENTS else encode_basestring(value)
 
 
-def append(session: Session, **values: Any) -> AuditRecord:
-    """Let a record wait for the commit of its transaction; `at_utc` is now."""
-    record = AuditRecord(at_utc=utc_now(), **values)
+def append(session: Session, *, roles: Sequence[str], **values: Any) -> AuditRecord:
+    """Let a record wait for the commit of its transaction; `at_utc` is now, `roles` may be empty and is never NULL."""
+    record = AuditRecord(at_utc=utc_now(), roles=list(roles), **values)
     session.info.setdefault(PENDING, []).append(record)
     return record
 
 
 def append_own(session: Session, action: str, subject: str, **values: Any) -> AuditRecord:
     """Let a record of Boresight's own doing wait for the commit."""
-    return append(session, actor="Boresight", credential="system", action=action, object=subject, **values)
+    return append(session, actor="Boresight", credential="system", action=action, object=subject, roles=[], **values)
 
 
 def pending(session: Session) -> list[AuditRecord]:
@@ -89,12 +102,12 @@ def write_out(session: Session) -> None:
     if not records:
         return
     records[-1].rows = seals.take(session) or None
-    previous = head(session)
-    for record in records:
-        record.previous_hash = previous
+    last_id, previous = newest(session)
+    for record_id, record in enumerate(records, start=last_id + 1):
+        record.id, record.previous_hash = record_id, previous
         record.hash = previous = hash_of(previous, _raw(record))
         session.add(record)
-        session.flush()  # one by one: the order of their numbers is the order of the chain
+    session.flush()
     session.info[WRITTEN] = True
 
 
@@ -110,10 +123,16 @@ def _raw(record: AuditRecord) -> dict[str, Any]:
     return values | {name: canonical(values[name]) for name in DOCUMENTS if values[name] is not None}
 
 
+def newest(session: Session) -> tuple[int, str]:
+    """Return number and hash of the newest record that is written; 0 and `FIRST_HASH` where there is none."""
+    query = sa.select(AuditRecord.id, AuditRecord.hash).order_by(AuditRecord.id.desc()).limit(1)
+    found = session.execute(query).first()
+    return (0, FIRST_HASH) if found is None else (found.id, found.hash)
+
+
 def head(session: Session) -> str:
     """Return the hash of the newest record that is written."""
-    newest = sa.select(AuditRecord.hash).order_by(AuditRecord.id.desc()).limit(1)
-    return session.scalar(newest) or FIRST_HASH
+    return newest(session)[1]
 
 
 def seal(session: Session) -> None:

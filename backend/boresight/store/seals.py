@@ -41,7 +41,7 @@ from boresight.store.tables import (
 
 UNSEALED: Mapping[type[Base], str] = {
     AuditRecord: "is the chain itself",
-    Blob: "is named by the SHA-256 of its bytes, and the rows that name it are sealed",
+    Blob: "is named by the SHA-256 of its bytes; the rows that name it are sealed, and lose it if it is edited",
     IdempotentResponse: "is forgotten after a day",
     LoginFailure: "counts for a minute",
     Opening: "is shown and decides nothing",
@@ -156,6 +156,21 @@ def digests_of(session: Session, model: type[Base], ids: Sequence[int] | None = 
     with closing(session.execute(query, execution_options={"yield_per": ROWS_AT_A_TIME})) as found:
         for row in found:
             yield row[0], _digest(model, dict(zip(names, row, strict=True)))
+
+
+def orphans(session: Session, model: type[Base]) -> frozenset[int]:
+    """Return the keys of a sealed table's rows that refer to a row of an unsealed table that is not there.
+
+    The row itself is as it was sealed then, and what it names was edited or removed by hand: no transaction could.
+    """
+    table, unsealed = model.__table__, {other.__table__ for other in UNSEALED}
+    lost = [
+        column.is_not(None) & ~sa.exists().where(key.column == column)
+        for column in table.columns
+        for key in column.foreign_keys
+        if key.column.table in unsealed
+    ]
+    return frozenset(session.scalars(sa.select(table.columns["id"]).where(sa.or_(*lost)))) if lost else frozenset()
 
 
 def _digest(model: type[Base], values: Mapping[str, Any]) -> str:

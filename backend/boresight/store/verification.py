@@ -7,6 +7,7 @@ each record and each row is read once::
     digest in the chain, row as sealed      good
     digest in the chain, another row        changed by hand
     digest in the chain, no row             removed by hand
+    row as sealed, what it refers to gone   parted by hand from an unsealed row, such as its blob
     no digest in the chain, a row           inserted by hand
 """
 
@@ -29,6 +30,8 @@ SCRATCH = (
 PUT = "INSERT OR REPLACE INTO seals VALUES (?, ?, ?, ?)"
 GET = "SELECT id, digest, record FROM seals WHERE name = ? AND digest IS NOT NULL ORDER BY id"
 
+PARTED = "parted from a row that it refers to"
+
 Seal = tuple[int, str, int]  # key of a row, its digest, the record that it is in
 
 
@@ -41,7 +44,7 @@ class Misfit:
     row
         `table/id`.
     what
-        changed, removed or inserted.
+        changed, removed, inserted, or parted from a row that it refers to.
     record_id
         The record that sealed it last; None where none did.
     """
@@ -100,7 +103,7 @@ def _walk(session: Session, scratch: sqlite3.Connection, found: Findings, expect
     """Check every record against the one before, and gather the seals."""
     with closing(audit.walk(session)) as records:
         for record in records:
-            if record["previous_hash"] != found.head or record["hash"] != chain.hash_of(found.head, record):
+            if not chain.follows(found.last_id, found.head, record):
                 found.broken_id = record["id"]
                 return
             if record["rows"] is not None:
@@ -121,6 +124,7 @@ def _misfits(session: Session, scratch: sqlite3.Connection, found: Findings, nam
     sealed: Iterable[Seal] = scratch.execute(GET, (name,))
     waiting = iter(sealed)
     seal = next(waiting, None)
+    orphans = seals.orphans(session, seals.SEALED[name])
     for row_id, digest in seals.digests_of(session, seals.SEALED[name]):
         found.rows += 1
         while seal is not None and seal[0] < row_id:
@@ -131,6 +135,8 @@ def _misfits(session: Session, scratch: sqlite3.Connection, found: Findings, nam
             continue
         if seal[1] != digest:
             yield Misfit(f"{name}/{row_id}", "changed", seal[2])
+        elif row_id in orphans:
+            yield Misfit(f"{name}/{row_id}", PARTED, seal[2])
         seal = next(waiting, None)
     while seal is not None:
         yield Misfit(f"{name}/{seal[0]}", "removed", seal[2])

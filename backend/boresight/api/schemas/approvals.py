@@ -21,6 +21,10 @@ class Signature(Row):
     shown_sha256: str = Field(description="Hash of what was shown when this was signed.")
     signed_utc: str
     console: str | None = Field(description="At whose console it was signed over the shoulder; null at one's own.")
+    password_by: str | None = Field(
+        description="Who else gave the password that it was signed with, and when; null where the signer chose it, a day "
+        "or more after anybody else had given one."
+    )
 
 
 class Approval(Row):

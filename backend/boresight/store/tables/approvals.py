@@ -53,6 +53,7 @@ class Signature(Base):
     shown_sha256: Mapped[str] = mapped_column(sa.Text)
     signed_utc: Mapped[str] = mapped_column(sa.Text)
     console: Mapped[str | None] = mapped_column(sa.Text)  # whose console it was signed at, over the shoulder
+    password_by: Mapped[str | None] = mapped_column(sa.Text)  # who else knew, or lately gave, the password
 
 
 class Remark(Base):
