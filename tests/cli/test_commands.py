@@ -75,6 +75,17 @@ def test_report_of_a_run_that_is_not_stored_is_refused(store, tmp_path):
     assert "12" in done.stderr
 
 
+@pytest.mark.parametrize(("setting", "said"), [("1", False), ("0", True)])
+def test_the_report_of_a_stored_run_says_where_one_person_works_alone(
+    store, calibration_result, tmp_path, monkeypatch, setting, said
+):
+    monkeypatch.setenv("BORESIGHT_FOUR_EYES", setting)
+    monkeypatch.setattr("boresight.services.runs.final_result", lambda *_: calibration_result)
+    done = store("report", "1", "--out", tmp_path / "report.html")
+    assert done.exit_code == 0, done.stderr
+    assert ("FOUR EYES ARE OFF" in (tmp_path / "report.html").read_text(encoding="utf-8")) is said
+
+
 def test_the_schema_goes_forward_and_back(store):
     assert store("migrate").stdout.startswith("schema empty -> 0")
     assert store("migrate", "--down", "base").stdout.endswith("-> empty\n")
