@@ -24,6 +24,7 @@ def test_a_set_goes_from_candidate_to_baseline_and_the_one_before_is_superseded(
     signed = house.sign("alan", approval)
     assert signed.json()["state"] == "APPROVED"
     assert [signature["printed_name"] for signature in signed.json()["signatures"]] == ["Alan"]
+    assert signed.json()["signatures"][0]["password_by"].startswith("given by Command line at ")
     olga = house.person("olga")
     address = f"/api/v1/parameter-sets/{approval['parameter_set_id']}"
     row = olga.get(address)

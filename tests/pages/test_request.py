@@ -72,7 +72,8 @@ def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(ho
     answer = ada.post(f"{address}/sign-over-the-shoulder", version="1", name="alan", password=PASSWORD, **WORDS)
     assert answer.status_code == 303
     text = read(ada.get(address))
-    assert "Alan Approver at the console of Ada Analyst" in text
+    assert "Alan Approver at the console of Ada Analyst Password given by Command line at 20" in text
+    assert "UTC, not changed since." in text
     assert "Ada Analyst" in ada.get("/approvals"), "the console's log-in became another's"
     with reading(house.engine) as session:
         assert approvals.get_approval(session, 1).state == "APPROVED"

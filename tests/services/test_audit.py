@@ -70,6 +70,18 @@ def test_a_record_removed_by_hand_is_missed_at_the_next(log: Engine) -> None:
     assert _verify(log).first_broken_id == 6
 
 
+@pytest.mark.parametrize(("which", "broken_id"), [("id > 5", 1006), ("id = 18", 1018), ("id > 0", 1001)])
+def test_records_renumbered_by_hand_are_found_with_and_without_a_head(log: Engine, which: str, broken_id: int) -> None:
+    with reading(log) as session:
+        head = audit.head(session)
+        assert _count(session) == 18
+    _by_hand(log, f"UPDATE audit SET id = id + 1000 WHERE {which}")  # noqa: S608 - words of our own
+    for known in (None, head):
+        report = _verify(log, known)
+        assert (report.ok, report.first_broken_id) == (False, broken_id)
+        assert "renumbered" in report.sentence
+
+
 def test_two_records_exchanged_are_found(log: Engine) -> None:
     _by_hand(log, "UPDATE audit SET id = CASE id WHEN 5 THEN -6 ELSE -5 END WHERE id IN (5, 6)")
     _by_hand(log, "UPDATE audit SET id = -id WHERE id < 0")

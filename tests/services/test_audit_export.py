@@ -96,6 +96,42 @@ def test_a_chain_rebuilt_from_an_edit_on_is_found_only_with_a_head_from_before(l
     assert "rewritten" in sentence
 
 
+@pytest.mark.parametrize("first", [0, 3, -1])
+def test_records_renumbered_in_the_database_are_found_in_its_export(log: Engine, first: int) -> None:
+    lines = _export(log).splitlines()
+    records = [json.loads(line) for line in lines[:-1]]
+    for record in records[first:]:
+        record["id"] += 1000  # outside the hash of a record
+    good, sentence = verify(io.BytesIO(_exported(records, lines[-1])), _head(log))
+    line = range(1, len(records) + 1)[first]
+    assert (good, f"Line {line} is not as it was written" in sentence) == (False, True), sentence
+
+
+def test_a_gap_is_let_pass_before_a_record_of_an_older_version_only(log: Engine) -> None:
+    lines, previous = _export(log).splitlines(), chain.FIRST_HASH
+    records = [json.loads(line) for line in lines[:-1]]
+    for record, skipped in zip(records, (0, 3, *[3] * len(records)), strict=False):
+        record.update(id=record["id"] + skipped, previous_hash=previous)
+        if record["id"] < 7:
+            record["roles"] = None
+        record["hash"] = previous = hash_of(previous, record)
+    old, new = records[1], records[-1]
+    assert (old["roles"], new["roles"] is None) == (None, False)
+    last = json.dumps(json.loads(lines[-1]) | {"head": previous}).encode()
+    assert verify(io.BytesIO(_exported(records, last)))[0]
+    new["id"] += 1
+    assert not verify(io.BytesIO(_exported(records, last)))[0]
+
+
+def _exported(records: list[dict[str, Any]], last_line: bytes) -> bytes:
+    """Write records and a last line that fits them, as an export of a database edited by hand would."""
+    body = b"".join(f"{canonical(record)}\n".encode() for record in records)
+    last = json.loads(last_line)
+    del last["sha256"]
+    last["sha256"] = hashlib.sha256(body + canonical(last).encode()).hexdigest()
+    return body + f"{canonical(last)}\n".encode()
+
+
 def test_the_program_in_the_zip_runs_without_boresight_and_finds_a_flipped_byte(log: Engine, tmp_path: Path) -> None:
     with zipfile.ZipFile(io.BytesIO(_export(log, "zip"))) as archive:
         archive.extractall(tmp_path)

@@ -48,6 +48,8 @@ def test_a_second_person_signs_at_the_console_of_another(engine: Engine, people:
         record = audit.last_change(session, f"approvals/{request_id}")
         assert record is not None
         assert (record.actor, (record.after or {})["console"]) == ("Cy", "Ana")
+        assert (record.after or {})["password_by"] == signature.password_by
+    assert str(signature.password_by).startswith("given by Command line at ")
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 
 import pytest
 
 from boresight.errors import ForbiddenError, PasswordDueError, RefusedInputError
 from boresight.services import approvals, audit, users
-from boresight.services.actors import Actor
+from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.services.passwords import password_by
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.store.tables import ParameterSet
 
@@ -94,3 +96,78 @@ def test_a_person_may_be_added_with_a_password_for_the_first_log_in_only(
         assert users.must_change_password(session, actor)
         with pytest.raises(PasswordDueError):
             users.actor_of_session(session, row.id, row.session_epoch)
+
+
+AT = "given by Command line at 2026-11-20 12:00:00 UTC"
+RESET = "reset by Root at 2026-11-20 18:00:00 UTC"
+
+
+def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events: tuple[str, str]) -> str | None:
+    """Have a new person's password given and changed at times, and return what a signature would keep of it."""
+
+    def at(time: str) -> None:
+        monkeypatch.setattr("boresight.store.chain.utc_now", lambda: f"{time}.000000Z")
+
+    at("2026-11-20T12:00:00")
+    with writing(engine) as session:
+        row = users.create_user(
+            session, COMMAND_LINE, name="new", printed_name="New", password=PASSWORD, roles=["approver"]
+        )
+        new_id, current = row.id, PASSWORD
+        for number, (who, time) in enumerate(events):
+            at(time)
+            fresh, own = f"{OWN} {number}", who == "new"
+            actor = Actor(new_id, "new", "New", frozenset({"approver"}), "session") if own else root
+            users.change_password(session, actor, new_id, fresh, current)
+            current = fresh
+        return password_by(session, new_id)
+
+
+@pytest.mark.parametrize(
+    ("events", "told"),
+    [
+        ((), f"{AT}, not changed since"),
+        ((("new", "2026-11-20T12:00:40"),), f"{AT}, set anew 40 s later"),
+        ((("new", "2026-11-20T12:03:00"),), f"{AT}, set anew 3 min later"),
+        ((("new", "2026-11-21T11:59:59"),), f"{AT}, set anew 24 h later"),
+        ((("new", "2026-11-21T12:00:00"),), None),
+        ((("root", "2026-11-20T18:00:00"),), f"{RESET}, not changed since"),
+        ((("root", "2026-11-20T18:00:00"), ("new", "2026-11-20T18:03:00")), f"{RESET}, set anew 3 min later"),
+        (
+            (("root", "2026-11-20T18:00:00"), ("new", "2026-11-20T18:03:00"), ("new", "2026-11-20T20:00:00")),
+            f"{RESET}, set anew 2 h later",
+        ),
+        ((("new", "2026-11-22T12:00:00"), ("new", "2026-11-22T12:01:00")), None),
+    ],
+)
+def test_who_else_gave_a_password_is_told_until_it_is_long_ones_own(
+    engine: Engine,
+    people: Mapping[str, Actor],
+    monkeypatch: pytest.MonkeyPatch,
+    events: tuple[tuple[str, str], ...],
+    told: str | None,
+) -> None:
+    assert _told(engine, people["root"], monkeypatch, *events) == told
+
+
+def test_a_person_whom_no_record_made_has_a_password_of_nobody_on_record(session: Session) -> None:
+    assert password_by(session, 4711) == "given by nobody on record"
+
+
+def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(
+    engine: Engine, submitted: Callable[[], ParameterSet], cy: Actor
+) -> None:
+    row = submitted()
+    with writing(engine) as session:  # by who reset it, logged in as Cy
+        puppet = users.actor_of_session(session, cy.user_id or 0, _epoch(session, cy), sets_password=True)
+        users.change_password(session, puppet, cy.user_id or 0, OWN, GIVEN)
+    with writing(engine) as session:
+        approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+        signature = approvals.sign(session, puppet, approval.id, "APPROVE", "I approve", "", OWN, approval.version)
+        record = audit.last_change(session, f"approvals/{approval.id}")
+    assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, set anew \d+ s later", str(signature.password_by))
+    assert record is not None
+    assert (record.after or {})["password_by"] == signature.password_by
+    with reading(engine) as session:
+        assert approvals.signatures_of(session, approval.id)[0].password_by == signature.password_by
+        assert audit.verify(session).ok

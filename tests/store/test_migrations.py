@@ -11,6 +11,7 @@ from alembic.migration import MigrationContext
 from sqlalchemy.orm import Session as UnsealedSession
 
 from boresight.errors import ConflictError, RefusedInputError
+from boresight.store.chain import append_own
 from boresight.store.sessions import (
     Engine,
     current_revision,
@@ -158,6 +159,17 @@ def test_the_data_survive_the_way_down_to_every_revision_and_up_again(store: Eng
     with reading(store) as session:
         assert session.get_one(IdempotentResponse, ("k", "ana session")).body == {"id": 1}
         assert session.get_one(Sensor, 1).name == "ST1"
+
+
+def test_an_older_version_can_number_records_itself_again(store: Engine) -> None:
+    with writing(store) as session:
+        for number in range(3):
+            append_own(session, "counted", f"numbers/{number}")
+    downgrade(store, "0002")
+    columns = "at_utc, actor, credential, action, object, previous_hash, hash"
+    _execute(store, f"INSERT INTO audit ({columns}) VALUES ('2026', 'a', 'b', 'c', 'd', 'e', 'f')")  # noqa: S608 - words of our own
+    with store.connect() as connection:
+        assert connection.exec_driver_sql("SELECT max(id) FROM audit").scalar() == 4
 
 
 def _has_age_index(store: Engine) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import sqlalchemy as sa
+from sqlalchemy.orm import Session as UnsealedSession
 
 from boresight.store import chain, verification
 from boresight.store.sessions import Engine, reading, writing
@@ -79,11 +80,49 @@ def test_an_edit_by_hand_is_named_with_its_record(store: Engine, statement: str,
         (("UPDATE audit SET rows = NULL WHERE id = 3",), 3),
         (("DELETE FROM audit WHERE id = 2",), 3),
         (("UPDATE audit SET id = 20 WHERE id = 2", "UPDATE audit SET id = 2 WHERE id = 3"), 2),
+        (("UPDATE audit SET id = id + 1000",), 1001),
+        (("UPDATE audit SET id = id + 1000 WHERE id > 2",), 1003),
+        (("UPDATE audit SET id = 1004 WHERE id = 4",), 1004),
+        (("UPDATE audit SET id = 0 WHERE id = 1",), 0),
     ],
 )
 def test_a_record_edited_by_hand_is_named(store: Engine, statements: tuple[str, ...], broken_id: int) -> None:
     _by_hand(store, *statements)
     assert _found(store).broken_id == broken_id
+
+
+def test_a_gap_is_let_pass_before_a_record_of_before_there_were_seals_and_before_no_other(store: Engine) -> None:
+    _by_hand(store, "DELETE FROM audit")
+    head = chain.FIRST_HASH
+    with UnsealedSession(store) as session, session.begin():  # as an older version wrote: without rows and roles
+        for record_id in (2, 5):
+            raw = dict.fromkeys(chain.COLUMNS) | dict.fromkeys(
+                ("at_utc", "actor", "credential", "action", "object"), "x"
+            )
+            raw |= {"id": record_id, "previous_hash": head, "hash": chain.hash_of(head, raw)}
+            session.add(AuditRecord(**raw))
+            head = raw["hash"]
+    with writing(store) as session:
+        chain.append_own(session, "looked", "users/1")
+    found = _found(store)
+    assert (found.broken_id, found.records, found.last_id) == (None, 3, 6)
+    _by_hand(store, "UPDATE audit SET id = 7 WHERE id = 6")
+    assert _found(store).broken_id == 7
+
+
+def test_records_are_numbered_without_a_gap_although_transactions_were_undone(store: Engine) -> None:
+    for kept in (False, True):
+        with writing(store) as session:
+            chain.append_own(session, "first", "users/1")
+            chain.append_own(session, "second", "users/1")
+            chain.write_out(session)
+            if not kept:
+                session.rollback()
+    with reading(store) as session:
+        ids = session.scalars(sa.select(AuditRecord.id).order_by(AuditRecord.id)).all()
+        unsaid = session.scalars(sa.select(AuditRecord.id).where(AuditRecord.roles.is_(None))).all()
+    assert (ids, unsaid) == ([1, 2, 3, 4, 5, 6], [])
+    assert _found(store).broken_id is None
 
 
 def test_a_tail_that_was_cut_leaves_rows_without_seals_and_misses_the_head(store: Engine) -> None:
