@@ -128,9 +128,8 @@ def _approval(session: Session, row: ParameterSet) -> dict[str, Any] | None:
 
 def _signed(signature: Signature) -> dict[str, Any]:
     """Say who signed what, and who else knew the password, where somebody did."""
-    password_by = getattr(signature, "password_by", None)
     said = {key: getattr(signature, key) for key in SIGNED}
-    return said if password_by is None else said | {"password_by": password_by}
+    return said if signature.password_by is None else said | {"password_by": signature.password_by}
 
 
 def _printed(session: Session, user_id: int | None) -> str:
