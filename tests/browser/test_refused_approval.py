@@ -58,12 +58,12 @@ def test_an_administrator_cannot_sign_either(people, request_id):
 def test_a_wrong_password_is_refused_in_place_and_what_was_typed_stays(people, request_id):
     with people.seat("approver") as window:
         window.open(f"/approvals/{request_id}")
-        window.page.get_by_label("What your signature means").fill(MEANING)
+        window.page.locator("#meaning").fill(MEANING)
         sign(window, "Approve", "not my password", "Looks right to me.")
         expect(window.page.locator("#sign").get_by_role("alert")).to_contain_text("password")
-        expect(window.page.get_by_label("Comment")).to_have_value("Looks right to me.")
-        expect(window.page.get_by_label("What your signature means")).to_have_value(MEANING)
-        expect(window.page.get_by_label("Your password, once more")).to_have_value("")
+        expect(window.page.locator("#comment")).to_have_value("Looks right to me.")
+        expect(window.page.locator("#meaning")).to_have_value(MEANING)
+        expect(window.page.locator("#password")).to_have_value("")
         window.shoot("21-wrong-password")
         assert window.read(f"/api/v1/approvals/{request_id}")["state"] == "OPEN"
         window.forgive("409")

@@ -65,7 +65,7 @@ def submit(window: Window, reason: str) -> int:
 def sign(window: Window, button: str, password: str, comment: str = "") -> None:
     """Fill in the signature of the request whose page is open, and press the button that begins so."""
     window.page.get_by_role("textbox", name="Comment").fill(comment)
-    window.page.get_by_label("Your password, once more").fill(password)
+    window.page.locator("#password").fill(password)
     window.page.get_by_role("button", name=re.compile(f"^{button}")).click()
 
 
