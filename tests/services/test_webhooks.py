@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.services import api_keys, audit, users, webhook_messages, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.sessions import Session, utc_after
+from boresight.store.sessions import Session
 from boresight.store.tables import Webhook, WebhookDelivery
 
 URL = "https://mission.example/hooks?team=1"
@@ -184,11 +184,20 @@ def test_a_webhook_with_many_messages_takes_no_place_of_another(
     assert taken.count(other.id) == 1
 
 
-def test_messages_that_were_put_off_are_due_again_and_count_no_attempt(
+def test_without_an_answer_everything_for_that_webhook_waits_and_counts_no_attempt(
     session: Session, people: Mapping[str, Actor], hook: Webhook
 ) -> None:
-    row = webhooks.try_webhook(session, people["root"], hook.id)
+    first, second = (webhooks.try_webhook(session, people["root"], hook.id) for _ in range(2))
     webhooks.take_due(session, 10)
-    webhooks.put_off(session, [row.id])
-    assert (row.state, row.attempts) == ("PENDING", 0)
-    assert datetime.fromisoformat(row.due_utc) < datetime.fromisoformat(utc_after(webhooks.LEASE_S / 2))
+    webhooks.settle(session, first.id, status=None, outcome="No answer.")
+    session.refresh(second)
+    assert (second.state, second.attempts) == ("PENDING", 0)
+    assert second.due_utc >= first.due_utc
+    webhooks.settle(session, second.id, status=503, outcome="Refused with 503")
+    assert webhooks.take_due(session, 10) == []
+
+
+def test_an_answer_lets_the_other_messages_go_on(session: Session, people: Mapping[str, Actor], hook: Webhook) -> None:
+    first, second = (webhooks.try_webhook(session, people["root"], hook.id) for _ in range(2))
+    webhooks.settle(session, first.id, status=503, outcome="Refused with 503")
+    assert [message.delivery_id for message in webhooks.take_due(session, 10)] == [second.id]

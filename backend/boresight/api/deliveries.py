@@ -1,7 +1,7 @@
 """Sends webhooks' messages: one thread a server that looks, and one for each webhook it has something for.
 
-A webhook's messages go out in their order. One that gives no answer is asked once a look and its other messages wait, so
-that a dead receiver delays nobody: the look ends after its one deadline, the others have long been served.
+A webhook's messages go out in their order. One that gives no answer is asked once and its other messages wait as long as
+that one, so that a dead receiver delays nobody: the look ends after its one deadline, the others have long been served.
 
 Where a name leads is looked up before every attempt, and the connection goes to the address that was judged, not to one
 looked up again. Addresses of this machine and of its link are refused unless the operator of the server allows them: a
@@ -98,15 +98,14 @@ class Deliveries:
 
     def _serve(self, messages: Sequence[Message]) -> None:
         """Send a webhook's messages until one gets no answer; the others wait for the next look."""
-        for place, message in enumerate(messages):
+        for message in messages:
             if self._closing.is_set():
                 return
             status, outcome = self._send(message)
             with writing(self._database) as session:
                 webhooks.settle(session, message.delivery_id, status=status, outcome=outcome)
-                if status is None:
-                    webhooks.put_off(session, [waiting.delivery_id for waiting in messages[place + 1 :]])
-                    return
+            if status is None:
+                return
 
     def _send(self, message: Message) -> tuple[int | None, str]:
         """Make one attempt; return the answer's status, None where there was none, and what came of it."""

@@ -217,14 +217,11 @@ def take_due(session: Session, limit: int) -> list[Message]:
     return taken
 
 
-def put_off(session: Session, delivery_ids: Collection[int]) -> None:
-    """Give messages back that were taken and not tried: they are due again soon, and no attempt is counted."""
-    for delivery_id in delivery_ids:
-        session.get_one(WebhookDelivery, delivery_id).due_utc = utc_after(FIRST_WAIT_S)
-
-
 def settle(session: Session, delivery_id: int, *, status: int | None, outcome: str) -> None:
-    """Keep what came of an attempt: delivered by any 2xx answer, else due again later, or given up."""
+    """Keep what came of an attempt: delivered by any 2xx answer, else due again later, or given up.
+
+    Where there was no answer at all, everything else for that webhook waits as long: it is not asked again for each message.
+    """
     delivery = session.get_one(WebhookDelivery, delivery_id)
     delivery.attempts += 1
     delivery.attempted_utc, delivery.status, delivery.outcome = utc_now(), status, outcome
@@ -234,6 +231,9 @@ def settle(session: Session, delivery_id: int, *, status: int | None, outcome: s
         delivery.state = "FAILED"
     else:
         delivery.state, delivery.due_utc = "PENDING", utc_after(FIRST_WAIT_S * WAIT_GROWS ** (delivery.attempts - 1))
+    if status is None:
+        until_utc = delivery.due_utc if delivery.state == "PENDING" else utc_after(FIRST_WAIT_S)
+        rows.put_off(session, delivery.webhook_id, until_utc)
 
 
 def _wants(webhook: Webhook, kind: str) -> bool:

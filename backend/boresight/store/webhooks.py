@@ -36,7 +36,7 @@ def deliveries(session: Session, *, webhook_id: int, before_id: int | None, limi
 
 
 def due(session: Session, now_utc: str, limit: int, of_each: int = 1) -> Sequence[tuple[WebhookDelivery, Webhook]]:
-    """Return what is to be delivered now to webhooks that are told things, at most so many of each, the longest due first."""
+    """Return what is to be delivered now to webhooks that are told things, at most so many of each: one of each first."""
     place = sa.func.row_number().over(
         partition_by=WebhookDelivery.webhook_id, order_by=(WebhookDelivery.due_utc, WebhookDelivery.id)
     )
@@ -45,8 +45,17 @@ def due(session: Session, now_utc: str, limit: int, of_each: int = 1) -> Sequenc
     query = sa.select(WebhookDelivery, Webhook).join(Webhook, WebhookDelivery.webhook_id == Webhook.id)
     query = query.join(ranked, ranked.c.id == WebhookDelivery.id)
     query = query.where(ranked.c.place <= of_each, Webhook.disabled_utc.is_(None))
-    found = session.execute(query.order_by(WebhookDelivery.due_utc, WebhookDelivery.id).limit(limit))
+    found = session.execute(query.order_by(ranked.c.place, WebhookDelivery.due_utc, WebhookDelivery.id).limit(limit))
     return [(delivery, webhook) for delivery, webhook in found]
+
+
+def put_off(session: Session, webhook_id: int, until_utc: str) -> None:
+    """Let everything that waits for a webhook wait until a time at least."""
+    waits = (WebhookDelivery.webhook_id == webhook_id, WebhookDelivery.state == "PENDING")
+    session.flush()
+    session.execute(
+        sa.update(WebhookDelivery).where(*waits, WebhookDelivery.due_utc < until_utc).values(due_utc=until_utc)
+    )
 
 
 def is_any_due(session: Session, now_utc: str) -> bool:
