@@ -14,7 +14,6 @@ from typing import Any
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 
-from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, WIDE
 from boresight.figures.evidence import marks
 from boresight.figures.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
@@ -155,16 +154,3 @@ def _decisions(approval: Approval, row: ParameterSet) -> list[tuple[str, str]]:
     """Name the effect of each decision that the request's state still has."""
     refuse = ("REFUSE", f"Refuse {row.name}")
     return [("APPROVE", f"Approve {row.name} for baseline"), refuse] if approval.state == "OPEN" else [refuse]
-
-
-def seen_version(form: Mapping[str, str]) -> int:
-    """Return the version that the page showed.
-
-    Raises
-    ------
-    RefusedInputError
-        When the form does not carry it.
-    """
-    if not form.get("version", "").isdecimal():
-        raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
-    return int(form["version"])

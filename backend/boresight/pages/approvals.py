@@ -14,8 +14,9 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
-from boresight.pages.approval import MEANINGS, Words, request_page, seen_version
+from boresight.pages.approval import MEANINGS, Words, request_page
 from boresight.pages.attempts import attempt
+from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import approvals, gates, parameter_sets
@@ -116,7 +117,7 @@ async def sign_over_the_shoulder(request: Request, session: Reading, actor: Who,
 
 async def _signed(request: Request, session: Session, actor: Actor, approval_id: int, kind: str) -> Response:
     """Sign as the form says, and show the request, or why it was refused."""
-    form = {key: value for key, value in (await request.form()).items() if isinstance(value, str)}
+    form = await read_texts(request)
     typed = Words(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
     policy = request.app.state.policy
 

@@ -11,8 +11,9 @@ from fastapi.responses import Response
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import NotFoundError
-from boresight.pages.approval import Words, addresses_of, request_page, seen_version
+from boresight.pages.approval import Words, addresses_of, request_page
 from boresight.pages.attempts import attempt
+from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.rendering import redirect
 from boresight.services import approvals, parameter_sets
 from boresight.store.sessions import Session, reading
@@ -52,7 +53,7 @@ async def remark(
 @router.post("/approvals/{approval_id:int}/assign")
 async def assign(request: Request, session: Reading, actor: Who, approval_id: int) -> Response:
     """Ask a person to decide on a request."""
-    form = {key: value for key, value in (await request.form()).items() if isinstance(value, str)}
+    form = await read_texts(request)
 
     def change(session: Session) -> Approval:
         user_id = int(form["person"]) if form.get("person", "").isdecimal() else None

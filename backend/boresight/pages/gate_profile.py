@@ -21,6 +21,7 @@ from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.gates import GATES, Gate
 from boresight.gates.profile import THRESHOLDS
 from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.forms import read_texts
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import gate_profiles, sensors
@@ -183,8 +184,7 @@ def summary_of(tried: Sequence[Tried]) -> str:
 @router.post("/sensors/{sensor_id:int}/gates", response_class=HTMLResponse)
 async def change(request: Request, actor: Who, sensor_id: int) -> Response:
     """Try limits on past runs, or put them into force."""
-    form = await request.form()
-    typed = {key: value for key, value in form.items() if isinstance(value, str)}
+    typed = await read_texts(request)
     if typed.get("action") == "try":
         return await run_in_threadpool(_try, request, actor, sensor_id, typed)
     outcome = await attempt(request, partial(_set, actor, sensor_id, typed))

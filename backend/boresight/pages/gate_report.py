@@ -14,6 +14,7 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.dependencies import Who, csrf
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.gates_panel import Typed, panel_of
 from boresight.pages.rendering import redirect, render
 from boresight.services import gates, parameter_sets, sensors, waivers
@@ -79,7 +80,7 @@ def _examine(request: Request, actor: Actor, set_id: int) -> gates.Assessment:
 @router.post("/parameter-sets/{set_id:int}/waive", response_class=HTMLResponse)
 async def waive(request: Request, actor: Who, set_id: int) -> Response:
     """Let a set pass in spite of a gate."""
-    given = {key: value for key, value in (await request.form()).items() if isinstance(value, str)}
+    given = await read_texts(request)
     typed = Typed(**{name: given.get(name, "") for name in ("gate", "code", "reason", "days")})
     outcome = await attempt(request, partial(_waived, actor, set_id, typed, given))
     if outcome.value is None:
@@ -93,8 +94,6 @@ def _waived(actor: Actor, set_id: int, typed: Typed, given: dict[str, str], sess
     """Waive as the form says."""
     if not typed.days.strip().isdecimal():
         raise RefusedInputError(f"{typed.days.strip()!r} is not a number of days; type one, such as 7.")
-    if not given.get("version", "").isdecimal():
-        raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
     expires_utc = utc_after(int(typed.days) * waivers.DAY_S - 1.0)  # a waiver of the longest time is within it
-    password, version = given.get("password", ""), int(given["version"])
+    password, version = given.get("password", ""), seen_version(given)
     return waivers.waive(session, actor, set_id, typed.gate, typed.code, typed.reason, expires_utc, password, version)

@@ -14,6 +14,7 @@ from starlette.datastructures import FormData
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import IN_EITHER_FORM
+from boresight.pages.forms import texts_of
 from boresight.pages.methods import is_sequential
 from boresight.store.tables import Sensor
 
@@ -153,7 +154,7 @@ def decimal(text: str, name: str) -> float:
 
 def typed_form(form: FormData, fleet: Sequence[Sensor]) -> Typed:
     """Read the form as typed."""
-    text = {key: value for key, value in form.items() if isinstance(value, str)}
+    text = texts_of(form)
     named = {name: text.get(name, "") for name in Typed.__dataclass_fields__ if name != "free"}
     free = {sensor.id: [str(name) for name in form.getlist(f"free-{sensor.id}")] for sensor in fleet}
     return Typed(**{**DEFAULTS, **{name: value for name, value in named.items() if value}}, free=free)

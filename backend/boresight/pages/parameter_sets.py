@@ -17,10 +17,10 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.api.measured import measured
-from boresight.errors import RefusedInputError
 from boresight.figures.parameter_table import set_rows
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.conversions import conversions_of
+from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.gates_panel import panel_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
@@ -196,24 +196,6 @@ def _page(
     )
 
 
-async def _form(request: Request) -> dict[str, str]:
-    """Read the form's texts."""
-    return {key: value for key, value in (await request.form()).items() if isinstance(value, str)}
-
-
-def _seen(form: dict[str, str]) -> int:
-    """Return the version that the page showed.
-
-    Raises
-    ------
-    RefusedInputError
-        When the form does not carry it.
-    """
-    if not form.get("version", "").isdecimal():
-        raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
-    return int(form["version"])
-
-
 @router.post("/parameter-sets/{set_id:int}/submit")
 async def submit(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Ask that a set become baseline."""
@@ -230,12 +212,12 @@ async def _asked(
     request: Request, session: Session, actor: Actor, set_id: int, ask: Callable[..., Approval]
 ) -> Response:
     """Open a request, and show it or why it was refused."""
-    form = await _form(request)
+    form = await read_texts(request)
     reason, state = form.get("reason", ""), request.app.state
     assessed = await run_in_threadpool(measured, request, actor, set_id)
 
     def change(session: Session) -> Approval:
-        asked = (state.blobs, set_id, reason, _seen(form), assessed)
+        asked = (state.blobs, set_id, reason, seen_version(form), assessed)
         return ask(session, actor, *asked, policy=state.policy)
 
     outcome = await attempt(request, change)
@@ -250,10 +232,10 @@ async def _asked(
 @router.post("/parameter-sets/{set_id:int}/withdraw")
 async def withdraw(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Take a request back."""
-    form = await _form(request)
+    form = await read_texts(request)
 
     def change(session: Session) -> ParameterSet:
-        return parameter_sets.withdraw(session, actor, set_id, _seen(form), form.get("reason", ""))
+        return parameter_sets.withdraw(session, actor, set_id, seen_version(form), form.get("reason", ""))
 
     return await _changed(request, session, actor, set_id, change, "{} is withdrawn.")
 
@@ -261,10 +243,10 @@ async def withdraw(request: Request, session: Reading, actor: Who, set_id: int) 
 @router.post("/parameter-sets/{set_id:int}/promote")
 async def promote(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Make an approved set the baseline."""
-    form = await _form(request)
+    form = await read_texts(request)
 
     def change(session: Session) -> ParameterSet:
-        return parameter_sets.promote(session, actor, set_id, _seen(form), policy=request.app.state.policy)
+        return parameter_sets.promote(session, actor, set_id, seen_version(form), policy=request.app.state.policy)
 
     return await _changed(
         request, session, actor, set_id, change, "{} is the baseline now; nothing on board has changed."

@@ -17,9 +17,10 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
 from boresight.api.dependencies import Who, csrf
-from boresight.errors import BoresightError, RefusedInputError
+from boresight.errors import BoresightError
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.climb import Member, climb_of, exported_of, members_of, steps_of
+from boresight.pages.forms import seen_version, texts_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import packages, parameter_sets, read_backs, sensors, timeline, uplinks
@@ -117,14 +118,7 @@ async def _form(request: Request) -> tuple[dict[str, str], bytes | None]:
     if isinstance(file, UploadFile):
         dump = await file.read() if file.filename else None
         await file.close()
-    return {name: value for name, value in form.items() if isinstance(value, str)}, dump
-
-
-def _seen(typed: dict[str, str]) -> int:
-    """Return the version that the page showed."""
-    if not typed.get("version", "").isdecimal():
-        raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
-    return int(typed["version"])
+    return texts_of(form), dump
 
 
 async def _taken_step(
@@ -170,7 +164,7 @@ async def record(request: Request, actor: Who, set_id: int) -> Response:
         package_id = int(package) if package.isdecimal() else None
         happened = typed.get("happened_utc")
         return uplinks.record(
-            session, actor, set_id, state, source, _seen(typed), package_id=package_id, happened=happened
+            session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened
         )
 
     return await _taken_step(request, actor, set_id, "record", typed, change, "Recorded.")
@@ -185,7 +179,7 @@ async def read_back(request: Request, actor: Who, set_id: int) -> Response:
         read = read_backs.dump_or_crc(dump, typed.get("crc", ""))
         blobs, source = request.app.state.blobs, typed.get("source", "")
         return read_backs.read_back(
-            session, actor, blobs, set_id, read, source, _seen(typed), typed.get("happened_utc")
+            session, actor, blobs, set_id, read, source, seen_version(typed), typed.get("happened_utc")
         )
 
     by = "by CRC" if dump is None else "byte for byte"
@@ -200,6 +194,8 @@ async def activate(request: Request, actor: Who, set_id: int) -> Response:
     def change(session: Session) -> Uplink:
         source, meaning, password = (typed.get(name, "") for name in ("source", "meaning", "password"))
         happened = typed.get("happened_utc")
-        return uplinks.activate(session, actor, set_id, source, meaning, password, _seen(typed), happened=happened)
+        return uplinks.activate(
+            session, actor, set_id, source, meaning, password, seen_version(typed), happened=happened
+        )
 
     return await _taken_step(request, actor, set_id, "activate", typed, change, "Signed: the set is ACTIVE on board.")
