@@ -13,10 +13,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from boresight.errors import ConflictError
-from boresight.store import approvals as rows
+from boresight.store import gates as gate_rows
 from boresight.store import parameter_sets as set_rows
 from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session, utc_now
+from boresight.store.table_definitions import definition_in_force
 from boresight.store.tables import Approval, ParameterSet, Run
 
 WORDS = {
@@ -34,9 +35,9 @@ OF_GATES = ("gate_report_sha256", "profile_sha256")  # absent from requests of b
 def bound_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, Any]:
     """Return the hashes of what an approver of this set is shown now, and the waivers in force."""
     run = None if parameter_set.run_id is None else session.get(Run, parameter_set.run_id)
-    report = rows.newest_report(session, parameter_set.id)
-    profile = rows.newest_profile(session, parameter_set.sensor_id)
-    definition = rows.newest_definition(session, parameter_set.sensor_id)
+    report = gate_rows.newest_report(session, parameter_set.id)
+    profile = gate_rows.newest_profile(session, parameter_set.sensor_id)
+    definition = definition_in_force(session, parameter_set.sensor_id)
     incumbent = set_rows.baseline(session, parameter_set.sensor_id)
     return {
         "set_sha256": sha256_of(parameter_set.document),
@@ -45,7 +46,7 @@ def bound_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, A
         "profile_sha256": None if profile is None else profile.sha256,
         "table_definition_sha256": None if definition is None else definition.sha256,
         "incumbent_sha256": None if incumbent is None else incumbent.sha256,
-        "waivers": [waiver.id for waiver in rows.waivers_in_force(session, parameter_set.id, utc_now())],
+        "waivers": [waiver.id for waiver in gate_rows.waivers_in_force(session, parameter_set.id, utc_now())],
     }
 
 
@@ -73,11 +74,11 @@ def shown_sha256(approval: Approval) -> str:
 
 def blocking_gates(session: Session, parameter_set: ParameterSet) -> list[Mapping[str, Any]]:
     """Return the gates of a set's newest report that stop it and that no waiver in force lifts."""
-    report = rows.newest_report(session, parameter_set.id)
+    report = gate_rows.newest_report(session, parameter_set.id)
     if report is None:
         return []
     blocking = set(report.document.get("blocking", ()))
-    waived = {waiver.gate for waiver in rows.waivers_in_force(session, parameter_set.id, utc_now())}
+    waived = {waiver.gate for waiver in gate_rows.waivers_in_force(session, parameter_set.id, utc_now())}
     gates = [gate for gate in report.document.get("gates", ()) if gate["name"] in blocking]
     return [gate for gate in gates if gate["critical"] or not gate["waivable"] or gate["name"] not in waived]
 

@@ -12,7 +12,7 @@ from boresight.services.actors import Policy
 from boresight.services.gates import newest_report, with_waivers
 from boresight.services.signers import second_persons
 from boresight.store import approvals as approval_rows
-from boresight.store import packages as rows
+from boresight.store import gates as gate_rows
 from boresight.store.sessions import Session
 from boresight.store.tables import Approval, ParameterSet, Run, Signature, TelemetrySet, User
 
@@ -104,7 +104,7 @@ def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
         "verdict": laid_over["verdict"],
         "words": laid_over["words"],
         "waived": laid_over["waived"],
-        "waivers": [{key: getattr(waiver, key) for key in WAIVED} for waiver in rows.waivers(session, row.id)],
+        "waivers": [{key: getattr(waiver, key) for key in WAIVED} for waiver in gate_rows.waivers(session, [row.id])],
         "document": report.document,
     }
 

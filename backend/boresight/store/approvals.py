@@ -9,14 +9,10 @@ import sqlalchemy as sa
 from boresight.store.sessions import Session
 from boresight.store.tables import (
     Approval,
-    GateProfile,
-    GateReport,
     Opening,
     ParameterSet,
     Remark,
     Signature,
-    TableDefinition,
-    Waiver,
 )
 
 UNDECIDED = ("OPEN", "APPROVED")  # states that a promotion of another set makes stale
@@ -87,27 +83,3 @@ def opening_of(session: Session, approval_id: int, user_id: int, evidence: str) 
     """Return when a person first opened a piece of evidence."""
     query = sa.select(Opening).where(Opening.approval_id == approval_id, Opening.user_id == user_id)
     return session.scalar(query.where(Opening.evidence == evidence))
-
-
-def newest_report(session: Session, parameter_set_id: int) -> GateReport | None:
-    """Return a set's newest gate report, whether or not what it judged has moved since."""
-    query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id)
-    return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
-
-
-def newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
-    """Return the gate profile that is in force."""
-    query = sa.select(GateProfile).where(GateProfile.sensor_id == sensor_id)
-    return session.scalar(query.order_by(GateProfile.number.desc()).limit(1))
-
-
-def newest_definition(session: Session, sensor_id: int) -> TableDefinition | None:
-    """Return the definition of the table on board that is in force."""
-    query = sa.select(TableDefinition).where(TableDefinition.sensor_id == sensor_id)
-    return session.scalar(query.order_by(TableDefinition.number.desc()).limit(1))
-
-
-def waivers_in_force(session: Session, parameter_set_id: int, now_utc: str) -> Sequence[Waiver]:
-    """Return a set's waivers that have not expired, in order."""
-    query = sa.select(Waiver).where(Waiver.parameter_set_id == parameter_set_id, Waiver.expires_utc > now_utc)
-    return session.scalars(query.order_by(Waiver.id)).all()

@@ -25,6 +25,12 @@ def newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
     return next(iter(profiles(session, sensor_id, limit=1)), None)
 
 
+def newest_report(session: Session, parameter_set_id: int) -> GateReport | None:
+    """Return a set's newest gate report, whether or not what it judged has moved since."""
+    query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id)
+    return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
+
+
 def newest_reports(session: Session, parameter_set_ids: Collection[int]) -> dict[int, GateReport]:
     """Return the newest report of each of some sets that has one."""
     newest = sa.select(sa.func.max(GateReport.id)).where(GateReport.parameter_set_id.in_(parameter_set_ids))
@@ -41,6 +47,12 @@ def report_with(session: Session, parameter_set_id: int, sha256: str) -> GateRep
 def waivers(session: Session, parameter_set_ids: Collection[int]) -> Sequence[Waiver]:
     """Return every waiver of some sets, in the order in which they were made."""
     query = sa.select(Waiver).where(Waiver.parameter_set_id.in_(parameter_set_ids))
+    return session.scalars(query.order_by(Waiver.id)).all()
+
+
+def waivers_in_force(session: Session, parameter_set_id: int, now_utc: str) -> Sequence[Waiver]:
+    """Return a set's waivers that have not expired, in order."""
+    query = sa.select(Waiver).where(Waiver.parameter_set_id == parameter_set_id, Waiver.expires_utc > now_utc)
     return session.scalars(query.order_by(Waiver.id)).all()
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import sqlalchemy as sa
 
 from boresight.store.sessions import Session
-from boresight.store.tables import Package, ParameterSet, Promotion, Waiver
+from boresight.store.tables import Package, ParameterSet, Promotion
 
 
 def packages(
@@ -27,12 +27,6 @@ def packages(
     if before_id is not None:
         query = query.where(Package.id < before_id)
     return session.scalars(query).all()
-
-
-def waivers(session: Session, parameter_set_id: int) -> Sequence[Waiver]:
-    """Return every waiver that was ever given for a set, in order."""
-    query = sa.select(Waiver).where(Waiver.parameter_set_id == parameter_set_id)
-    return session.scalars(query.order_by(Waiver.id)).all()
 
 
 def baseline_before(session: Session, row: ParameterSet) -> ParameterSet | None:
