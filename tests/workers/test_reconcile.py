@@ -105,6 +105,17 @@ def test_a_run_lost_in_company_is_not_charged_but_one_lost_alone_is(store, make_
     assert store.run(first).reason == "Given up after 1 lost attempt, the last because its worker process died."
 
 
+def test_a_run_whose_worker_was_gone_beforehand_is_not_charged_until_it_goes_on_so(store, make_rows):
+    (run_id,) = store.launch("quick")
+    rows = make_rows(max_attempts=1)
+    for _ in range(2):
+        rows.put_back_or_give_up(take_one(rows, run_id), "its worker was gone")
+        assert store.states([run_id]) == ["QUEUED"]
+    assert store.log(run_id, "lost") == []
+    rows.put_back_or_give_up(take_one(rows, run_id), "its worker was gone")
+    assert store.states([run_id]) == ["FAILED"]
+
+
 def test_a_terminal_state_is_written_once(store, make_rows):
     (run_id,) = store.launch("quick")
     rows = make_rows()

@@ -17,13 +17,13 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
 from typing import Any
 
 from boresight.settings import Settings
 from boresight.store.runs import Claimed, Held
 from boresight.store.sessions import Engine as Database
-from boresight.workers.cluster import DIED, Cluster, LostTaskError, outcome_of
+from boresight.workers.cluster import Cluster, LostTaskError, outcome_of
+from boresight.workers.flight import Flight
 from boresight.workers.reconcile import Reconciler
 from boresight.workers.reports import Reports
 from boresight.workers.tasks import CALCULATION, Inputs
@@ -35,20 +35,9 @@ IDLE_TURN_S = 0.25
 PAUSE_AFTER_ERROR_S = 1.0
 CANCEL_GRACE_S = 5.0
 GONE_S = 1.0
+GONE = "its worker was gone before the task reached it, or before its result was fetched"
 KILL_AGAIN_S = 20.0
 JOIN_S = 30.0
-
-
-@dataclass
-class Flight:
-    """A task on one worker and the attempts it computes; the worker has as many flights at a time as threads."""
-
-    future: Any
-    worker: str
-    members: set[Held]
-    asked_s: dict[Held, float] = field(default_factory=dict)  # when each was asked to stop
-    killed_s: float | None = None  # when its worker was ended by force
-    gone_s: float | None = None  # when its worker was first missed
 
 
 class Engine:
@@ -200,8 +189,9 @@ class Engine:
             flight.gone_s = flight.gone_s or time.monotonic()
             if time.monotonic() - flight.gone_s < GONE_S:
                 return False
-            answer = LostTaskError(DIED)
             flight.future.cancel()
+            self._rows.put_back_or_give_up(flight.members, GONE)
+            return True
         if isinstance(answer, LostTaskError):
             self._rows.give_up(flight.members, str(answer))
         else:
@@ -258,16 +248,22 @@ class Engine:
         """Give waiting runs to the free threads, one task a thread."""
         waiting = self._rows.waiting()
         free = self._free_threads() if waiting else []
-        for worker, group in zip(free, self._rows.take(waiting, len(free)) if free else (), strict=False):
-            members = {(run.run_id, run.attempt) for run in group}
-            work = [(run.run_id, run.attempt, self._inputs(run)) for run in group]
-            try:
-                future = self._on_cluster().submit(worker, work, self._calculation, self._wake.set)
-            except Exception:
-                self._rows.put_back(members, "it could not be handed to the scheduler")
-                raise
-            self._flights.append(Flight(future, worker, members))
-            self._tell_moved(members)
+        claimed = self._rows.take(waiting, len(free)) if free else []
+        try:
+            for worker, group in zip(free, claimed, strict=False):
+                self._hand_over(worker, group)
+        except Exception:
+            left = {(run.run_id, run.attempt) for group in claimed for run in group} - self._held()
+            self._rows.put_back(left, "it could not be handed to the scheduler")
+            raise
+
+    def _hand_over(self, worker: str, group: list[Claimed]) -> None:
+        """Give one task to one worker."""
+        members = {(run.run_id, run.attempt) for run in group}
+        work = [(run.run_id, run.attempt, self._inputs(run)) for run in group]
+        future = self._on_cluster().submit(worker, work, self._calculation, self._wake.set)
+        self._flights.append(Flight(future, worker, members))
+        self._tell_moved(members)
 
     def _free_threads(self) -> list[str]:
         """Return the address of a worker for each of its threads that has no task."""

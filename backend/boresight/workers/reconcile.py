@@ -92,6 +92,16 @@ class Reconciler:
                 for held in members:
                     runs.put_back(session, *held, cause)
 
+    def put_back_or_give_up(self, members: Collection[Held], cause: str) -> None:
+        """Queue attempts again whose worker was gone though the scheduler charged nobody with its end.
+
+        They are not to blame, unless it goes on so: a scheduler that allows failures never says which task ended a
+        worker, and a run that ends every worker must come to an end itself.
+        """
+        again = {held for held in members if held[1] <= 2 * self.max_attempts}
+        self.put_back(again, cause)
+        self.give_up(set(members) - again, cause)
+
     def end_cancelled(self, held: Held) -> None:
         """Write that an attempt which did not answer was ended by force."""
         with writing(self.database) as session:
