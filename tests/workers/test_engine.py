@@ -6,7 +6,9 @@ import signal
 import time
 from datetime import datetime
 
+import dask
 import pytest
+from dask.utils import parse_timedelta
 
 EVENTS = []
 
@@ -125,3 +127,7 @@ def test_a_run_that_cannot_be_computed_fails_once_with_its_sentence(store, behav
     assert store.run(run_id).reason == reason
     assert store.run(run_id).attempt == 1
     assert any("Traceback" in line for line in store.log(run_id, "log")) == (behaviour == "crash")
+
+
+def test_a_worker_that_restarts_is_not_ended_because_one_of_its_name_was_lost_before(store):
+    assert parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout")) > 365 * 86_400

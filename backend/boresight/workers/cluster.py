@@ -38,6 +38,7 @@ CONFIGURATION = {
     "distributed.diagnostics.nvml": False,
     "distributed.scheduler.http.routes": [],
 }
+NEVER = "3650 days"
 
 
 class LostTaskError(Exception):
@@ -139,6 +140,9 @@ def outcome_of(future: Any) -> list[Outcome] | LostTaskError | None:
 
 def _local_cluster(settings: Settings) -> Any:
     """Start a scheduler in this process and worker processes of one thread."""
+    # The cluster looks once more for a lost worker after this time, and ends its nanny, and so the next run on it, if it
+    # finds that worker just then restarting for another reason. Our nannies restart their workers themselves.
+    dask.config.set({"distributed.deploy.lost-worker-timeout": NEVER})
     folder = os.environ.get("NUMBA_CACHE_DIR", str(settings.kernel_folder))
     return LocalCluster(
         n_workers=settings.workers,
