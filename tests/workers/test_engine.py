@@ -129,5 +129,5 @@ def test_a_run_that_cannot_be_computed_fails_once_with_its_sentence(store, behav
     assert any("Traceback" in line for line in store.log(run_id, "log")) == (behaviour == "crash")
 
 
-def test_a_worker_that_restarts_is_not_ended_because_one_of_its_name_was_lost_before(store):
+def test_a_worker_that_restarts_is_not_ended_because_one_of_its_name_was_lost_before(store):  # noqa: ARG001 - its engine has set the cluster up
     assert parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout")) > 365 * 86_400
