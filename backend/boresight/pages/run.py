@@ -27,6 +27,7 @@ from boresight.pages.formats import duration, short_hash, utc, words
 from boresight.pages.methods import title_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.run_parts import TITLES, marks_of, matching_of, tabs_of, trust_of
+from boresight.pages.run_states import notices_of
 from boresight.pages.runs import read_names, seconds_of
 from boresight.services import gates, parameter_sets, runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
@@ -34,11 +35,6 @@ from boresight.store.sessions import Session
 from boresight.store.tables import TERMINAL_RUN_STATES, ParameterSet, Run, TelemetrySet
 
 router = APIRouter(dependencies=[Depends(csrf)])
-
-LONGEST_QUEUE = 500
-WHAT_TO_TRY = (
-    "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."
-)
 
 
 @dataclass(frozen=True)
@@ -65,40 +61,6 @@ def _why_no_set(run: Run) -> str | None:
     if status is None or status in parameter_sets.USABLE_STATUSES:
         return None
     return f"No parameter set is made of a result that ended as {words(status)}."
-
-
-def notices_of(session: Session, run: Run) -> list[tuple[str, str]]:
-    """Say in a sentence each what a state means for whoever looks at the run now."""
-    why = (run.reason or "").strip()
-    telling = {
-        "QUEUED": [("standby", _queue_sentence(session, run))],
-        "CANCELLING": [("caution", f"Stopping: {why} The worker is asked five times a second.")],
-        "FAILED": [
-            ("serious", why or "The run failed and gave no cause; its log has the last lines."),
-            ("off", WHAT_TO_TRY),
-        ],
-        "LOST": [("serious", _lost_sentence(run, why))],
-        "CANCELLED": [("off", why or "This run was cancelled.")],
-    }
-    return telling.get(run.state, [])
-
-
-def _lost_sentence(run: Run, why: str) -> str:
-    since = _clock(run.lease_until_utc or run.ended_utc)
-    return f"The worker stopped reporting at {since}; no result is trusted. {why} Clone this run to compute it again."
-
-
-def _clock(text: str | None) -> str:
-    return text[:19].replace("T", " ") + "Z" if text else "an unknown time"
-
-
-def _queue_sentence(session: Session, run: Run) -> str:
-    """Say how many runs are in front."""
-    waiting = runs.list_runs(session, state="QUEUED", before_id=run.id, limit=LONGEST_QUEUE)
-    if not waiting:
-        return "Next in the queue: it starts when a worker is free."
-    more = "at least " if len(waiting) == LONGEST_QUEUE else ""
-    return f"Position {more}{len(waiting) + 1} in the queue."
 
 
 def header_of(run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None) -> list[tuple[str, Any]]:
