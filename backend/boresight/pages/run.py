@@ -26,8 +26,9 @@ from boresight.pages.attempts import attempt
 from boresight.pages.formats import duration, short_hash, utc, words
 from boresight.pages.methods import title_of
 from boresight.pages.rendering import redirect, render
+from boresight.pages.run_live import live_of
+from boresight.pages.run_log import log_of
 from boresight.pages.run_parts import TITLES, marks_of, matching_of, tabs_of, trust_of
-from boresight.pages.run_states import notices_of
 from boresight.pages.runs import read_names, seconds_of
 from boresight.services import gates, parameter_sets, runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
@@ -144,9 +145,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         blocked=sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
         parameter_set=made,
         gates=gates.verdicts(session, [made.id]).get(made.id) if made else None,
-        notices=notices_of(session, run),
-        fraction=float((run.progress or {}).get("fraction") or 0.0),
-        message=(run.progress or {}).get("message") or "",
+        **live_of(request, session, run),
         header=header_of(run, read_names(session).person(run.launched_by), data, validation or None),
         result=result,
         partial=run.result_sha256 is None,
@@ -160,7 +159,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         no_result=_why_nothing(run),
         figures=[] if is_void else list(CHAPTERS["estimate"]),
         wide=WIDE,
-        log=runs.log_lines(session, run_id),
+        **log_of(request, session, run),
         provenance=provenance_of(run, result),
         validation=validation or None,
         data=data,
@@ -186,15 +185,6 @@ def parameter_set_of(session: Session, run: Run) -> ParameterSet | None:
     """Return the set that was made from a run, if one was."""
     made = parameter_sets.list_parameter_sets(session, sensor_id=run.sensor_id)
     return next((known for known in made if known.run_id == run.id), None)
-
-
-@router.post("/runs/{run_id:int}/cancel")
-async def cancel(request: Request, actor: Who, run_id: int) -> Response:
-    """Ask a run to stop."""
-    outcome = await attempt(request, partial(runs.cancel, actor=actor, run_id=run_id))
-    if outcome.refusal:
-        return redirect(f"/runs/{run_id}", flash=outcome.refusal.sentence, level="serious")
-    return redirect(f"/runs/{run_id}", flash=f"Run #{run_id} was asked to stop.")
 
 
 @router.post("/runs/{run_id:int}/parameter-set")
