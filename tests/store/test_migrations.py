@@ -22,10 +22,13 @@ from boresight.store.sessions import (
     writing,
 )
 from boresight.store.tables import (
+    Alarm,
+    AlarmEvent,
     Approval,
     AuditRecord,
     Base,
     IdempotentResponse,
+    Note,
     ParameterSet,
     Promotion,
     Run,
@@ -56,6 +59,12 @@ def _set(number: int, ground_state: str) -> ParameterSet:
         document={"f_m": 0.016},
         ground_state=ground_state,
         created_utc=NOW,
+    )
+
+
+def _alarm() -> Alarm:
+    return Alarm(
+        source="sensors/1/AGE", sensor_id=1, kind="AGE", level="caution", sentence="s", evidence={}, raised_utc=NOW
     )
 
 
@@ -106,6 +115,9 @@ def _rows() -> list[Any]:
         ),
         Uplink(parameter_set_id=1, onboard_state="SENT", source="pass 1", recorded_utc=NOW, recorded_by=1),
         Promotion(sensor_id=1, parameter_set_id=1, at_utc=NOW),
+        _alarm(),
+        AlarmEvent(alarm_id=1, event="RAISED", printed_name="Boresight", text="", at_utc=NOW),
+        Note(subject_kind="runs", subject_id=1, user_id=1, printed_name="Ana", text="n", made_utc=NOW),
         audit,
     ]
 
@@ -209,7 +221,7 @@ def test_an_empty_store_goes_back_to_base_only(engine: Engine) -> None:
     assert current_revision(engine) is None
 
 
-@pytest.mark.parametrize("table", ["audit", "signatures", "uplinks", "promotions", "parameter_sets"])
+@pytest.mark.parametrize("table", ["audit", "signatures", "uplinks", "promotions", "parameter_sets", "alarms", "alarm_events", "notes"])
 def test_what_is_on_record_cannot_be_removed(store: Engine, table: str) -> None:
     _fill(store)
     with pytest.raises(sa.exc.DBAPIError, match="is never removed"):
@@ -228,6 +240,10 @@ def test_what_is_on_record_cannot_be_removed(store: Engine, table: str) -> None:
         ("parameter_sets", "run_id = 1"),
         ("runs", "state = 'FAILED'"),
         ("runs", "result_sha256 = NULL"),
+        ("alarms", "source = 'sensors/2/AGE'"),
+        ("alarms", "raised_utc = '2020'"),
+        ("alarm_events", "text = 'another'"),
+        ("notes", "text = 'another'"),
     ],
 )
 def test_what_is_on_record_cannot_be_changed(store: Engine, table: str, change: str) -> None:
@@ -243,6 +259,17 @@ def test_what_may_change_does(store: Engine) -> None:
     with reading(store) as session:
         assert session.get_one(ParameterSet, 1).ground_state == "SUPERSEDED"
         assert session.get_one(Run, 1).label == "best"
+
+
+def test_a_source_has_one_open_alarm_and_a_closed_one_stays_as_it_was(store: Engine) -> None:
+    _fill(store)
+    with pytest.raises(sa.exc.IntegrityError), UnsealedSession(store) as session, session.begin():
+        session.add(_alarm())
+    _execute(store, f"UPDATE alarms SET active = 0, acknowledged = 1, closed_utc = '{NOW}'")  # noqa: S608 - a time of our own
+    with UnsealedSession(store) as session, session.begin():
+        session.add(_alarm())
+    with pytest.raises(sa.exc.DBAPIError, match="is never changed"):
+        _execute(store, "UPDATE alarms SET closed_utc = NULL WHERE id = 1")
 
 
 def test_postgresql_does_not_truncate_the_record_either(postgresql: Engine) -> None:

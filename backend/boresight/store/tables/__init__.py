@@ -2,6 +2,15 @@
 
 from __future__ import annotations
 
+from boresight.store.tables.alarms import (
+    ALARM_EVENTS,
+    ALARM_KINDS,
+    ALARM_LEVELS,
+    NOTE_SUBJECTS,
+    Alarm,
+    AlarmEvent,
+    Note,
+)
 from boresight.store.tables.approvals import APPROVAL_KINDS, APPROVAL_STATES, Approval, Opening, Remark, Signature
 from boresight.store.tables.declared import Base
 from boresight.store.tables.fleet import Blob, Sensor, TelemetrySet
@@ -14,14 +23,20 @@ from boresight.store.tables.uplinks import Package, TableDefinition, Uplink
 from boresight.store.tables.webhooks import DELIVERY_STATES, Webhook, WebhookDelivery
 
 __all__ = [
+    "ALARM_EVENTS",
+    "ALARM_KINDS",
+    "ALARM_LEVELS",
     "APPROVAL_KINDS",
     "APPROVAL_STATES",
     "DELIVERY_STATES",
     "GROUND_STATES",
+    "NOTE_SUBJECTS",
     "ONBOARD_STATES",
     "ROLES",
     "RUN_STATES",
     "TERMINAL_RUN_STATES",
+    "Alarm",
+    "AlarmEvent",
     "ApiKey",
     "Approval",
     "AuditRecord",
@@ -31,6 +46,7 @@ __all__ = [
     "GateReport",
     "IdempotentResponse",
     "LoginFailure",
+    "Note",
     "Opening",
     "Package",
     "ParameterSet",
