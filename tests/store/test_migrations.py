@@ -221,7 +221,9 @@ def test_an_empty_store_goes_back_to_base_only(engine: Engine) -> None:
     assert current_revision(engine) is None
 
 
-@pytest.mark.parametrize("table", ["audit", "signatures", "uplinks", "promotions", "parameter_sets", "alarms", "alarm_events", "notes"])
+@pytest.mark.parametrize(
+    "table", ["audit", "signatures", "uplinks", "promotions", "parameter_sets", "alarms", "alarm_events", "notes"]
+)
 def test_what_is_on_record_cannot_be_removed(store: Engine, table: str) -> None:
     _fill(store)
     with pytest.raises(sa.exc.DBAPIError, match="is never removed"):
