@@ -99,14 +99,19 @@ def cone_rad(sensor: Sensor, x: FloatArray) -> float:
 
 def magnitude_limit(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, given: IntArray) -> float:
     """Faintest star that may be matched, Hp: the sensor's limit, else beyond the faintest named, else by how many are detected."""
+    return limit_of(sensor, catalogue, np.unique(given[given > 0]), float(np.median(exposures_of(telemetry).count)))
+
+
+def limit_of(sensor: Sensor, catalogue: Catalogue, named: IntArray, typical_stars: float) -> float:
+    """As `magnitude_limit`, of a set that names these stars (n,) and detects so many an exposure."""
     if sensor.magnitude_limit is not None:
         return sensor.magnitude_limit
-    index = catalogue.index_of(np.unique(given[given > 0]))
-    named = catalogue.magnitude[index[index >= 0]]
-    if len(named):
-        return float(named.max() + FAINTER_MAG)
+    index = catalogue.index_of(named)
+    magnitude = catalogue.magnitude[index[index >= 0]]
+    if len(magnitude):
+        return float(magnitude.max() + FAINTER_MAG)
     field = 2 * np.pi * (1 - np.cos(cone_rad(sensor, sensor.initial)))
-    wanted = 2 * float(np.median(exposures_of(telemetry).count)) * 4 * np.pi / field
+    wanted = 2 * typical_stars * 4 * np.pi / field
     return float(np.sort(catalogue.magnitude)[min(int(wanted), len(catalogue) - 1)])
 
 

@@ -99,9 +99,9 @@ class MatchedSet:
         excess = max(1.0, estimate.chi2 / max(dof, 1))
         return self._at(estimate.x, self._covariance(held * excess), noise=float(np.sqrt(excess)))
 
-    def at_covariance(self, x: FloatArray, P: FloatArray) -> Matched:
-        """Match with state x, SI, whose free parameters have the covariance P (n_free, n_free) in typical sigmas."""
-        return self._at(x, self._covariance(P))
+    def at_covariance(self, x: FloatArray, P: FloatArray, noise: float = 1.0) -> Matched:
+        """Match with x, SI, its free parameters' covariance P (n_free, n_free) in typical sigmas, centroid errors times `noise`."""
+        return self._at(x, self._covariance(P), noise=noise)
 
     def arcs(self, frames: slice, state: FilterState) -> ArcSet:
         """Arcs of consecutive frames of the set, matched with the state of a filter."""

@@ -17,10 +17,13 @@ from boresight.telemetry.schema import UNMATCHED, Telemetry
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+#: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.frames`).
+ROW_GROUP = 16_384
+
 
 def write_parquet(telemetry: Telemetry, path: Path) -> None:
     """Write telemetry as Parquet, compressed with zstd; absent values are null."""
-    arrow_parquet.write_table(contract_table(telemetry), path, compression="zstd")
+    arrow_parquet.write_table(contract_table(telemetry), path, compression="zstd", row_group_size=ROW_GROUP)
 
 
 def write_csv(telemetry: Telemetry, path: Path) -> None:

@@ -1,15 +1,6 @@
-"""Residuals in pixels: each centroid minus the projection of its catalogue direction under the best attitude of its exposure.
+"""Residuals of a set in pixels (`calibration.pixel_residuals` derives them), for everything that trust says of single stars.
 
-The attitude comes from directions (`estimation.attitude`); one Gauss-Newton step on the pixels makes it the best one there,
-
-    w = N sum K^T r / sigma         r <- r - sigma K w         (letters of estimation.cramer_rao)
-
-The stars of an exposure decide its attitude and, a little, the parameters, so a residual is smaller than the error it came
-from: its covariance is sigma^2 M with M = I - K N K^T - J' P J'^T, and z = r / (sigma sqrt(M)) has variance one. At eleven
-stars that is 7 %.
-
-A star may be left out (`kept`), as one whose catalogue place is wrong: then no attitude rests on it, and the residuals of its
-neighbours are freed from it. Beyond `MOST_FRAMES` only frames spaced evenly over the set are looked at.
+Beyond `MOST_FRAMES` only frames spaced evenly over the set are looked at.
 """
 
 from __future__ import annotations
@@ -21,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.estimate import covariance
+from boresight.calibration.pixel_residuals import Freedom, pixel_residuals
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
-from boresight.estimation.arcs import ArcSet, angular_sigma
-from boresight.estimation.attitude import attitudes, triad
-from boresight.estimation.cramer_rao import CentroidRows, centroid_rows, each, sums
+from boresight.estimation.arcs import ArcSet
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -86,48 +76,18 @@ def sightings(ground: Ground, kept: BoolArray | None = None) -> Sightings:
     kept
         (n_stars of the frames looked at,) stars that attitudes rest on; all when None.
     """
-    arcs, camera, x = ground.thinned(MOST_FRAMES), ground.problem.camera, ground.x
-    kept = np.ones(arcs.n_stars, np.bool_) if kept is None else kept
-    rows = centroid_rows(camera, x, arcs, ground.parameters.free, ground.parameters.scale, kept)
-    sigma = np.where(kept, angular_sigma(camera, x, arcs), np.inf)
-    C = attitudes(arcs.star_start, rows.s_d, arcs.s_i, sigma, ground.problem.sensor.parity).C
-    C_of = each(C, arcs.star_start)
-    s = triad(np.einsum("nij,nj->ni", C_of, arcs.s_i), ground.problem.sensor.parity)
-    row, col = camera.project(x, s, arcs.pitch)
-    r = _settled(np.stack([arcs.row_px - row, arcs.col_px - col], axis=-1), rows, arcs, kept)
-    toward = triad((C_of @ _east_and_north(arcs.s_i)).transpose(0, 2, 1), ground.problem.sensor.parity)
+    arcs = ground.thinned(MOST_FRAMES)
+    freedom = Freedom(ground.parameters.free, ground.parameters.scale, covariance(ground.A))
+    seen = pixel_residuals(ground.problem.camera, ground.x, arcs, ground.problem.sensor.parity, freedom, kept)
     found = Sightings(
         arcs=arcs,
         frame=np.repeat(arcs.frame, np.diff(arcs.star_start[arcs.frame_start])),
-        r=r,
-        M=_own_share(rows, arcs, covariance(ground.A)),
-        from_sky=rows.inverse @ toward.transpose(0, 2, 1),
+        r=seen.r,
+        M=seen.M,
+        from_sky=seen.from_sky,
     )
     _check_parity(ground, found)
     return found
-
-
-def _settled(r: FloatArray, rows: CentroidRows, arcs: ArcSet, kept: BoolArray) -> FloatArray:
-    """Residuals (n_stars, 2) after the step that makes each attitude the best one for the pixels."""
-    whitened = r / arcs.sigma_px[:, None]
-    score = np.einsum("nki,nk->ni", rows.K, np.where(kept[:, None] & np.isfinite(whitened), whitened, 0.0))
-    w = np.einsum("eij,ej->ei", rows.N, sums(score, arcs.star_start))
-    return np.asarray(r - arcs.sigma_px[:, None] * np.einsum("nki,ni->nk", rows.K, each(w, arcs.star_start)))
-
-
-def _own_share(rows: CentroidRows, arcs: ArcSet, P: FloatArray) -> FloatArray:
-    """M of each star, (n_stars, 2, 2)."""
-    of_attitude = rows.K @ each(rows.N, arcs.star_start) @ rows.K.transpose(0, 2, 1)
-    return np.asarray(np.eye(2) - of_attitude - (rows.J @ P) @ rows.J.transpose(0, 2, 1))
-
-
-def _east_and_north(s_i: FloatArray) -> FloatArray:
-    """Unit tangents to the east and to the north at directions (n, 3), as columns (n, 3, 2)."""
-    reach = np.hypot(s_i[:, 0], s_i[:, 1])
-    safe = np.where(reach > 0, reach, 1.0)
-    cos_ra, sin_ra = np.where(reach > 0, s_i[:, 0] / safe, 1.0), s_i[:, 1] / safe
-    east = np.stack([-sin_ra, cos_ra, np.zeros_like(reach)], axis=-1)
-    return np.stack([east, np.cross(s_i, east)], axis=-1)
 
 
 def _check_parity(ground: Ground, found: Sightings) -> None:
