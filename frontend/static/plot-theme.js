@@ -1,9 +1,9 @@
 /**
- * The surface of a figure. Figures arrive in the dark template and carry the light one in `layout.meta.light`:
- * a light page shows that, and every exported image is drawn with it, black on white.
+ * The surface of a figure. Figures arrive in the dark template and carry those of the other themes in `layout.meta`:
+ * a page shows its own, paper and every exported image the light one, black on white.
  */
 
-const isLight = () => document.documentElement.dataset.theme === "light" || matchMedia("print").matches;
+const theme = () => (matchMedia("print").matches ? "light" : document.documentElement.dataset.theme);
 
 function copied(figure, template) {
   const layout = { ...structuredClone(figure.layout) };
@@ -15,7 +15,7 @@ const HEADING_PX = 28;
 
 /** The figure as this page shows it: on the panel's own surface, and without its title, which the panel's heading is. */
 export function onTheme(figure) {
-  const themed = copied(figure, isLight() ? figure.layout.meta?.light : null);
+  const themed = copied(figure, figure.layout.meta?.[theme()]);
   themed.layout.title = { text: "" };
   themed.layout.legend = { ...themed.layout.legend, y: 1 };
   themed.layout.margin = { ...themed.layout.margin, t: Math.max(24, (themed.layout.margin?.t ?? 64) - HEADING_PX) };

@@ -108,9 +108,9 @@ class Window:
         return points.json_value()
 
     def use_theme(self, theme: str) -> None:
-        """Change to dark or light by the button of the top bar."""
-        if self.page.evaluate("document.documentElement.dataset.theme") != theme:
-            self.page.get_by_role("button", name="Change between dark and light").click()
+        """Change to dark, light or contrast by the button of the top bar."""
+        while self.page.evaluate("document.documentElement.dataset.theme") != theme:
+            self.page.get_by_role("button", name="Theme: ").click()
 
     def shoot(self, name: str, *, wide: bool = False) -> None:
         """Keep a screenshot of the whole page, and of the wide one if it is asked for."""

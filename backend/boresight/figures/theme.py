@@ -1,9 +1,10 @@
-"""The one look of every chart: dark console surface, one colour a run, one style of uncertainty.
+"""The one look of every chart: the page's own colours, one colour a run, one style of uncertainty.
 
-Everything that depends on the surface (ink, grid, hover) sits in a Plotly template and nowhere else. The paper is
-transparent, so the page's surface shows. A client that wants white, for a PNG or for print, replaces `layout.template`
-by `layout.meta.light` and needs to touch nothing more, because the run colours were chosen for at least 3:1 contrast
-against both surfaces and stay apart for the common colour-vision deficiencies; a dash style says the same again.
+Everything that depends on the surface (ink, grid, hover) sits in a Plotly template and nowhere else, and every colour is
+a token of the style sheet (`boresight.figures.tokens`). The dark template's paper is transparent, so the page's surface
+shows. A page in another theme replaces `layout.template` by `layout.meta.light` or `layout.meta.contrast`, a white image
+by the light one, and needs to touch nothing more, because the run colours were chosen for at least 3:1 contrast against
+the panels of every theme and stay apart for the common colour-vision deficiencies; a dash style says the same again.
 """
 
 from __future__ import annotations
@@ -18,18 +19,25 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from boresight.figures.chart import Trace
+from boresight.figures.tokens import TOKENS, Tokens
 
-SANS = "'IBM Plex Sans', 'Inter', 'Segoe UI', 'DejaVu Sans', sans-serif"
-TABULAR = "'IBM Plex Mono', 'JetBrains Mono', 'DejaVu Sans Mono', ui-monospace, monospace"
-DARK_SURFACE = "#0d1520"
-LIGHT_SURFACE = "#ffffff"
-
-RUN_COLOURS = ("#3b8fe0", "#d9730d", "#12967c", "#7448f6", "#8f5f2c", "#4a7596", "#d4547a", "#7d8a99")
+_EVERYWHERE = TOKENS["dark"]
+SANS, TABULAR = _EVERYWHERE["sans"], _EVERYWHERE["mono"]
+RUN_COLOURS = tuple(_EVERYWHERE[f"run-{place}"] for place in range(1, 9))
 RUN_DASHES = ("solid", "dash", "dashdot", "longdash", "solid", "dash", "dashdot", "longdash")
-REFERENCE_COLOUR = "#8592a3"
-TRUTH_COLOUR = "#a98a00"
-DIVERGING = ((0.0, "#d9730d"), (0.5, "rgba(133,146,163,0.06)"), (1.0, "#3b8fe0"))
+REFERENCE_COLOUR = _EVERYWHERE["reference"]
+TRUTH_COLOUR = _EVERYWHERE["truth"]
+CLEAR = "rgba(0,0,0,0)"
 UI_REVISION = "boresight"
+
+
+def translucent(colour: str, opacity: float) -> str:
+    """Turn `#rrggbb` into the same colour with an opacity."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity:g})"
+
+
+DIVERGING = ((0.0, RUN_COLOURS[1]), (0.5, translucent(REFERENCE_COLOUR, 0.06)), (1.0, RUN_COLOURS[0]))
 
 
 @dataclass(frozen=True)
@@ -41,70 +49,59 @@ class RunStyle:
     dash: str
 
 
-@dataclass(frozen=True)
-class _Surface:
-    ink: str
-    muted: str
-    grid: str
-    line: str
-    hover: str
-
-
-_DARK = _Surface("#d8e1ec", "#9aa7b7", "rgba(154,167,183,0.16)", "rgba(154,167,183,0.45)", "#182434")
-_LIGHT = _Surface("#14202e", "#4a5768", "rgba(74,87,104,0.16)", "rgba(74,87,104,0.55)", "#ffffff")
-
-
-def _template(surface: _Surface, paper: str) -> go.layout.Template:
-    ticks = {"family": TABULAR, "size": 11, "color": surface.muted}
+def _template(tokens: Tokens, paper: str) -> go.layout.Template:
+    ink, muted, line = tokens["ink"], tokens["ink-2"], tokens["edge"]
+    ticks = {"family": TABULAR, "size": 11, "color": muted}
     axis = {
-        "gridcolor": surface.grid,
-        "linecolor": surface.line,
-        "zerolinecolor": surface.line,
+        "gridcolor": translucent(tokens["ink-3"], 0.16),
+        "linecolor": line,
+        "zerolinecolor": line,
         "zerolinewidth": 1,
         "showline": True,
         "ticks": "outside",
         "ticklen": 4,
-        "tickcolor": surface.line,
+        "tickcolor": line,
         "tickfont": ticks,
-        "title": {"font": {"size": 12, "color": surface.muted}, "standoff": 8},
+        "title": {"font": {"size": 12, "color": muted}, "standoff": 8},
         "automargin": True,
     }
-    bar = {"tickfont": ticks, "outlinewidth": 0, "title": {"font": {"size": 12, "color": surface.muted}}}
+    bar = {"tickfont": ticks, "outlinewidth": 0, "title": {"font": {"size": 12, "color": muted}}}
     return go.layout.Template(
         layout={
             "paper_bgcolor": paper,
             "plot_bgcolor": paper,
-            "font": {"family": SANS, "size": 13, "color": surface.ink},
-            "title": {"font": {"size": 14, "color": surface.ink}, "x": 0, "xref": "paper", "xanchor": "left"},
+            "font": {"family": SANS, "size": 13, "color": ink},
+            "title": {"font": {"size": 14, "color": ink}, "x": 0, "xref": "paper", "xanchor": "left"},
             "xaxis": axis,
             "yaxis": axis,
             "colorway": RUN_COLOURS,
-            "legend": {"font": {"size": 12, "color": surface.ink}, "bgcolor": "rgba(0,0,0,0)"},
+            "legend": {"font": {"size": 12, "color": ink}, "bgcolor": CLEAR},
             "hoverlabel": {
-                "bgcolor": surface.hover,
-                "bordercolor": surface.line,
-                "font": {"family": TABULAR, "size": 12, "color": surface.ink},
+                "bgcolor": tokens["surface-2"],
+                "bordercolor": line,
+                "font": {"family": TABULAR, "size": 12, "color": ink},
             },
-            "annotationdefaults": {"font": {"color": surface.muted, "size": 12}, "showarrow": False},
-            "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": surface.muted, "activecolor": surface.ink},
+            "annotationdefaults": {"font": {"color": muted, "size": 12}, "showarrow": False},
+            "modebar": {"bgcolor": CLEAR, "color": muted, "activecolor": ink},
         },
         data={
-            "heatmap": [{"colorbar": bar, "textfont": {"family": TABULAR, "size": 11, "color": surface.ink}}],
-            "bar": [{"textfont": {"family": TABULAR, "size": 11, "color": surface.ink}}],
+            "heatmap": [{"colorbar": bar, "textfont": {"family": TABULAR, "size": 11, "color": ink}}],
+            "bar": [{"textfont": {"family": TABULAR, "size": 11, "color": ink}}],
         },
     )
 
 
-DARK_TEMPLATE = _template(_DARK, "rgba(0,0,0,0)")
-LIGHT_TEMPLATE = _template(_LIGHT, LIGHT_SURFACE)
-_LIGHT_JSON = LIGHT_TEMPLATE.to_plotly_json()
+DARK_TEMPLATE = _template(TOKENS["dark"], CLEAR)
+LIGHT_TEMPLATE = _template(TOKENS["light"], TOKENS["light"]["surface-1"])
+CONTRAST_TEMPLATE = _template(TOKENS["contrast"], CLEAR)
+_OTHERS = {"light": LIGHT_TEMPLATE.to_plotly_json(), "contrast": CONTRAST_TEMPLATE.to_plotly_json()}
 
 
 def dress(figure: go.Figure, *, title: str, height_px: int, legend: bool = True, **layout: Any) -> go.Figure:
-    """Give a figure the house layout, with the light template on board for white images."""
+    """Give a figure the house layout, with the templates of the other themes on board."""
     settings: dict[str, Any] = {
         "template": DARK_TEMPLATE,
-        "meta": {"light": _LIGHT_JSON},
+        "meta": _OTHERS,
         "title": {"text": title, "y": 1, "yref": "container", "yanchor": "top", "pad": {"t": 8}},
         "height": height_px,
         "autosize": True,
@@ -147,12 +144,6 @@ def run_styles(traces: Sequence[Trace]) -> list[RunStyle]:
         RunStyle(escape(trace.label), RUN_COLOURS[i % len(RUN_COLOURS)], RUN_DASHES[i % len(RUN_DASHES)])
         for i, trace in enumerate(traces)
     ]
-
-
-def translucent(colour: str, opacity: float) -> str:
-    """Turn `#rrggbb` into the same colour with an opacity."""
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return f"rgba({red},{green},{blue},{opacity:g})"
 
 
 def short(values: NDArray[np.float64]) -> NDArray[np.float32]:
