@@ -96,9 +96,9 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and five choices of the ca
         When `cancelled` said so.
     """
     clock = _Stopwatch()
-    parameters = _parameters(sensor, settings)
+    parameters = parameters_of(sensor, settings)
     check_against_sensor(telemetry, sensor)
-    settings = _matchable(telemetry, settings)
+    settings = matchable(telemetry, settings)
     sets = MatchedSet(telemetry, sensor, catalogue, parameters, settings, cache_folder)
     first = sets.at_start()
     clock.lap("arcs")
@@ -113,14 +113,14 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and five choices of the ca
     judge(document, sets, first, ended, parameters, settings)
     clock.lap("judge")
     if validation is not None and ended.estimate.status != "diverged":
-        held_out = _matchable(validation, settings)
+        held_out = matchable(validation, settings)
         validate(document, validation, sensor, catalogue, ended.estimate, parameters, held_out, cache_folder)
         clock.lap("validate")
     document["timing_s"] = clock.laps | {"method": ended.method_s}
     return document
 
 
-def _matchable(telemetry: Telemetry, settings: CalibrationSettings) -> CalibrationSettings:
+def matchable(telemetry: Telemetry, settings: CalibrationSettings) -> CalibrationSettings:
     """Let the matches of a file stand that gives directions but names no stars: there is nothing to match them with."""
     if telemetry.star_id is None and telemetry.ra_rad is not None:
         return replace(settings, match="given")
@@ -132,7 +132,7 @@ def _never() -> bool:
     return False
 
 
-def _parameters(sensor: Sensor, settings: CalibrationSettings) -> Parameters:
+def parameters_of(sensor: Sensor, settings: CalibrationSettings) -> Parameters:
     """Places and scales of the free parameters, in parameter order."""
     names = CAMERA_MODELS[sensor.camera_model].parameter_names
     wanted = sensor.free if settings.free is None else settings.free
