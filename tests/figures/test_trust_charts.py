@@ -38,7 +38,7 @@ def values(trace, axis="y"):
 
 
 def test_every_chart_of_trust_is_held_to_its_part():
-    assert set(PART_OF) == {figure.name for figure in CHAPTERS["trust"]}
+    assert set(PART_OF) >= {figure.name for figure in CHAPTERS["trust"]}
 
 
 @pytest.mark.parametrize("name", PART_OF)

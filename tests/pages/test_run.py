@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.figures import CHAPTERS
 from boresight.figures.evidence import marks
 from boresight.figures.parameter_table import parameter_rows
 from boresight.store.sessions import utc_now, writing
 from boresight.store.tables import RunEvent
 
 
-def test_the_review_page_shows_verdict_parameters_and_every_figure_of_the_estimate_with_its_guide(house, read, results):
-    page = house.visitor("victor").get("/runs/2")
-    text = read(page)
-    assert "consistent" in text
-    assert results["sqrf"]["observability"]["weakest"]["sentence"] in text
-    for figure in CHAPTERS["estimate"]:
-        assert f'src="/api/v1/runs/2/figures/{figure.name}"' in page
-        assert f'href="/api/v1/runs/2/figures/{figure.name}/data"' in page
-        assert figure.guide.split(".")[0][:40] in text
+def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(house, read, results):
+    for part in ("summary", "log"):
+        text = read(house.visitor("victor").get(f"/runs/2?part={part}"))
+        assert "consistent" in text
+        assert results["sqrf"]["observability"]["weakest"]["sentence"] in text
+
+
+def test_the_provenance_has_the_command_the_settings_and_the_hashes(house, read):
+    text = read(house.visitor("victor").get("/runs/2?part=provenance"))
     assert "boresight calibrate" in text
     assert "--method sqrf" in text
+    assert '"method": "sqrf"' in text
+    assert "telemetry SHA-256" in text
 
 
 def test_a_simulated_sensor_shows_the_truth_and_how_many_sigmas_off_it_is(house, read):
@@ -89,7 +90,7 @@ def test_the_log_is_shown_in_order_with_later_attempts_named(house, read):
     with writing(house.engine) as session:
         session.add(RunEvent(run_id=1, attempt=1, at_utc=utc_now(), kind="log", message="first words"))
         session.add(RunEvent(run_id=1, attempt=2, at_utc=utc_now(), kind="log", message="second words"))
-    text = read(house.visitor("victor").get("/runs/1"))
+    text = read(house.visitor("victor").get("/runs/1?part=log"))
     assert text.index("first words") < text.index("attempt 2") < text.index("second words")
 
 

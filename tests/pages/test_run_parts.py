@@ -6,7 +6,8 @@ import re
 
 import pytest
 
-from boresight.figures import CHAPTERS
+from boresight.figures import CHAPTERS, FIGURES
+from boresight.pages.run_tabs import TITLES
 from boresight.store.sessions import utc_now
 from tests.figures.examined import matching, shadow, trust
 
@@ -33,17 +34,46 @@ def figures_of(page):
     return set(re.findall(r'<plot-figure src="/api/v1/runs/\d+/figures/([\w-]+)"', page))
 
 
-@pytest.mark.parametrize("part", ["estimate", "trust", "matching"])
+@pytest.mark.parametrize("part", TITLES)
 def test_a_part_draws_its_own_figures_and_no_others(house, examined, part):
     page = house.visitor("victor").get(f"/runs/{examined[1]}?part={part}")
-    assert figures_of(page) == {figure.name for figure in CHAPTERS[part]}
-    assert len(re.findall('aria-current="page"', page[page.index('class="tabs"') :])) == 1
+    assert figures_of(page) == {figure.name for figure in CHAPTERS.get(part, ())}
+    assert re.findall('data-tab="([a-z]+)" aria-current="page"', page) == [part]
+
+
+def test_the_tabs_hold_every_figure_and_each_once():
+    assert set(CHAPTERS) <= set(TITLES)
+    assert sum(map(len, CHAPTERS.values())) == len(FIGURES)
+
+
+def test_an_older_link_to_the_estimate_opens_the_summary(house, examined):
+    page = house.visitor("victor").get(f"/runs/{examined[1]}?part=estimate")
+    assert 'data-tab="summary" aria-current="page"' in page
+
+
+def test_every_figure_has_its_guide_and_its_numbers(house, read, examined):
+    victor = house.visitor("victor")
+    for part, figures in CHAPTERS.items():
+        page = victor.get(f"/runs/{examined[1]}?part={part}")
+        for figure in figures:
+            assert f'href="/api/v1/runs/{examined[1]}/figures/{figure.name}/data' in page
+            assert figure.guide.split(".")[0][:40] in read(page)
+
+
+def test_the_runs_before_and_after_are_one_step_away_in_the_same_part(house):
+    last = house.add_run()
+    page = house.visitor("victor").get("/runs/2?part=rms")
+    assert 'rel="prev" href="/runs/1?part=rms"' in page
+    assert f'rel="next" href="/runs/{last}?part=rms"' in page
+    assert 'rel="next"' not in house.visitor("victor").get(f"/runs/{last}")
 
 
 def test_the_tabs_say_how_trust_and_matching_stand(house, read, examined):
     text = read(house.visitor("victor").get(f"/runs/{examined[1]}"))
     assert "Trust 2 doubts" in text
     assert "Matching rested" in text
+    assert "Convergence settled" in text
+    assert "Observability seen" in text
 
 
 def test_every_sentence_of_the_examination_is_on_the_page(house, read, examined):

@@ -26,15 +26,15 @@ from boresight.figures.whiteness import WHITENESS
 __all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Result", "Table", "Trace", "figure_json"]
 
 CHAPTERS: dict[str, tuple[Figure, ...]] = {
-    "estimate": (
-        CONVERGENCE, RMS, RADIAL, OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION, METHODS, COVERAGE, PARAMETERS,
-    ),
-    "trust": (
-        TWO_HALVES, ARC_UNCERTAINTY, EFFICIENCY, MORE_DATA, DROP_ONE, INNOVATIONS, WHITENESS, RESIDUAL_AGAINST,
-        RESIDUAL_MAP, STARS,
-    ),
+    "summary": (PARAMETERS, METHODS),
+    "convergence": (CONVERGENCE,),
+    "rms": (RMS,),
+    "distortion": (RADIAL, COVERAGE),
+    "observability": (OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION),
+    "residuals": (RESIDUAL_AGAINST, RESIDUAL_MAP, INNOVATIONS, WHITENESS),
+    "trust": (TWO_HALVES, ARC_UNCERTAINTY, EFFICIENCY, MORE_DATA, DROP_ONE, STARS),
     "matching": (MATCHING, SHADOW),
-}  # fmt: skip
+}
 FIGURES: dict[str, Figure] = {figure.name: figure for chapter in CHAPTERS.values() for figure in chapter}
 WIDE = frozenset(
     {

@@ -12,6 +12,8 @@ from boresight.figures.chart import Result
 
 FloatArray = NDArray[np.float64]
 
+SETTLED_SIGMAS = 3.0
+
 
 @dataclass(frozen=True)
 class Course:
@@ -70,6 +72,22 @@ def course_of(result: Result) -> Course | None:
             free = tuple(name for name in free_names(result) if name in names)
             return Course(axis, x, names, free, value, sigma, record)
     return None
+
+
+def settled_step(result: Result) -> int | None:
+    """Return the index of the step from which on every free parameter stays within `SETTLED_SIGMAS` final sigmas of its end.
+
+    None while the run is on its way, and where an estimate or a sigma is not known.
+    """
+    course = course_of(result)
+    if course is None or result.get("status") in {None, "running"}:
+        return None
+    free = [course.names.index(name) for name in course.free]
+    value, reach = course.value[:, free], SETTLED_SIGMAS * course.sigma[-1, free]
+    if not np.isfinite(value).all() or not np.isfinite(reach).all():
+        return None
+    away = np.flatnonzero((np.abs(value - value[-1]) > reach).any(axis=1))
+    return int(away[-1]) + 1 if len(away) else 0
 
 
 def parameter_names(result: Result) -> tuple[str, ...]:

@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 
 from boresight.estimation.consistency import ChiSquare, chi_square, nees
 from boresight.figures.chart import Result
-from boresight.figures.course import Course, course_of
+from boresight.figures.course import Course, course_of, settled_step
 from boresight.figures.trust_parts import part_of
 
 FloatArray = NDArray[np.float64]
-
-SETTLED_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class MethodScores:
     ms_per_frame
         Processor time of the method alone over the frames, matching left out; measured once.
     settled_frames, settled_iterations
-        After how many the parameters stay within `SETTLED_SIGMAS` final sigmas of their end.
+        After how many the parameters stay within three final sigmas of their end.
     condition
         Condition number of the whole set's scaled Jacobian at the end.
     chi2_per_dof, consistent
@@ -135,15 +133,9 @@ def _ms_per_frame(result: Result) -> float | None:
 
 def _settled(result: Result) -> int | None:
     """Frames or iterations after which every free parameter stays near its end; None while the run is on its way."""
-    course = course_of(result)
-    if course is None or result.get("status") in {None, "running"}:
+    course, first = course_of(result), settled_step(result)
+    if course is None or first is None:
         return None
-    free = [course.names.index(name) for name in course.free]
-    value, reach = course.value[:, free], SETTLED_SIGMAS * course.sigma[-1, free]
-    if not np.isfinite(value).all() or not np.isfinite(reach).all():
-        return None
-    away = np.flatnonzero((np.abs(value - value[-1]) > reach).any(axis=1))
-    first = int(away[-1]) + 1 if len(away) else 0
     if course.axis == "iteration":
         return int(course.x[first])
     frames = int(result.get("frames") or len(course.x))  # a long history keeps updates spaced evenly

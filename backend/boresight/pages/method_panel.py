@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from boresight.figures.method_scores import SETTLED_SIGMAS, MethodScores, method_scores
+from boresight.figures.course import SETTLED_SIGMAS
+from boresight.figures.method_scores import MethodScores, method_scores
 from boresight.figures.numbers import MISSING, count, fixed, number
 from boresight.pages.formats import words
 from boresight.pages.methods import METHODS, is_sequential, title_of

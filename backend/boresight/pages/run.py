@@ -1,13 +1,12 @@
-"""The run page, the review desk: verdict first, then one of its parts: the estimate, its trust, its matching.
+"""The run page, the review desk: head and verdict always, below them one of its parts.
 
 While a run computes the page shows what there is so far, marked PARTIAL, and follows the event stream. It never shows a
-parameter without its sigma, and a result that is not to be trusted says so above everything else.
+parameter without its sigma, and a result that is not to be trusted says so above everything else. A tab loads only what it
+shows; the whole view is in the address.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -18,20 +17,21 @@ from markupsafe import Markup
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import NotFoundError
-from boresight.figures import CHAPTERS, WIDE
-from boresight.figures.command_line import calibrate_command
+from boresight.figures import WIDE
+from boresight.figures.evidence import verdict
 from boresight.figures.numbers import MISSING, count
-from boresight.figures.parameter_table import parameter_rows
+from boresight.gates.table import gate_rows
 from boresight.pages.attempts import attempt
 from boresight.pages.formats import duration, short_hash, utc, words
 from boresight.pages.methods import title_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.run_live import live_of
-from boresight.pages.run_log import log_of
-from boresight.pages.run_parts import TITLES, marks_of, matching_of, tabs_of, trust_of
+from boresight.pages.run_parts import Desk, marks_of, part_of_page
+from boresight.pages.run_tabs import FORMER, TITLES, tabs_of
 from boresight.pages.runs import read_names, seconds_of
 from boresight.services import gates, parameter_sets, runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
+from boresight.services.neighbours import neighbours
 from boresight.store.sessions import Session
 from boresight.store.tables import TERMINAL_RUN_STATES, ParameterSet, Run, TelemetrySet
 
@@ -83,102 +83,80 @@ def _set_link(data: TelemetrySet) -> Markup:
     return link + short_hash(data.original_sha256)
 
 
-def provenance_of(run: Run, result: Mapping[str, Any] | None) -> list[tuple[str, Any]]:
-    """Lay out the addresses and versions that make the run again what it was."""
-    inputs = (result or {}).get("inputs") or {}
-    hashes = [(f"{name} SHA-256", _hash(value)) for name, value in _flat(inputs.get("sha256s") or {})]
-    versions = ", ".join(f"{name} {value}" for name, value in (inputs.get("versions") or {}).items())
-    timing = ", ".join(f"{name.replace('_', ' ')} {duration(value)}" for name, value in _timing(result))
-    left_out = ", ".join(
-        f"{count(part['count'])} {part['what']}: {part['reason']}" for part in (result or {}).get("left_out") or ()
-    )
-    return [
-        *hashes,
-        ("Left out", left_out or MISSING),
-        ("Result SHA-256", short_hash(run.result_sha256) if run.result_sha256 else MISSING),
-        ("Versions", versions or MISSING),
-        ("Time spent", timing or MISSING),
-    ]
-
-
-def _timing(result: Mapping[str, Any] | None) -> list[tuple[str, float]]:
-    return [(name, value) for name, value in ((result or {}).get("timing_s") or {}).items() if value is not None]
-
-
-def _flat(hashes: Mapping[str, Any] | Sequence[str]) -> list[tuple[str, Any]]:
-    return list(hashes.items()) if isinstance(hashes, Mapping) else [("input", value) for value in hashes]
-
-
-def _hash(value: Any) -> Markup | str:
-    return short_hash(str(value)) if value else MISSING
-
-
-def command_of(run: Run, data: TelemetrySet, validation: TelemetrySet | None) -> str:
-    """Write the command line that computes this run again from the files that the page offers."""
-    files = data.name, f"run-{run.id}.sensor.json"
-    words = calibrate_command(*files, run.settings, validation.name if validation else None, f"run-{run.id}.json")
-    return " \\\n  ".join(words)
-
-
 @router.get("/runs/{run_id:int}", response_class=HTMLResponse)
-def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "estimate") -> HTMLResponse:
+def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "summary") -> HTMLResponse:
     """Show a run: its head and verdict, and one of its parts."""
+    part = FORMER.get(part, part)
     if part not in TITLES:
         raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(TITLES)}.")
-    run = runs.get_run(session, run_id)
-    sensor = sensors.get_sensor(session, run.sensor_id)
-    data = telemetry_sets.get_telemetry_set(session, run.telemetry_set_id)
-    validation = run.validation_set_id and telemetry_sets.get_telemetry_set(session, run.validation_set_id)
-    is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
-    result = None if is_void else runs.result(session, request.app.state.blobs, run_id)
-    actions = actions_of(run, actor)
-    made = parameter_set_of(session, run)
-    has_estimate = bool(result and result.get("parameters"))
+    desk = desk_of(request, session, actor, run_id)
+    run, result = desk.run, desk.result
     return render(
         request,
         "run.html",
         run=run,
         terminal=run.state in TERMINAL_RUN_STATES,
-        sensor=sensor,
+        sensor=desk.sensor,
         method=title_of(run.method),
-        actions=actions,
-        blocked=sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
-        parameter_set=made,
-        gates=gates.verdicts(session, [made.id]).get(made.id) if made else None,
+        **head_of(desk),
         **live_of(request, session, run),
-        header=header_of(run, read_names(session).person(run.launched_by), data, validation or None),
         result=result,
         partial=run.result_sha256 is None,
         marks=marks_of(result),
+        judged=verdict(result) if marks_of(result) and result else None,
         part=part,
         tabs=tabs_of(run_id, part, result),
-        trust=trust_of(result, _why_nothing(run)) if part == "trust" else None,
-        matching=matching_of(result, _why_nothing(run)) if part == "matching" else None,
         advice=list((result or {}).get("advice") or ()),
-        rows=parameter_rows(_with_truth(result, sensor.truth)) if result and has_estimate else [],
-        no_result=_why_nothing(run),
-        figures=[] if is_void else list(CHAPTERS["estimate"]),
+        no_result=desk.why_nothing,
         wide=WIDE,
-        **log_of(request, session, run),
-        provenance=provenance_of(run, result),
-        validation=validation or None,
-        data=data,
-        command=command_of(run, data, validation or None),
-        settings_json=json.dumps(run.settings, indent=2, sort_keys=True),
+        **part_of_page(desk, part),
     )
 
 
-def _with_truth(result: Mapping[str, Any], truth: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Put the simulated sensor's true values beside a result that does not carry them."""
-    return {**result, "truth": result.get("truth") or truth}
+def desk_of(request: Request, session: Session, actor: Actor, run_id: int) -> Desk:
+    """Fetch a run with its sensor, its data and what it has found so far."""
+    run = runs.get_run(session, run_id)
+    is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
+    return Desk(
+        request=request,
+        session=session,
+        actor=actor,
+        run=run,
+        sensor=sensors.get_sensor(session, run.sensor_id),
+        data=telemetry_sets.get_telemetry_set(session, run.telemetry_set_id),
+        validation=_validation_of(session, run),
+        result=None if is_void else runs.result(session, request.app.state.blobs, run_id),
+    )
 
 
-def _why_nothing(run: Run) -> str:
-    """Say why there is no result, to follow `No verdict: `."""
+def _validation_of(session: Session, run: Run) -> TelemetrySet | None:
+    number = run.validation_set_id
+    return None if number is None else telemetry_sets.get_telemetry_set(session, number)
+
+
+def head_of(desk: Desk) -> dict[str, Any]:
+    """Gather what stands above the tabs: who ran what, what may be done with it, and the runs beside it."""
+    actions, made = actions_of(desk.run, desk.actor), parameter_set_of(desk.session, desk.run)
+    by = read_names(desk.session).person(desk.run.launched_by)
     return {
-        "QUEUED": "the run has not started.",
-        "RUNNING": "the first frames are being read.",
-    }.get(run.state, f"the run ended as {run.state} before it had a result.")
+        "actions": actions,
+        "blocked": sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
+        "parameter_set": made,
+        "gates": gates_of(desk.session, made),
+        "header": header_of(desk.run, by, desk.data, desk.validation),
+        "neighbours": neighbours(desk.session, desk.run.id),
+    }
+
+
+def gates_of(session: Session, made: ParameterSet | None) -> dict[str, Any] | None:
+    """Read the newest gate report of a run's set, a row a gate; None where the run has no set, no rows before it is assessed."""
+    if made is None:
+        return None
+    report = gates.newest_report(session, made.id)
+    if report is None:
+        return {"words": "", "rows": []}
+    document = gates.with_waivers(session, report)
+    return {"words": document["words"], "rows": gate_rows(document)}
 
 
 def parameter_set_of(session: Session, run: Run) -> ParameterSet | None:

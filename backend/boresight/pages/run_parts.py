@@ -1,12 +1,15 @@
-"""The parts of the run page, a tab and an address each: the estimate, the examination of its trust, and its matching."""
+"""What each part of the run page shows, gathered only for the part that is open."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.figures import CHAPTERS
+from fastapi import Request
+
+from boresight.figures import CHAPTERS, Figure
 from boresight.figures.evidence import marks
 from boresight.figures.matching import MATCHING, why_no_matching
 from boresight.figures.matching_table import (
@@ -18,45 +21,92 @@ from boresight.figures.matching_table import (
     side_by_side,
 )
 from boresight.figures.numbers import count
+from boresight.figures.parameter_table import parameter_rows
 from boresight.figures.shadow import SHADOW, shown
 from boresight.figures.star_table import star_rows, to_flag
-from boresight.figures.trust_marks import prospects, trust_doubts, trust_level, trust_marks
+from boresight.figures.trust_marks import prospects, trust_marks
 from boresight.figures.trust_parts import why_absent
-
-TITLES = {"estimate": "Estimate", "trust": "Trust", "matching": "Matching"}
+from boresight.pages.run_log import log_of
+from boresight.pages.run_provenance import command_of, provenance_of
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session
+from boresight.store.tables import TERMINAL_RUN_STATES, Run, Sensor, TelemetrySet
 
 Result = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Tab:
-    """A part's title and address, and in a word how things stand there; no word where there is nothing to judge."""
+class Desk:
+    """What a part is gathered from: who looks at which run, and what it has found so far.
 
-    title: str
-    href: str
-    current: bool
-    level: str = "off"
-    word: str = ""
+    Parameters
+    ----------
+    result
+        The calibration JSON, complete or so far; None where there is none, or where it does not count.
+    """
+
+    request: Request
+    session: Session
+    actor: Actor
+    run: Run
+    sensor: Sensor
+    data: TelemetrySet
+    validation: TelemetrySet | None
+    result: Result | None
+
+    @property
+    def is_void(self) -> bool:
+        """Tell whether what was computed does not count."""
+        return self.run.state in TERMINAL_RUN_STATES and self.run.result_sha256 is None
+
+    @property
+    def why_nothing(self) -> str:
+        """Say why there is no result, to follow `No verdict: `."""
+        return {
+            "QUEUED": "the run has not started.",
+            "RUNNING": "the first frames are being read.",
+        }.get(self.run.state, f"the run ended as {self.run.state} before it had a result.")
 
 
-def tabs_of(run_id: int, chosen: str, result: Result | None) -> list[Tab]:
-    """Lay out the tabs of a run."""
-    tabs = []
-    for part, title in TITLES.items():
-        href = f"/runs/{run_id}" if part == "estimate" else f"/runs/{run_id}?part={part}"
-        tabs.append(Tab(title, href, part == chosen, *_standing(part, result or {})))
-    return tabs
+def part_of_page(desk: Desk, part: str) -> dict[str, Any]:
+    """Gather what the template of a part names."""
+    return GATHERED[part](desk)
 
 
-def _standing(part: str, result: Result) -> tuple[str, str]:
-    """Say with a level and a word how a part stands."""
-    if part == "trust" and result.get("trust"):
-        doubts = len(trust_doubts(result))
-        return trust_level(result), f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt"
-    if part == "matching" and result.get("matching"):
-        rested = bool(result["matching"].get("rested"))
-        return ("normal", "rested") if rested else ("caution", "not at rest")
-    return "off", ""
+def summary_of(desk: Desk) -> dict[str, Any]:
+    """Gather old and new values; while the run computes its course stands beside them."""
+    live = () if desk.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
+    has_estimate = bool(desk.result and desk.result.get("parameters"))
+    return {
+        "rows": parameter_rows(desk.result) if desk.result and has_estimate else [],
+        "figures": () if desk.is_void else (*live, *CHAPTERS["summary"]),
+    }
+
+
+def charts_of(name: str) -> Callable[[Desk], dict[str, Any]]:
+    """Return what gathers the figures of a chapter."""
+
+    def gather(desk: Desk) -> dict[str, Any]:
+        figures: tuple[Figure, ...] = () if desk.is_void else CHAPTERS[name]
+        return {"figures": figures}
+
+    return gather
+
+
+def logged(desk: Desk) -> dict[str, Any]:
+    """Gather the log."""
+    return log_of(desk.request, desk.session, desk.run)
+
+
+def origin_of(desk: Desk) -> dict[str, Any]:
+    """Gather where the numbers come from, and the command that makes them again."""
+    return {
+        "provenance": provenance_of(desk.run, desk.result),
+        "validation": desk.validation,
+        "data": desk.data,
+        "command": command_of(desk.run, desk.data, desk.validation),
+        "settings_json": json.dumps(desk.run.settings, indent=2, sort_keys=True),
+    }
 
 
 def trust_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
@@ -95,3 +145,19 @@ def matching_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
 def marks_of(result: Result | None) -> list[Any]:
     """Answer the verdict strip's questions, none where nothing was estimated."""
     return marks(result) if result and result.get("parameters") else []
+
+
+GATHERED: dict[str, Callable[[Desk], dict[str, Any]]] = {
+    "summary": summary_of,
+    "convergence": charts_of("convergence"),
+    "rms": charts_of("rms"),
+    "distortion": charts_of("distortion"),
+    "observability": charts_of("observability"),
+    "residuals": charts_of("residuals"),
+    "trust": lambda desk: {"trust": trust_of(desk.result, desk.why_nothing)},
+    "matching": lambda desk: {"matching": matching_of(desk.result, desk.why_nothing)},
+    "frames": lambda _: {},
+    "log": logged,
+    "provenance": origin_of,
+    "notes": lambda _: {},
+}

@@ -20,6 +20,12 @@ def page_of_runs(session: Session, *, where: Mapping[str, Any], before_id: int |
     return list(session.scalars(query if before_id is None else query.where(Run.id < before_id)))
 
 
+def neighbours(session: Session, run_id: int) -> tuple[int | None, int | None]:
+    """Return the numbers of the runs before and after one, None at an end."""
+    before = session.scalar(sa.select(sa.func.max(Run.id)).where(Run.id < run_id))
+    return before, session.scalar(sa.select(sa.func.min(Run.id)).where(Run.id > run_id))
+
+
 def count_by_state(session: Session) -> dict[str, int]:
     """Count the runs of each state that has any."""
     rows = session.execute(sa.select(Run.state, sa.func.count()).group_by(Run.state))
