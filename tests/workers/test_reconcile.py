@@ -62,11 +62,11 @@ def test_a_lapsed_lease_gives_the_run_back_and_the_late_result_writes_nothing(st
     (new,) = take_one(next_owner, run_id)
     assert new == (run_id, 2)
     gone.settle([success(old)])
-    gone.record({old: {"fraction": 0.9, "message": "late", "partial": None}})
+    gone.record({old: {"fraction": 0.9, "message": "late", "elapsed_s": 1.0, "partial": None}}, {old: "90 %: late"})
     assert store.states([run_id]) == ["RUNNING"]
     assert store.run(run_id).progress is None
     assert store.run(run_id).result_sha256 is None
-    assert "done" not in store.log(run_id, "log")
+    assert not {"done", "90 %: late"} & set(store.log(run_id, "log"))
     next_owner.settle([success(new)])
     assert store.run(run_id).result_sha256.endswith("2")
     assert store.ends(run_id) == ["SUCCEEDED"]
@@ -159,7 +159,9 @@ def test_progress_is_dropped_when_the_result_is_there(store, make_rows):
     (run_id,) = store.launch("quick")
     rows = make_rows()
     (held,) = take_one(rows, run_id)
-    rows.record({held: {"fraction": 0.5, "message": "half", "partial": b'{"status": "running"}'}})
+    report = {"fraction": 0.5, "message": "half", "elapsed_s": 2.0, "partial": b'{"status": "running"}'}
+    rows.record({held: report}, {held: "50 %: half"})
     assert store.run(run_id).progress["partial"] == {"status": "running"}
+    assert "50 %: half" in store.log(run_id, "log")
     rows.settle([success(held)])
     assert store.run(run_id).progress is None

@@ -11,9 +11,7 @@ webhook must not become a way to what only the server can reach. Redirects are n
 from __future__ import annotations
 
 import ipaddress
-import logging
 import socket
-import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,12 +20,11 @@ from urllib.parse import urlsplit, urlunsplit
 import httpx
 
 import boresight
+from boresight.api.rounds import Rounds
 from boresight.services import webhook_messages, webhooks
 from boresight.services.webhooks import Message
 from boresight.store import webhooks as rows
 from boresight.store.sessions import Engine, reading, utc_now, writing
-
-log = logging.getLogger(__name__)
 
 LOOK_EVERY_S = 1.0
 AT_ONCE = 20
@@ -49,37 +46,19 @@ class Deliveries:
     def __init__(self, database: Engine, *, local: bool) -> None:
         self._database = database
         self._local = local
-        self._nudge = threading.Event()
-        self._closing = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._rounds = Rounds("delivery", [self.deliver], lambda: LOOK_EVERY_S)
 
     def start(self) -> None:
         """Begin to look for messages."""
-        self._closing.clear()
-        self._thread = threading.Thread(target=self._work, name="boresight-deliveries", daemon=True)
-        self._thread.start()
+        self._rounds.start()
 
     def close(self) -> None:
         """Stop after the attempt that is under way; safe to call twice."""
-        self._closing.set()
-        self._nudge.set()
-        if self._thread is not None:
-            self._thread.join(TIMEOUT_S + 1.0)
-            self._thread = None
+        self._rounds.close(TIMEOUT_S + 1.0)
 
     def nudge(self) -> None:
         """Look now."""
-        self._nudge.set()
-
-    def _work(self) -> None:
-        """Deliver until closed; an error is logged and the next look tries again."""
-        while not self._closing.is_set():
-            try:
-                self.deliver()
-            except Exception:
-                log.exception("Webhooks could not be delivered; the next look tries again")
-            self._nudge.wait(LOOK_EVERY_S)
-            self._nudge.clear()
+        self._rounds.nudge()
 
     def deliver(self) -> None:
         """Send everything that is due now."""
@@ -99,7 +78,7 @@ class Deliveries:
     def _serve(self, messages: Sequence[Message]) -> None:
         """Send a webhook's messages until one gets no answer; the others wait for the next look."""
         for message in messages:
-            if self._closing.is_set():
+            if self._rounds.closing:
                 return
             status, outcome = self._send(message)
             with writing(self._database) as session:

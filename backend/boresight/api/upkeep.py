@@ -1,6 +1,6 @@
 """What a server does beside its requests: it holds the store against its audit log, and writes when keys were used.
 
-A page shows the light of the chain and must not wait for it, for a long chain takes seconds to walk. So one thread walks
+A page shows the light of the chain and must not wait for it, for a long chain takes seconds to walk. So a thread walks
 it over and over, and a page reads what the last walk found. Between two walks it rests a minute, and at least `REST`
 times as long as the walk took, so that a chain of any length costs a fixed small part of one processor.
 
@@ -12,9 +12,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
+from boresight.api.rounds import Rounds
 from boresight.services import api_keys, audit
 from boresight.store.sessions import Engine, reading, utc_now, writing
 
@@ -66,22 +66,16 @@ class Upkeep:
         self._found = NOT_YET
         self._looked_s = 0.0
         self._pause_s = ROUND_S
-        self._closing = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._rounds = Rounds("upkeep", [self.write_uses, self._verify_when_due], lambda: ROUND_S)
 
     def start(self) -> None:
         """Begin; the first walk is at once."""
-        self._closing.clear()
-        self._thread = threading.Thread(target=self._run, name="boresight-upkeep", daemon=True)
-        self._thread.start()
+        self._rounds.start()
 
     def close(self) -> None:
         """Stop, and write the last uses of keys; safe to call twice."""
-        self._closing.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-            self._try(self.write_uses)
+        self._rounds.close()
+        self._rounds.take(self.write_uses)
 
     def used(self, credential: str) -> None:
         """Remember that a key was used now."""
@@ -115,18 +109,7 @@ class Upkeep:
             return Light("stale", found.last_id, found.at_utc, f"{found.sentence} It was not verified again since.")
         return found
 
-    def _run(self) -> None:
-        """Go round until closed."""
-        while not self._closing.is_set():
-            self._try(self.write_uses)
-            if self._found is NOT_YET or time.monotonic() - self._looked_s >= self._pause_s:
-                self._try(self.verify)
-            self._closing.wait(ROUND_S)
-
-    @staticmethod
-    def _try(step: Callable[[], None]) -> None:
-        """Take a step; an error is logged and the next round tries again."""
-        try:
-            step()
-        except Exception:
-            log.exception("The upkeep failed and is tried again")
+    def _verify_when_due(self) -> None:
+        """Walk the chain at first, and again after the pause that the last walk earned."""
+        if self._found is NOT_YET or time.monotonic() - self._looked_s >= self._pause_s:
+            self.verify()

@@ -30,7 +30,6 @@ def newest_event_id(session: Session) -> int:
     return session.scalar(sa.select(sa.func.max(RunEvent.id))) or 0
 
 
-def state_events(session: Session, after_id: int, limit: int = 500) -> list[RunEvent]:
-    """Return the changes of state of all runs in order, from the line after `after_id`."""
-    query = sa.select(RunEvent).where(RunEvent.id > after_id, RunEvent.kind == "state")
-    return list(session.scalars(query.order_by(RunEvent.id).limit(limit)))
+def events_after(session: Session, after_id: int, limit: int = 500) -> list[RunEvent]:
+    """Return the log lines of all runs in order, from the line after `after_id`."""
+    return list(session.scalars(sa.select(RunEvent).where(RunEvent.id > after_id).order_by(RunEvent.id).limit(limit)))

@@ -50,8 +50,8 @@ class Engine:
     settings
         Scheduler address or number of workers, lease, attempts, folders.
     broadcast
-        Called from the engine's thread with `{"kind": "progress", "run_id", "attempt", "fraction", "message"}`, and with
-        `{"kind": "run", "run_id", "attempt"}` when a row has changed its state.
+        Called from the engine's thread with `{"kind": "progress", "run_id", "attempt", "fraction", "message", "elapsed_s",
+        "history"}`, and with `{"kind": "run", "run_id", "attempt"}` when a row has changed its state.
     calculation
         `module:function` that the workers call, with the signature of `calibrate`.
     cancel_grace_s
@@ -213,11 +213,10 @@ class Engine:
     def _tell_progress(self) -> None:
         """Pass reports on, and write them to the rows at most twice a second."""
         reports = self._reports.take(self._held())
-        for report in reports.values():
-            told = {name: report[name] for name in ("run_id", "attempt", "fraction", "message")}
-            self._broadcast({"kind": "progress", **told})
+        for held, report in reports.items():
+            self._broadcast({"kind": "progress", **self._reports.news(held, report)})
         if due := self._reports.due(reports):
-            self._rows.record(due)
+            self._rows.record(due, self._reports.lines(due))
 
     def _pass_on_stops(self) -> None:
         """Ask attempts to stop whose rows say so; end by force what did not answer in time."""

@@ -22,12 +22,13 @@ HISTORY_POINTS = 300
 
 
 class ProgressEvent(TypedDict):
-    """One report on its way; `partial` is a calibration JSON so far, as bytes, or None."""
+    """One report on its way; `partial` is a calibration JSON so far, as bytes, or None; `elapsed_s` since it began."""
 
     run_id: int
     attempt: int
     fraction: float
     message: str
+    elapsed_s: float
     partial: bytes | None
 
 
@@ -44,7 +45,7 @@ class Link:
         self.attempt = attempt
         self._stop = Event(cancel_event(run_id, attempt))
         self._reported_s = -REPORT_EVERY_S
-        self._looked_s = time.monotonic()
+        self._begun_s = self._looked_s = time.monotonic()
         self._stopped = False
 
     def report(self, progress: Progress) -> None:
@@ -59,6 +60,7 @@ class Link:
             attempt=self.attempt,
             fraction=float(progress.fraction),
             message=progress.message,
+            elapsed_s=round(now_s - self._begun_s, 3),
             partial=partial,
         )
         get_worker().log_event(TOPIC, dict(event))

@@ -18,7 +18,7 @@ from boresight.services.run_estimates import predicted_s, seconds_per_star
 from boresight.store import run_events, runs
 from boresight.store.runs import Claimed, Held, Waiting
 from boresight.store.sessions import Engine as Database
-from boresight.store.sessions import Session, reading, writing
+from boresight.store.sessions import Session, reading, utc_now, writing
 from boresight.workers.planning import planned
 from boresight.workers.tasks import Outcome
 
@@ -120,17 +120,20 @@ class Reconciler:
             states = runs.states_of(session, [run_id for run_id, _ in members])
         return {held for held in members if states.get(held) == "CANCELLING"}
 
-    def record(self, reports: Mapping[Held, Mapping[str, Any]]) -> None:
-        """Write how far attempts are, with what a live page draws."""
+    def record(self, reports: Mapping[Held, Mapping[str, Any]], lines: Mapping[Held, str]) -> None:
+        """Write how far attempts are and when they said so, with what a live page draws, and lines for their logs."""
         with writing(self.database) as session:
             for held, report in reports.items():
                 partial = report["partial"]
                 progress = {
                     "fraction": report["fraction"],
                     "message": report["message"],
+                    "elapsed_s": report["elapsed_s"],
+                    "at_utc": utc_now(),
                     "partial": None if partial is None else orjson.loads(partial),
                 }
-                runs.record_progress(session, *held, progress)
+                if runs.record_progress(session, *held, progress) and held in lines:
+                    run_events.write_event(session, *held, "log", lines[held])
 
     def waiting(self) -> list[Waiting]:
         """Return the oldest runs that wait."""

@@ -1,15 +1,29 @@
-"""Progress on its way from the workers to the rows and the listeners: only the newest report of an attempt counts."""
+"""Progress on its way from the workers to the rows and the listeners: only the newest report of an attempt counts.
+
+A report carries the whole course so far, thinned to a few hundred points. Listeners are told what is new in it: the points
+after the last frame that they were told, so a report that was replaced before anybody looked leaves no gap. The rows get
+the report itself, twice a second at most, and the log a line at every tenth of the way.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from itertools import accumulate
 from typing import Any
+
+import orjson
 
 from boresight.store.runs import Held
 
 RECORD_EVERY_S = 0.5
+LINE_EVERY_S = 2.0
+POINTS_AN_EVENT = 60
+TOLD = ("run_id", "attempt", "fraction", "message", "elapsed_s")
+COLUMNS = ("parameters", "sigma", "tail_rms_rad", "aggregate_rms_rad")
 
 
 class Reports:
@@ -19,6 +33,8 @@ class Reports:
         self._lock = threading.Lock()
         self._newest: dict[Held, dict[str, Any]] = {}
         self._recorded_s: dict[Held, float] = {}
+        self._told_frame: dict[Held, int] = {}
+        self._lines: dict[Held, tuple[int, float]] = {}
 
     def hear(self, report: dict[str, Any]) -> None:
         """Take a report; it replaces the one before of the same attempt."""
@@ -29,7 +45,18 @@ class Reports:
         """Return what came since the last time, of our attempts only."""
         with self._lock:
             reports, self._newest = self._newest, {}
+        self._told_frame = {held: frame for held, frame in self._told_frame.items() if held in ours}
+        self._lines = {held: line for held, line in self._lines.items() if held in ours}
         return {held: report for held, report in reports.items() if held in ours}
+
+    def news(self, held: Held, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Say what a report tells, with the points of the course that were not told before; they are taken as told now."""
+        partial = report["partial"]
+        history = (None if partial is None else orjson.loads(partial).get("history")) or {}
+        points = points_after(history, self._told_frame.get(held))
+        if points is not None:
+            self._told_frame[held] = points["frame"][-1]
+        return {name: report[name] for name in TOLD} | {"history": points}
 
     def due(self, reports: dict[Held, dict[str, Any]]) -> dict[Held, dict[str, Any]]:
         """Return those whose rows were not written in the last half second; they are taken as written now."""
@@ -38,3 +65,57 @@ class Reports:
         due = {held: report for held, report in reports.items() if held not in self._recorded_s}
         self._recorded_s |= dict.fromkeys(due, now_s)
         return due
+
+    def lines(self, reports: Mapping[Held, Mapping[str, Any]]) -> dict[Held, str]:
+        """Return a line for the log of each attempt that came to another tenth of its way, one in two seconds at most."""
+        now_s = time.monotonic()
+        lines = {}
+        for held, report in reports.items():
+            tenth = int(10 * report["fraction"])
+            last, at_s = self._lines.get(held, (-1, -LINE_EVERY_S))
+            if tenth > last and now_s - at_s >= LINE_EVERY_S:
+                self._lines[held] = tenth, now_s
+                lines[held] = f"{100 * report['fraction']:.0f} %: {report['message']}"
+        return lines
+
+
+def points_after(history: Mapping[str, Any], after: int | None) -> dict[str, Any] | None:
+    """Return the points of a course after a frame, or None where there are none.
+
+    Parameters
+    ----------
+    history
+        The `history` of a calibration JSON so far: columns of equal length, frames ascending.
+    after
+        The last frame that was told, None where nothing was. A course that has since begun anew is told from its start.
+
+    Returns
+    -------
+    dict or None
+        `after` as the frame that these follow, `frame`, the columns a live chart draws, and `nis_per_dof`, the mean
+        normalised innovation squared so far; at most `POINTS_AN_EVENT` of each, evenly spread, the last among them.
+    """
+    frames: Sequence[int] = history.get("frame") or ()
+    if after is not None and frames and frames[-1] < after:
+        after = None
+    first = 0 if after is None else bisect_right(frames, after)
+    if first >= len(frames):
+        return None
+    kept = _spread(first, len(frames) - 1)
+    columns = {name: history.get(name) for name in COLUMNS} | {"nis_per_dof": _nis_per_dof(history)}
+    told = {name: [column[k] for k in kept] for name, column in columns.items() if column is not None}
+    return {"after": after, "frame": [frames[k] for k in kept]} | told
+
+
+def _spread(first: int, last: int) -> list[int]:
+    """Choose places from first to last, both among them."""
+    most = min(last - first + 1, POINTS_AN_EVENT)
+    return [last] if most == 1 else [first + round(k * (last - first) / (most - 1)) for k in range(most)]
+
+
+def _nis_per_dof(history: Mapping[str, Any]) -> list[float | None] | None:
+    """Average the normalised innovation squared over the points so far, per degree of freedom."""
+    if history.get("nis") is None:
+        return None
+    nis, dof = (accumulate(value or 0 for value in history.get(name) or ()) for name in ("nis", "nis_dof"))
+    return [total / count if count else None for total, count in zip(nis, dof, strict=False)]

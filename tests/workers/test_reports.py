@@ -1,0 +1,102 @@
+"""What is told of a course on its way: every point once, few at a time, whatever happened to the reports between."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from boresight.workers.link import thinned
+from boresight.workers.reports import LINE_EVERY_S, POINTS_AN_EVENT, Reports, points_after
+
+HELD = (7, 1)
+
+
+def course(frames: list[int]) -> dict[str, Any]:
+    """A filter's history over some frames, each column told apart by its frame."""
+    return {
+        "frame": frames,
+        "parameters": [[float(frame), 0.0] for frame in frames],
+        "sigma": [[1.0 / frame, None] for frame in frames],
+        "tail_rms_rad": [2.0 * frame for frame in frames],
+        "aggregate_rms_rad": None,
+        "nis": [6.0] * len(frames),
+        "nis_dof": [3] * len(frames),
+    }
+
+
+def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HELD) -> dict[str, Any]:
+    """A report as it comes from a worker."""
+    partial = orjson.dumps({"status": "running", "history": course(frames) if frames else None})
+    told = {"fraction": fraction, "message": f"frame {frames[-1:]}", "elapsed_s": 1.0, "partial": partial}
+    return {"run_id": held[0], "attempt": held[1]} | told
+
+
+@given(st.lists(st.integers(1, 400), min_size=1, max_size=12), st.data())
+def test_points_follow_one_another_whichever_reports_were_replaced(steps: list[int], data: st.DataObject) -> None:
+    reports, told, last = Reports(), [], None
+    for end in itertools.accumulate(steps):
+        reports.hear(report(thinned(course(list(range(1, end + 1))))["frame"]))
+        if end == sum(steps) or data.draw(st.booleans()):
+            for held, newest in reports.take({HELD}).items():
+                points = reports.news(held, newest)["history"]
+                assert points["after"] == last
+                assert points["frame"][-1] == end
+                assert len(points["frame"]) <= POINTS_AN_EVENT
+                told += points["frame"]
+                last = end
+    assert told == sorted(set(told))
+    assert told[0] == 1
+
+
+def test_every_column_has_a_value_for_every_frame_told() -> None:
+    points = points_after(course(list(range(1, 1001))), 400)
+    frames = points["frame"]
+    assert (frames[0], frames[-1]) == (401, 1000)
+    assert [row[0] for row in points["parameters"]] == frames
+    assert points["tail_rms_rad"] == [2.0 * frame for frame in frames]
+    assert points["nis_per_dof"] == [2.0] * len(frames)
+    assert "aggregate_rms_rad" not in points
+
+
+def test_the_innovations_so_far_are_the_mean_over_all_points_before() -> None:
+    history = course([1, 2, 3]) | {"nis": [3.0, None, 9.0], "nis_dof": [3, 0, 3]}
+    assert points_after(history, 2)["nis_per_dof"] == [2.0]
+    assert np.isnan(np.array(points_after(history | {"nis_dof": [0, 0, 0]}, 2)["nis_per_dof"], float)).all()
+
+
+def test_nothing_new_and_no_course_are_told_as_nothing() -> None:
+    reports = Reports()
+    assert reports.news(HELD, report([]))["history"] is None
+    assert reports.news(HELD, report([1, 2]))["history"]["frame"] == [1, 2]
+    assert reports.news(HELD, report([1, 2]))["history"] is None
+    assert reports.news(HELD, report([1]))["history"]["after"] is None  # it began anew
+
+
+def test_another_attempt_is_told_from_its_start() -> None:
+    reports = Reports()
+    reports.hear(report([1, 2]))
+    for held, newest in reports.take({HELD}).items():
+        reports.news(held, newest)
+    again = (7, 2)
+    reports.hear(report([1, 2], held=again))
+    ((held, newest),) = reports.take({again}).items()
+    assert reports.news(held, newest)["history"]["frame"] == [1, 2]
+
+
+def test_the_log_gets_a_line_a_tenth_and_never_two_within_two_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    reports, now_s, lines = Reports(), 100.0, []
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    for step in range(1, 101):
+        now_s += LINE_EVERY_S / 4
+        lines += reports.lines({HELD: report([step], step / 100)}).values()
+    assert lines[0] == "1 %: frame [1]"
+    assert [line.partition(" ")[0] for line in lines[1:]] == [str(percent) for percent in range(10, 101, 10)]
+    now_s += 1.0
+    assert reports.lines({HELD: report([100], 1.0)}) == {}
