@@ -1,4 +1,4 @@
-"""The few figures of a calibration that lists and the fleet show, so that neither opens a result file.
+"""The few figures of a calibration that lists, the fleet and its trends show, so that none opens a result file.
 
 `level` is the verdict of the run page, `advice` the gravest sentence of the run or, where it gave none, of the verdict.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from boresight.calibration.trend import trend_entry
 from boresight.estimation.observability import WEAK
 from boresight.figures.evidence import verdict
 
@@ -29,9 +30,17 @@ def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
         "frames": result.get("frames"),
         "stars": result.get("stars"),
         "weakest": _within(result, "observability", "weakest", "sentence"),
+        "tail_rms_rad": _last(_within(result, "history", "tail_rms_rad")),
+        "availability": _within(result, "validation", "availability", "final"),
+        "trend": trend_entry(result),
         "validation_rms_initial_arc_rad": _within(result, "validation", "rms_arc_rad", "initial"),
         "validation_rms_final_arc_rad": _within(result, "validation", "rms_arc_rad", "final"),
     }
+
+
+def _last(values: Any) -> Any:
+    """Return the last of a series; None where there is none."""
+    return values[-1] if isinstance(values, list) and values else None
 
 
 def _weak_directions(result: Mapping[str, Any]) -> int | None:
