@@ -29,6 +29,7 @@ from boresight.api import static_files
 from boresight.api.broadcast import Broadcast
 from boresight.api.cookies import LogInCookie
 from boresight.api.deliveries import Deliveries
+from boresight.api.drawn import Drawn
 from boresight.api.heartbeat import Heartbeat
 from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
@@ -40,6 +41,7 @@ from boresight.errors import BoresightError
 from boresight.pages import router as pages_router
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
 from boresight.services import runs
+from boresight.services.forecasts import Sight
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blobs import BlobStore
@@ -94,8 +96,10 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.policy = settings.policy
     state.engine = open_engine(settings.database_url)
     state.blobs = BlobStore(settings.blob_folder)
+    state.drawn = Drawn()
     state.log_in_cookie = LogInCookie(settings)
     state.catalogue = _lazy_catalogue(settings)
+    state.sight = Sight(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
     state.upkeep = Upkeep(state.engine)

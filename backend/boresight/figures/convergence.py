@@ -33,7 +33,8 @@ TITLE = "Convergence"
 COLUMNS = 3
 PANEL_HEIGHT_PX = 190
 TRANSIENT_SHARE = 0.05  # of the steps, which the window need not hold
-POINT_BUDGET = 9000  # estimates of all panels and runs together
+POINT_BUDGET = 7000  # estimates of all panels and runs together
+JUDGE_BUDGET = 1200  # costs or innovations of all runs together
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ def _draw_judge(
         if course is None:
             continue
         y = course.series("cost") if course.axis == "iteration" else _innovations(course)
-        kept = keep_extremes([y], 400)
+        kept = keep_extremes([y], max(JUDGE_BUDGET // len(courses), 40))
         hover = f"%{{y:.4g}}<extra>{style.label}</extra>"
         drawn = theme.line(style, course.x[kept], y[kept], hovertemplate=hover, showlegend=False)
         figure.add_trace(drawn, **where)

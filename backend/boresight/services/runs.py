@@ -6,43 +6,27 @@ by value. So a run can be computed again anywhere and gives the same result, wha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 from typing import Any
 
-import orjson
-
-from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
-from boresight.services.run_estimates import pairs_of, predicted_s, seconds_per_star
+from boresight.services.dry_runs import dry_run
+from boresight.services.forecasts import Sight
+from boresight.services.orders import ordered
 from boresight.services.words import refuse_control_characters
 from boresight.store import run_events, run_lists
 from boresight.store import runs as rows
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
-from boresight.store.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, Sensor, TelemetrySet
-from boresight.telemetry.sensors import parse_sensor
+from boresight.store.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, Sensor
 
-LABEL_LENGTH = 200
 PAGE = 50
 LONGEST_PAGE = 500
 
 
-@dataclass(frozen=True)
-class _Order:
-    """What a run is asked to do, checked."""
-
-    sensor: Sensor
-    telemetry: TelemetrySet
-    validation: TelemetrySet | None
-    settings: CalibrationSettings
-    label: str
-
-
-def launch(
+def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     session: Session,
     actor: Actor,
     sensor_id: int,
@@ -52,13 +36,19 @@ def launch(
     validation_set_id: int | None = None,
     label: str = "",
     validate_only: bool = False,
+    sight: Sight | None = None,
 ) -> Run | dict[str, Any]:
     """Queue a calibration, or only say what it would be.
+
+    Parameters
+    ----------
+    sight
+        With `validate_only`: lets the dry run look at the stars.
 
     Returns
     -------
     Run or dict
-        The QUEUED row; with `validate_only` the dry-run summary, see `dry_run`.
+        The QUEUED row; with `validate_only` the dry-run summary, see `dry_runs`.
 
     Raises
     ------
@@ -73,95 +63,12 @@ def launch(
     """
     require_role(actor, "analyst")
     require_scope(actor, "runs")
-    order = _ordered(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
+    order = ordered(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
     if validate_only:
-        return dry_run(session, order)
-    run = rows.add_run(
-        session,
-        sensor_id=order.sensor.id,
-        telemetry_set_id=order.telemetry.id,
-        validation_set_id=None if order.validation is None else order.validation.id,
-        method=order.settings.method,
-        settings=order.settings.document(),
-        sensor_document=order.sensor.document,
-        label=order.label,
-        launched_by=actor.user_id,
-    )
-    after = {"sensor": order.sensor.name, "telemetry_set": order.telemetry.name, "settings": run.settings}
-    audit.append(session, actor, "launched", f"runs/{run.id}", None, after)
+        return dry_run(session, order, sight)
+    run = rows.add_run(session, **order.columns(), launched_by=actor.user_id)
+    audit.append(session, actor, "launched", f"runs/{run.id}", None, order.on_record())
     return run
-
-
-def _ordered(
-    session: Session,
-    sensor_id: int,
-    telemetry_set_id: int,
-    settings: Mapping[str, Any],
-    validation_set_id: int | None,
-    label: str,
-) -> _Order:
-    """Check the choices of a run against one another."""
-    sensor = session.get(Sensor, sensor_id)
-    if sensor is None:
-        raise NotFoundError(f"There is no sensor {sensor_id}; choose one of the list.")
-    telemetry = _set_of(session, sensor, telemetry_set_id)
-    validation = None if validation_set_id is None else _set_of(session, sensor, validation_set_id)
-    if validation is not None and validation.id == telemetry.id:
-        raise RefusedInputError(f"{telemetry.name} cannot validate a calibration made from itself; choose another set.")
-    if len(label) > LABEL_LENGTH:
-        raise RefusedInputError(f"The label has {len(label)} characters; shorten it to {LABEL_LENGTH}.")
-    refuse_control_characters(label=label)
-    parsed = CalibrationSettings.parse(settings)
-    known = CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
-    if strange := [name for name in parsed.free or () if name not in known]:
-        raise RefusedInputError(f"{sensor.name} has no parameter {', '.join(strange)}; choose from {', '.join(known)}.")
-    return _Order(sensor, telemetry, validation, parsed, label.strip())
-
-
-def _set_of(session: Session, sensor: Sensor, set_id: int) -> TelemetrySet:
-    """Return a telemetry set that this sensor's runs may use."""
-    found = session.get(TelemetrySet, set_id)
-    if found is None:
-        raise NotFoundError(f"There is no telemetry set {set_id}; choose one of the list.")
-    if found.sensor_id != sensor.id:
-        raise RefusedInputError(f"{found.name} is telemetry of another sensor; choose a set of {sensor.name}.")
-    if found.archived_utc is not None:
-        raise ConflictError(f"{found.name} was archived on {found.archived_utc[:10]}; choose a set that is in use.")
-    return found
-
-
-def dry_run(session: Session, order: _Order) -> dict[str, Any]:
-    """Say what a run would be: its size, its free parameters, its time, and what to beware of."""
-    telemetry, settings = order.telemetry, order.settings
-    sensor = parse_sensor(order.sensor.document)
-    free = list(settings.free or sensor.free)
-    quality = telemetry.quality
-    exposures = quality.get("usable_exposures", telemetry.frames)
-    pairs = pairs_of(quality.get("usable", telemetry.stars), exposures)
-    pace = seconds_per_star(session, settings.method)
-    return {
-        "sensor": order.sensor.name,
-        "telemetry_set": telemetry.name,
-        "validation_set": None if order.validation is None else order.validation.name,
-        "settings": settings.document(),
-        "frames": telemetry.frames,
-        "exposures": exposures,
-        "stars": telemetry.stars,
-        "pairs": pairs,
-        "free": free,
-        "predicted_s": round(predicted_s(settings.document(), telemetry.frames, telemetry.stars, pace), 3),
-        "warnings": _warnings(order, free, pairs),
-    }
-
-
-def _warnings(order: _Order, free: Sequence[str], pairs: int) -> list[str]:
-    """Gather what an analyst should know before queueing."""
-    warnings = [str(sentence) for sentence in order.telemetry.quality.get("warnings") or ()]
-    if pairs < 10 * len(free):
-        warnings.append(f"About {pairs} arcs for {len(free)} parameters is little; free fewer or use a longer set.")
-    if order.validation is None:
-        warnings.append("Without a validation set nothing independent will say whether the result is better.")
-    return warnings
 
 
 def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run:
@@ -252,7 +159,7 @@ def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | 
     run = get_run(session, run_id)
     document: dict[str, Any] | None = (run.progress or {}).get("partial")
     if run.result_sha256 is not None:
-        document = orjson.loads(blobs.read(run.result_sha256))
+        document = blobs.document(run.result_sha256)
     if document is None:
         return None
     truth = session.get_one(Sensor, run.sensor_id).truth

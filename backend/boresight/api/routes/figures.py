@@ -1,13 +1,19 @@
-"""Figures of runs: as Plotly JSON to draw, and as the numbers behind them; of one run, or of several together."""
+"""Figures of runs: as Plotly JSON to draw, and as the numbers behind them; of one run, or of several together.
+
+A figure shows at most a few thousand points, thinned so that no peak is lost. Whoever zooms in asks for the window,
+`x_from` and `x_to`, and gets the points that were left out there; `layout.meta.detail` says whether any were.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Mapping
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path, Query
+import orjson
+from fastapi import APIRouter, Depends, Path, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -18,14 +24,59 @@ from boresight.api.openapi import refusals
 from boresight.api.routes.runs import result_so_far
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
+from boresight.figures.alignment import aligned, name_axis
+from boresight.figures.envelope import as_band
+from boresight.figures.focus import focus
+from boresight.figures.thinning import thinning
 from boresight.services import runs, sensors
 from boresight.store.sessions import Session
+from boresight.store.tables import Sensor
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 
 MOST_OVERLAID = 20
 FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
 Compare = Annotated[str, Query(description="Other runs to show with it: `2,3`.", examples=["2,3"])]
+
+
+@dataclass(frozen=True)
+class View:
+    """How runs are laid over each other, and which part of the axis is looked at."""
+
+    align: Annotated[
+        Literal["frame", "time", "update"],
+        Query(description="What the axis of frames counts: frames, hours since each run's first frame, or updates."),
+    ] = "frame"
+    overlay: Annotated[
+        Literal["lines", "band"],
+        Query(description="Draw every run, or the first and the span from the lowest to the highest of the others."),
+    ] = "lines"
+    x_from: Annotated[float | None, Query(description="Show this part of the x axis in full: where it begins.")] = None
+    x_to: Annotated[float | None, Query(description="Show this part of the x axis in full: where it ends.")] = None
+
+    def draw(self, figure: Figure, traces: list[Trace]) -> bytes:
+        """Draw a figure in this view.
+
+        Raises
+        ------
+        RefusedInputError
+            When a run cannot be aligned so, or the window is empty or has one end only.
+        """
+        if (self.x_from is None) != (self.x_to is None):
+            raise RefusedInputError("Give both ends of the window, x_from and x_to, or none.")
+        with thinning(whole=self.x_from is not None) as watched:
+            drawn = figure.draw(aligned(traces, self.align))
+        name_axis(drawn, self.align)
+        if self.overlay == "band":
+            as_band(drawn, traces)
+        if self.x_from is not None and self.x_to is not None:
+            focus(drawn, self.x_from, self.x_to)
+        if watched.too_long:
+            drawn.layout.meta = {**(drawn.layout.meta or {}), "detail": True}
+        return figure_json(drawn)
+
+
+Seen = Annotated[View, Depends()]
 
 
 @router.get("/{run_id}/figures", name="list_figures", summary="List the figures", responses=refusals(404))
@@ -51,13 +102,31 @@ def get_figure(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     request: Request,
+    seen: Seen,
     compare: Compare = "",
 ) -> Response:
     """Read a figure as Plotly JSON, of one run or of several over one another."""
     figure, blobs = _figure(name), request.app.state.blobs
     ids = [run_id, *_others(compare, run_id)]
-    traces = [Trace(_label(session, number), result_so_far(session, blobs, number)) for number in ids]
-    return Response(figure_json(figure.draw(traces)), media_type="application/json")
+    labels = [_label(session, number) for number in ids]
+
+    def draw() -> bytes:
+        results = [result_so_far(session, blobs, number) for number in ids]
+        return seen.draw(figure, [Trace(label, result) for label, result in zip(labels, results, strict=True)])
+
+    sources = [_source(session, number) for number in ids]
+    known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
+    answer: Response = request.app.state.drawn.answer(request, known, draw)
+    return answer
+
+
+def _source(session: Session, run_id: Id) -> str | None:
+    """Return what a run's figures are drawn from, as text; None while it may change."""
+    run = runs.get_run(session, run_id)
+    if run.result_sha256 is None:
+        return None
+    truth = session.get_one(Sensor, run.sensor_id).truth
+    return run.result_sha256 + orjson.dumps(truth, option=orjson.OPT_SORT_KEYS).decode()
 
 
 @router.get(

@@ -1,0 +1,165 @@
+"""Views of a figure: another axis, a band in place of many curves, a window in full."""
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from boresight.errors import RefusedInputError
+from boresight.figures import FIGURES, Trace, figure_json
+from boresight.figures.alignment import ALIGNMENTS, aligned, name_axis
+from boresight.figures.envelope import as_band, span_of
+from boresight.figures.focus import POINT_BUDGET, focus
+from boresight.figures.thinning import keep_extremes, thinning
+from tests.figures.conftest import batch, sequential
+
+LONG = 30_000
+
+
+def timed(result, start="2026-01-01T00:00:00Z"):
+    """Give a history a time every 30 seconds."""
+    n = len(result["history"]["frame"])
+    times = np.datetime64(start.rstrip("Z")) + np.arange(n) * np.timedelta64(30, "s")
+    return {**result, "history": {**result["history"], "time_utc": [f"{time}Z" for time in times]}}
+
+
+def later(result, frames):
+    """Move a history's frame numbers."""
+    return {**result, "history": {**result["history"], "frame": [k + frames for k in result["history"]["frame"]]}}
+
+
+def test_runs_of_other_weeks_lie_over_each_other_by_time_and_by_update_but_not_by_frame():
+    first = timed(sequential(100, seed=1))
+    second = later(timed(sequential(100, seed=2), "2026-03-01T00:00:00Z"), 5000)
+    starts = {
+        along: [
+            trace.result["history"]["frame"][0] for trace in aligned([Trace("a", first), Trace("b", second)], along)
+        ]
+        for along in ALIGNMENTS
+    }
+    assert starts == {"frame": [0, 5000], "time": [0.0, 0.0], "update": [1.0, 1.0]}
+    (hours, _) = (
+        trace.result["history"]["frame"] for trace in aligned([Trace("a", first), Trace("b", second)], "time")
+    )
+    assert hours[-1] == pytest.approx(99 * 30 / 3600)
+
+
+def test_updates_are_counted_over_all_of_them_and_not_over_those_that_were_kept():
+    result = sequential(100)
+    result["trust"] = {**result["trust"], "nis_over_time": {**result["trust"]["nis_over_time"], "points_in_all": 1981}}
+    (trace,) = aligned([Trace("a", result)], "update")
+    assert trace.result["history"]["frame"][:2] == [1.0, 21.0]
+    assert trace.result["history"]["frame"][-1] == 1981
+
+
+def test_a_run_without_times_cannot_be_aligned_by_them_and_says_what_else_there_is():
+    with pytest.raises(RefusedInputError, match="Run 7 has no times.*by frame or by update"):
+        aligned([Trace("Run 7", sequential(20))], "time")
+    with pytest.raises(RefusedInputError, match="choose from frame, time, update"):
+        aligned([Trace("Run 7", sequential(20))], "moon")
+
+
+@pytest.mark.parametrize("along", ["time", "update"])
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_figure_is_drawn_along_every_axis_and_none_still_says_frame(name, along):
+    traces = [Trace("a", timed(sequential(50))), Trace("b", batch())]
+    figure = FIGURES[name].draw(aligned(traces, along))
+    name_axis(figure, along)
+    titles = [figure.layout[axis].title.text or "" for axis in figure.layout if axis.startswith("xaxis")]
+    if name in {"convergence", "rms", "innovations"}:
+        assert any(title.startswith(ALIGNMENTS[along]) for title in titles)
+        assert not any(title.startswith("frame") for title in titles)
+
+
+@given(
+    st.lists(st.lists(st.tuples(st.integers(0, 50), st.floats(-9, 9)), min_size=1, max_size=20), min_size=1, max_size=6)
+)
+def test_a_band_holds_every_point_of_every_curve_and_touches_the_extremes(drawn):
+    curves = []
+    for points in drawn:
+        by_place = dict(points)
+        x = np.array(sorted(by_place), dtype=float)
+        curves.append((x, np.array([by_place[int(place)] for place in x])))
+    places, low, high = span_of(curves)
+    for x, y in curves:
+        at = np.searchsorted(places, x)
+        assert np.all(low[at] <= y)
+        assert np.all(high[at] >= y)
+    assert low.min() == min(y.min() for _, y in curves)
+    assert high.max() == max(y.max() for _, y in curves)
+
+
+def test_a_band_keeps_the_reference_and_replaces_all_others():
+    traces = [Trace(f"Run {k}", sequential(60, seed=k)) for k in range(1, 13)]
+    figure = as_band(FIGURES["rms"].draw(traces), traces)
+    names = {drawn.name for drawn in figure.data}
+    assert names == {"Run 1 · tail", "Run 1 · aggregate", "lowest to highest of 11 runs"}
+    assert len(figure_json(figure)) < len(figure_json(FIGURES["rms"].draw(traces))) / 2
+
+
+def test_two_runs_are_no_band():
+    traces = [Trace("a", sequential(60)), Trace("b", sequential(60, seed=2))]
+    figure = FIGURES["rms"].draw(traces)
+    assert as_band(figure, traces).data == figure.data
+
+
+def test_bars_and_maps_have_no_band_and_stay():
+    traces = [Trace(f"Run {k}", sequential(60, seed=k)) for k in range(1, 5)]
+    for name in ("whiteness", "coverage"):
+        figure = FIGURES[name].draw(traces)
+        assert len(as_band(figure, traces).data) == len(figure.data)
+
+
+def test_a_window_shows_the_points_that_were_thinned_away_and_what_they_add_up_to():
+    traces = [Trace("a", sequential(LONG))]
+    with thinning() as watched:
+        coarse = FIGURES["convergence"].draw(traces)
+    assert watched.too_long
+    with thinning(whole=True):
+        fine = focus(FIGURES["convergence"].draw(traces), 10_000, 10_100)
+    line = next(drawn for drawn in fine.data if drawn.name == "a")
+    seen = next(drawn for drawn in coarse.data if drawn.name == "a")
+    assert len(line.x) == 103  # both ends and a neighbour beyond each
+    assert np.sum((seen.x >= 10_000) & (seen.x <= 10_100)) < 20
+    assert len(line.customdata) == len(line.x)
+    judge, coarse_judge = ([drawn for drawn in figure.data if drawn.name == "a"][-1] for figure in (fine, coarse))
+    at = np.interp(10_050, coarse_judge.x, coarse_judge.y)
+    assert np.interp(10_050, judge.x, judge.y) == pytest.approx(at, rel=0.02)  # the mean so far, not of the window
+
+
+@given(st.integers(3, 4000), st.floats(-10, 4100), st.floats(0.5, 3000))
+def test_a_window_of_an_outline_keeps_low_and_high_together(n_points, start, width):
+    x = np.arange(n_points, dtype=float)
+    outline = go.Scatter(x=np.append(x, x[::-1]), y=np.append(x + 1, x[::-1] - 1), fill="toself", mode="lines")
+    figure = focus(go.Figure([outline]), start, start + width)
+    (drawn,) = figure.data
+    half = len(drawn.x) // 2
+    assert np.array_equal(drawn.x[:half], drawn.x[half:][::-1])
+    assert np.allclose(drawn.y[:half] - drawn.y[half:][::-1], 2)
+    assert len(drawn.x) <= POINT_BUDGET + 4
+
+
+def test_an_empty_window_is_refused():
+    with pytest.raises(RefusedInputError, match="x_from below x_to"):
+        focus(go.Figure(), 3, 3)
+
+
+def test_putting_thinning_off_ends_with_the_block():
+    values = np.arange(100.0)
+    with thinning(whole=True):
+        assert len(keep_extremes([values], 10)) == 100
+    assert len(keep_extremes([values], 10)) < 20
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_no_figure_of_twenty_long_runs_is_over_500_kb(name, long_result):
+    alone, many = ([Trace(f"Run {k} · ST-1", long_result) for k in range(n_runs)] for n_runs in (1, 20))
+    assert len(figure_json(FIGURES[name].draw(alone))) < 500_000
+    assert len(figure_json(FIGURES[name].draw(many))) < 500_000
+
+
+@pytest.fixture(scope="module")
+def long_result():
+    """A history longer than any budget: from here on more updates make no figure larger."""
+    return sequential(6000)
