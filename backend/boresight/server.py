@@ -99,7 +99,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.drawn = Drawn()
     state.log_in_cookie = LogInCookie(settings)
     state.catalogue = _lazy_catalogue(settings)
-    state.sight = Sight(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)
+    state.sight = Sight(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
     state.upkeep = Upkeep(state.engine)

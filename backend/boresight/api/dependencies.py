@@ -30,6 +30,7 @@ from boresight.errors import (
 )
 from boresight.services import api_keys, users
 from boresight.services.actors import Actor, Policy
+from boresight.services.forecasts import Sight
 from boresight.store.sessions import Session, only_try, reading, writing
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -252,6 +253,12 @@ def policy_of(request: Request) -> Policy:
     return policy
 
 
+def sight_of(request: Request) -> Sight:
+    """Return what a dry run may look at."""
+    sight: Sight = request.app.state.sight
+    return sight
+
+
 def log_in_person(
     request: Request, response: Response, session: Session, name: str, password: str
 ) -> tuple[Actor, LogIn]:
@@ -283,3 +290,4 @@ Writing = Annotated[Session, Depends(write_or_try, scope="function")]
 LoggingIn = Annotated[Session, Depends(write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]
 Held = Annotated[Policy, Depends(policy_of)]
+Sighted = Annotated[Sight, Depends(sight_of)]

@@ -2,30 +2,64 @@
 
 An exposure of N stars gives 2N-3 arcs, so S stars in X exposures give 2S - 3X. The time is that of the newest runs of
 the same method, scaled by the number of stars: every estimator here is linear in it. Where no run has been made yet, a
-careful guess is used. A replayed run lasts as long as its frames take to come down.
+careful guess is used, and its spread is as wide as machines differ. A replayed run lasts as long as its frames take to come down.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from statistics import median
+from dataclasses import dataclass
+from statistics import median, quantiles
 from typing import Any
 
 from boresight.store.run_lists import recent_summaries
 from boresight.store.sessions import Session
 
 FIRST_GUESS_S_PER_STAR = 5e-5
+#: How many times slower or faster than the guess a machine and a method may be.
+GUESS_SPREAD = 4.0
 START_S = 0.02
 
 
-def seconds_per_star(session: Session, method: str) -> float:
+@dataclass(frozen=True)
+class Pace:
+    """How fast runs of a method are.
+
+    Parameters
+    ----------
+    s_per_star
+        Median, seconds a star.
+    low, high
+        Between which four of five of them lie.
+    runs
+        How many were looked at; 0 is a guess.
+    """
+
+    s_per_star: float
+    low: float
+    high: float
+    runs: int
+
+
+def pace_of(session: Session, method: str) -> Pace:
     """Return the pace of the newest runs of a method; a careful guess before there is one."""
     paces = [
         summary["seconds"] / summary["stars"]
         for summary in recent_summaries(session, method)
         if summary.get("seconds") and summary.get("stars")
     ]
-    return median(paces) if paces else FIRST_GUESS_S_PER_STAR
+    if not paces:
+        guess = FIRST_GUESS_S_PER_STAR
+        return Pace(guess, guess / GUESS_SPREAD, guess * GUESS_SPREAD, 0)
+    if len(paces) == 1:
+        return Pace(paces[0], paces[0] / 2, paces[0] * 2, 1)
+    tenths = quantiles(paces, n=10, method="inclusive")
+    return Pace(median(paces), tenths[0], tenths[-1], len(paces))
+
+
+def seconds_per_star(session: Session, method: str) -> float:
+    """Return the median pace of the newest runs of a method."""
+    return pace_of(session, method).s_per_star
 
 
 def predicted_s(settings: Mapping[str, Any], frames: int, stars: int, pace_s_per_star: float) -> float:

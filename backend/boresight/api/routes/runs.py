@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import OnlyAsked, Reading, SeenTag, Who, Writing, require_tag, tag_of
+from boresight.api.dependencies import OnlyAsked, Reading, SeenTag, Sighted, Who, Writing, require_tag, tag_of
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -96,8 +96,10 @@ def list_runs(
     response_model=schemas.Run,
     responses={**refusals(404, 409), 200: {"model": schemas.DryRun, "description": "The dry run of `validate_only`."}},
 )
-def launch_run(order: Launch, actor: Who, once: Idempotent, session: Writing, asked: OnlyAsked) -> Response:
-    """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be."""
+def launch_run(
+    order: Launch, actor: Who, once: Idempotent, session: Writing, asked: OnlyAsked, sight: Sighted
+) -> Response:
+    """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be and would know."""
     dry = asked or order.validate_only
 
     def act() -> Answer:
@@ -110,6 +112,7 @@ def launch_run(order: Launch, actor: Who, once: Idempotent, session: Writing, as
             validation_set_id=order.validation_set_id,
             label=order.label,
             validate_only=dry,
+            sight=sight,
         )
         if isinstance(made, dict):
             return Answer(made)

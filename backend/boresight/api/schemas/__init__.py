@@ -14,7 +14,7 @@ from boresight.api.schemas.packages import Package, TableDefinition
 from boresight.api.schemas.parameter_sets import ParameterSet
 from boresight.api.schemas.people import ApiKey, NewApiKey, Session, User
 from boresight.api.schemas.row import Document, Row, written
-from boresight.api.schemas.runs import DryRun, LogLine, Run, RunProgress, RunState
+from boresight.api.schemas.runs import DryRun, Forecast, LogLine, Run, RunProgress, RunState
 from boresight.api.schemas.uplinks import AsOf, Event, OnBoard, Promotion, Uplink, Version
 from boresight.api.schemas.webhooks import NewWebhook, Webhook, WebhookDelivery
 
@@ -28,6 +28,7 @@ __all__ = [
     "DryRun",
     "DryRunOfProfile",
     "Event",
+    "Forecast",
     "GateProfile",
     "GateReport",
     "LogLine",

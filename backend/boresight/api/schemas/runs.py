@@ -50,6 +50,23 @@ class LogLine(Row):
     message: str
 
 
+class Forecast(BaseModel):
+    """What a run would know, from a sample of its own stars."""
+
+    model_config = ConfigDict(extra="allow")
+    sentence: str
+    sigma: dict[str, float | None] = Field(
+        description="Predicted one-sigma of each free parameter, SI; null is unknown."
+    )
+    weak: int | None = Field(description="Directions known worse than half a typical sigma.")
+    weak_directions: list[str]
+    help: list[str] = Field(description="What would make them known.")
+    observability: Document | None
+    frames_sampled: int
+    frames: int
+    at: Literal["fitted", "present"] | None = Field(description="Where the information was taken; null is nowhere.")
+
+
 class DryRun(BaseModel):
     """What a run would be, from `validate_only=true`."""
 
@@ -61,4 +78,9 @@ class DryRun(BaseModel):
     pairs: int
     free: list[str]
     predicted_s: float
+    predicted_range_s: tuple[float, float] = Field(
+        description="Four of five past runs of the method would lie between."
+    )
+    paced_by: int = Field(description="Past runs that the time follows from; 0 is a guess.")
+    forecast: Forecast | None
     warnings: list[str]
