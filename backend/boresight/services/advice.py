@@ -1,0 +1,158 @@
+"""Recalibrate now? One answer for a sensor, from what drifts and from the data at hand.
+
+Answers, the first that fits:
+
+- `YES`: the sensor drifts; or its baseline is a ground calibration and there is telemetry to replace it; or the baseline is
+  over its age and newer telemetry is there; or newer telemetry would at least halve the sigmas.
+- `MORE DATA NEEDED`: nothing is newer than the baseline's own data, or what is there would be too coarse to see a change of
+  three of the baseline's sigmas.
+- `NOT YET`: the newest calibration agrees with the baseline.
+
+Sigmas of a calibration with further data are foretold from the newest one by its number of stars S_0,
+sigma = sigma_0 sqrt(S_0 / S): exact where stars and field are of the same kind, as those of one sensor are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from boresight.figures.numbers import count, fixed
+from boresight.figures.quantities import quantity
+from boresight.services.drift import Drift, judge
+from boresight.services.fleet import OLD_DAYS, days_since
+from boresight.services.trend import Point, Trend, span_of
+from boresight.store.tables import ParameterSet, TelemetrySet
+
+HALVED = 0.5
+TOO_COARSE = 3.0  # of the baseline's sigmas
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Whether to recalibrate now.
+
+    Parameters
+    ----------
+    answer
+        `YES`, `NOT YET` or `MORE DATA NEEDED`.
+    sentence
+        The answer with its main reason.
+    reasons
+        The others, a sentence each.
+    """
+
+    answer: str
+    sentence: str
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class AtHand:
+    """The telemetry that the baseline has not seen.
+
+    Parameters
+    ----------
+    sets
+        Sets for calibration, newer than the baseline's data and in use.
+    untried
+        Those of them that no counted calibration is of.
+    ratio
+        Foretold sigma with all of them over the baseline's, the largest of all parameters; None where nothing says.
+    """
+
+    sets: Sequence[TelemetrySet]
+    untried: Sequence[TelemetrySet]
+    ratio: float | None
+
+    @property
+    def stars(self) -> int:
+        """How many stars they have."""
+        return sum(row.stars for row in self.sets)
+
+
+def advise(trend: Trend, drift: Drift | None = None) -> Advice:
+    """Say whether to recalibrate a sensor now."""
+    drift = drift or judge(trend)
+    baseline = trend.baseline
+    if baseline is None:
+        return Advice("MORE DATA NEEDED", "There is no baseline; register the sensor again.")
+    data, age_d = at_hand(trend), days_since(baseline)
+    reasons = tuple(_reasons(drift, data, baseline, age_d))
+    if drift.verdict == "DRIFT":
+        return Advice("YES", f"Recalibrate: {baseline.name} does not hold any more.", reasons)
+    if not data.sets:
+        nothing = f"No telemetry is newer than what {baseline.name} was made of: upload a pass for calibration."
+        return Advice("MORE DATA NEEDED", nothing, reasons)
+    if baseline.run_id is None:
+        return Advice("YES", f"Recalibrate: {baseline.name} was made on the ground, and there is telemetry.", reasons)
+    if data.ratio is not None and data.ratio > TOO_COARSE:
+        coarse = (
+            f"With the {count(data.stars)} stars at hand a sigma would be {fixed(data.ratio, 1)} times the baseline's."
+        )
+        return Advice("MORE DATA NEEDED", f"{coarse} Wait for more frames.", reasons)
+    if age_d is not None and age_d > OLD_DAYS:
+        return Advice(
+            "YES", f"Recalibrate: {baseline.name} is older than {OLD_DAYS:.0f} days and newer data are here.", reasons
+        )
+    if data.ratio is not None and data.ratio <= HALVED:
+        sharper = f"Recalibrate: with the data at hand every sigma would be {fixed(data.ratio, 2)} times the baseline's or less."
+        return Advice("YES", sharper, reasons)
+    if drift.verdict == "NOT TESTED":
+        return Advice(
+            "YES", f"Calibrate {data.sets[-1].name}: nothing newer than {baseline.name} was looked at yet.", reasons
+        )
+    return Advice("NOT YET", f"{baseline.name} holds, and newer data would not sharpen it much.", reasons)
+
+
+def at_hand(trend: Trend) -> AtHand:
+    """Return the telemetry that the baseline has not seen, and what it would be good for."""
+    own = trend.of_run(trend.baseline.run_id) if trend.baseline else None
+    sets = [
+        row
+        for row in trend.telemetry.values()
+        if row.purpose == "calibration" and row.archived_utc is None and _is_newer(row, own, trend.baseline)
+    ]
+    sets.sort(key=span_of)
+    tried = {point.telemetry_set_id for point in trend.points if point.names}
+    untried = [row for row in sets if row.id not in tried]
+    return AtHand(sets, untried, _ratio(trend, own, sum(row.stars for row in sets)))
+
+
+def _is_newer(row: TelemetrySet, own: Point | None, baseline: ParameterSet | None) -> bool:
+    """Whether a set's data begin after those of the baseline end."""
+    if baseline is None or baseline.run_id is None:
+        return True
+    begins_utc, _, timed = span_of(row)
+    if own is None or not (timed and own.timed):
+        return row.uploaded_utc > baseline.created_utc
+    return begins_utc > own.ends_utc
+
+
+def _ratio(trend: Trend, own: Point | None, stars: int) -> float | None:
+    """Foretell the sigma with so many stars over the baseline's, the largest of all parameters."""
+    if trend.baseline is None or not trend.independent or not stars:
+        return None
+    like = own or trend.independent[-1]
+    sigma = trend.baseline.document.get("sigma") or {}
+    shared = [like.sigma[name] / sigma[name] for name in like.names if sigma.get(name)]
+    return max(shared) * (like.stars / stars) ** 0.5 if shared and like.stars else None
+
+
+def _reasons(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | None) -> Sequence[str]:
+    """Return what the answer rests on."""
+    said = [drift.sentence]
+    if data.sets:
+        kinds = f"{len(data.sets)} set{'s' * (len(data.sets) > 1)} of {count(data.stars)} stars"
+        untried = f", {len(data.untried)} not calibrated yet" if data.untried else ""
+        said.append(f"Newer than the baseline's data: {kinds}{untried}.")
+    if data.ratio is not None:
+        said.append(f"With them a sigma is foretold at {fixed(data.ratio, 2)} times the baseline's at most.")
+    if drift.verdict == "DRIFT" and drift.largest is not None and data.ratio is not None:
+        name, worth = drift.largest
+        said.append(
+            f"The change of {quantity(name).symbol}, {fixed(abs(worth), 1)} σ of the difference, is larger than that."
+        )
+    if age_d is not None:
+        said.append(f"{baseline.name} became baseline {age_d:.0f} days ago; the limit is {OLD_DAYS:.0f}.")
+    return said
