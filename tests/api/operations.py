@@ -193,6 +193,8 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_run_result": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
+    "list_frames": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_frame": lambda house: ("victor", {"run_id": house.finished(), "frame": 1}),
     "list_figures": lambda house: ("victor", {"run_id": house.finished()}),
     "get_figure": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
     "get_figure_data": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),

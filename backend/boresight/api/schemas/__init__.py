@@ -9,6 +9,7 @@ from __future__ import annotations
 from boresight.api.schemas.approvals import Approval, Opening, Remark, Signature
 from boresight.api.schemas.audit import AuditRecord, ChainReport
 from boresight.api.schemas.fleet import Sensor, TelemetrySet
+from boresight.api.schemas.frames import FrameLine, RunFrame
 from boresight.api.schemas.gates import DryRunOfProfile, GateProfile, GateReport, TriedProfile, Waiver
 from boresight.api.schemas.packages import Package, TableDefinition
 from boresight.api.schemas.parameter_sets import ParameterSet
@@ -29,6 +30,7 @@ __all__ = [
     "DryRunOfProfile",
     "Event",
     "Forecast",
+    "FrameLine",
     "GateProfile",
     "GateReport",
     "LogLine",
@@ -42,6 +44,7 @@ __all__ = [
     "Remark",
     "Row",
     "Run",
+    "RunFrame",
     "RunProgress",
     "RunState",
     "Sensor",
