@@ -1,7 +1,7 @@
 """Single frames out of a stored table, however large it is.
 
 A Parquet table is compressed in groups of rows (`writers.ROW_GROUP`). Rows ascend by frame, so a list of where each frame begins
-says which group holds it, and only that group is read: with 100,000 frames 16 thousand rows and not 2.4 million. The list
+says which group holds it, and only that group is read: with 100,000 frames 65 thousand rows and not 2.4 million. The list
 itself takes a pass over one column; it is kept for the tables looked at last, for a table never changes under its address.
 """
 

@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.frames`).
-ROW_GROUP = 16_384
+ROW_GROUP = 65_536
 
 
 def write_parquet(telemetry: Telemetry, path: Path) -> None:
