@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
@@ -22,25 +20,17 @@ from boresight.store.sessions import (
     writing,
 )
 from boresight.store.tables import (
-    Alarm,
-    AlarmEvent,
     Approval,
-    AuditRecord,
     Base,
     IdempotentResponse,
-    Note,
     ParameterSet,
     Promotion,
     Run,
     Sensor,
-    Signature,
-    Uplink,
-    User,
 )
 from boresight.store.tables import Blob as BlobRow
-from boresight.store.tables import TelemetrySet as TelemetrySetRow
 
-NOW = "2026-11-21T00:00:00.000000Z"
+from .furniture import NOW, alarm, parameter_set, rows_of_tables
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -50,81 +40,9 @@ def store(request: pytest.FixtureRequest) -> Engine:
     return store
 
 
-def _set(number: int, ground_state: str) -> ParameterSet:
-    return ParameterSet(
-        name=f"PS-ST1-{number}",
-        sensor_id=1,
-        number=number,
-        sha256="5" * 64,
-        document={"f_m": 0.016},
-        ground_state=ground_state,
-        created_utc=NOW,
-    )
-
-
-def _alarm() -> Alarm:
-    return Alarm(
-        source="sensors/1/AGE", sensor_id=1, kind="AGE", level="caution", sentence="s", evidence={}, raised_utc=NOW
-    )
-
-
-def _rows() -> list[Any]:
-    """One row of nearly every table, what is referred to first."""
-    blob = BlobRow(sha256="b" * 64, size_bytes=3_000_000_000, media_type="text/csv", created_utc=NOW)
-    telemetry = TelemetrySetRow(
-        sensor_id=1,
-        name="a.csv",
-        purpose="calibration",
-        original_sha256="b" * 64,
-        table_sha256="b" * 64,
-        frames=2,
-        stars=20,
-        quality={"frames": 2},
-        uploaded_utc=NOW,
-    )
-    run = Run(
-        sensor_id=1,
-        telemetry_set_id=1,
-        method="batch",
-        settings={},
-        sensor_document={},
-        state="SUCCEEDED",
-        launched_utc=NOW,
-        result_sha256="b" * 64,
-    )
-    audit = AuditRecord(
-        at_utc=NOW, actor="Ana", credential="session", action="x", object="y", previous_hash="0", hash="1"
-    )
-    return [
-        User(name="ana", printed_name="Ana", password_hash="x", roles=["analyst"], created_utc=NOW),
-        Sensor(name="ST1", document={"name": "ST1", "f_m": 1e22}, created_utc=NOW, created_by=1),
-        blob,
-        telemetry,
-        run,
-        _set(0, "BASELINE"),
-        Approval(parameter_set_id=1, state="OPEN", reason="r", submitted_utc=NOW, submitted_by=1, bound={}),
-        Signature(
-            approval_id=1,
-            user_id=1,
-            printed_name="Ana",
-            decision="APPROVE",
-            meaning="m",
-            comment="",
-            shown_sha256="s",
-            signed_utc=NOW,
-        ),
-        Uplink(parameter_set_id=1, onboard_state="SENT", source="pass 1", recorded_utc=NOW, recorded_by=1),
-        Promotion(sensor_id=1, parameter_set_id=1, at_utc=NOW),
-        _alarm(),
-        AlarmEvent(alarm_id=1, event="RAISED", printed_name="Boresight", text="", at_utc=NOW),
-        Note(subject_kind="runs", subject_id=1, user_id=1, printed_name="Ana", text="n", made_utc=NOW),
-        audit,
-    ]
-
-
 def _fill(store: Engine) -> None:
     with UnsealedSession(store) as session, session.begin():  # past the seals: only the schema is looked at here
-        for row in _rows():
+        for row in rows_of_tables():
             session.add(row)
             session.flush()
 
@@ -222,7 +140,20 @@ def test_an_empty_store_goes_back_to_base_only(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize(
-    "table", ["audit", "signatures", "uplinks", "promotions", "parameter_sets", "alarms", "alarm_events", "notes"]
+    "table",
+    [
+        "audit",
+        "signatures",
+        "uplinks",
+        "promotions",
+        "parameter_sets",
+        "alarms",
+        "alarm_events",
+        "notes",
+        "presets",
+        "campaigns",
+        "campaign_runs",
+    ],
 )
 def test_what_is_on_record_cannot_be_removed(store: Engine, table: str) -> None:
     _fill(store)
@@ -246,6 +177,10 @@ def test_what_is_on_record_cannot_be_removed(store: Engine, table: str) -> None:
         ("alarms", "raised_utc = '2020'"),
         ("alarm_events", "text = 'another'"),
         ("notes", "text = 'another'"),
+        ("presets", "document = '{1}'"),
+        ("presets", "sentence = 'another'"),
+        ("campaigns", "settings = '{1}'"),
+        ("campaign_runs", "refusal = 'another'"),
     ],
 )
 def test_what_is_on_record_cannot_be_changed(store: Engine, table: str, change: str) -> None:
@@ -258,6 +193,8 @@ def test_what_may_change_does(store: Engine) -> None:
     _fill(store)
     _execute(store, "UPDATE parameter_sets SET ground_state = 'SUPERSEDED', version = 2")
     _execute(store, "UPDATE runs SET label = 'best'")
+    _execute(store, "UPDATE presets SET archived_utc = '2026'")
+    _execute(store, "UPDATE campaigns SET cancelled_utc = '2026'")
     with reading(store) as session:
         assert session.get_one(ParameterSet, 1).ground_state == "SUPERSEDED"
         assert session.get_one(Run, 1).label == "best"
@@ -266,10 +203,10 @@ def test_what_may_change_does(store: Engine) -> None:
 def test_a_source_has_one_open_alarm_and_a_closed_one_stays_as_it_was(store: Engine) -> None:
     _fill(store)
     with pytest.raises(sa.exc.IntegrityError), UnsealedSession(store) as session, session.begin():
-        session.add(_alarm())
+        session.add(alarm())
     _execute(store, f"UPDATE alarms SET active = 0, acknowledged = 1, closed_utc = '{NOW}'")  # noqa: S608 - a time of our own
     with UnsealedSession(store) as session, session.begin():
-        session.add(_alarm())
+        session.add(alarm())
     with pytest.raises(sa.exc.DBAPIError, match="is never changed"):
         _execute(store, "UPDATE alarms SET closed_utc = NULL WHERE id = 1")
 
@@ -280,10 +217,12 @@ def test_postgresql_does_not_truncate_the_record_either(postgresql: Engine) -> N
         _execute(postgresql, "TRUNCATE audit")
 
 
-@pytest.mark.parametrize("row", [_set(1, "BASELINE"), _set(0, "CANDIDATE"), _set(2, "ELSEWHERE")])
+@pytest.mark.parametrize(
+    "row", [parameter_set(1, "BASELINE"), parameter_set(0, "CANDIDATE"), parameter_set(2, "ELSEWHERE")]
+)
 def test_a_second_baseline_or_number_or_an_unknown_state_is_refused(store: Engine, row: ParameterSet) -> None:
     _fill(store)
-    copy = _set(row.number, row.ground_state)
+    copy = parameter_set(row.number, row.ground_state)
     with pytest.raises(sa.exc.IntegrityError), writing(store) as session:
         session.add(copy)
 

@@ -12,6 +12,7 @@ from boresight.store.tables.alarms import (
     Note,
 )
 from boresight.store.tables.approvals import APPROVAL_KINDS, APPROVAL_STATES, Approval, Opening, Remark, Signature
+from boresight.store.tables.campaigns import Campaign, CampaignRun, Preset
 from boresight.store.tables.declared import Base
 from boresight.store.tables.fleet import Blob, Sensor, TelemetrySet
 from boresight.store.tables.gates import GateProfile, GateReport, Waiver
@@ -42,6 +43,8 @@ __all__ = [
     "AuditRecord",
     "Base",
     "Blob",
+    "Campaign",
+    "CampaignRun",
     "GateProfile",
     "GateReport",
     "IdempotentResponse",
@@ -50,6 +53,7 @@ __all__ = [
     "Opening",
     "Package",
     "ParameterSet",
+    "Preset",
     "Promotion",
     "Remark",
     "Run",

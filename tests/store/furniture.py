@@ -1,0 +1,104 @@
+"""One row of nearly every table, for the tests of the schema: what is referred to comes first."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from boresight.store.tables import (
+    Alarm,
+    AlarmEvent,
+    Approval,
+    AuditRecord,
+    Campaign,
+    CampaignRun,
+    Note,
+    ParameterSet,
+    Preset,
+    Promotion,
+    Run,
+    Sensor,
+    Signature,
+    Uplink,
+    User,
+)
+from boresight.store.tables import Blob as BlobRow
+from boresight.store.tables import TelemetrySet as TelemetrySetRow
+
+NOW = "2026-11-21T00:00:00.000000Z"
+
+
+def parameter_set(number: int, ground_state: str) -> ParameterSet:
+    """A set of sensor 1."""
+    return ParameterSet(
+        name=f"PS-ST1-{number}",
+        sensor_id=1,
+        number=number,
+        sha256="5" * 64,
+        document={"f_m": 0.016},
+        ground_state=ground_state,
+        created_utc=NOW,
+    )
+
+
+def alarm() -> Alarm:
+    """An alarm of sensor 1."""
+    return Alarm(
+        source="sensors/1/AGE", sensor_id=1, kind="AGE", level="caution", sentence="s", evidence={}, raised_utc=NOW
+    )
+
+
+def rows_of_tables() -> list[Any]:
+    """One row of nearly every table, what is referred to first."""
+    blob = BlobRow(sha256="b" * 64, size_bytes=3_000_000_000, media_type="text/csv", created_utc=NOW)
+    telemetry = TelemetrySetRow(
+        sensor_id=1,
+        name="a.csv",
+        purpose="calibration",
+        original_sha256="b" * 64,
+        table_sha256="b" * 64,
+        frames=2,
+        stars=20,
+        quality={"frames": 2},
+        uploaded_utc=NOW,
+    )
+    run = Run(
+        sensor_id=1,
+        telemetry_set_id=1,
+        method="batch",
+        settings={},
+        sensor_document={},
+        state="SUCCEEDED",
+        launched_utc=NOW,
+        result_sha256="b" * 64,
+    )
+    record = AuditRecord(
+        at_utc=NOW, actor="Ana", credential="session", action="x", object="y", previous_hash="0", hash="1"
+    )
+    return [
+        User(name="ana", printed_name="Ana", password_hash="x", roles=["analyst"], created_utc=NOW),
+        Sensor(name="ST1", document={"name": "ST1", "f_m": 1e22}, created_utc=NOW, created_by=1),
+        blob,
+        telemetry,
+        run,
+        parameter_set(0, "BASELINE"),
+        Approval(parameter_set_id=1, state="OPEN", reason="r", submitted_utc=NOW, submitted_by=1, bound={}),
+        Signature(
+            approval_id=1,
+            user_id=1,
+            printed_name="Ana",
+            decision="APPROVE",
+            meaning="m",
+            comment="",
+            shown_sha256="s",
+            signed_utc=NOW,
+        ),
+        Uplink(parameter_set_id=1, onboard_state="SENT", source="pass 1", recorded_utc=NOW, recorded_by=1),
+        Promotion(sensor_id=1, parameter_set_id=1, at_utc=NOW),
+        alarm(),
+        AlarmEvent(alarm_id=1, event="RAISED", printed_name="Boresight", text="", at_utc=NOW),
+        Note(subject_kind="runs", subject_id=1, user_id=1, printed_name="Ana", text="n", made_utc=NOW),
+        Preset(name="Ours", number=1, sentence="s", document={}, created_utc=NOW),
+        Campaign(label="c", settings={}, launched_utc=NOW),
+        CampaignRun(campaign_id=1, sensor_id=1, run_id=1),
+        record,
+    ]
