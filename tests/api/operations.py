@@ -167,7 +167,15 @@ def _delivery(house: House) -> Made:
     return "adele", {"delivery_id": house.person("adele").post(f"/api/v1/webhooks/{number}:try").json()["id"]}
 
 
+def _compare(house: House) -> Made:
+    return "victor", {"params": {"runs": f"{house.finished()},{house.finished()}"}}
+
+
 GOOD: dict[str, Callable[[House], Made]] = {
+    "compare_runs": _compare,
+    "compare_runs_data": _compare,
+    "draw_radial_contrast": _compare,
+    "get_radial_contrast_data": _compare,
     "health": lambda _: ("victor", {}),
     "readiness": lambda _: ("victor", {}),
     "metrics": lambda _: ("victor", {}),

@@ -54,7 +54,7 @@ def test_updates_are_counted_over_all_of_them_and_not_over_those_that_were_kept(
 
 
 def test_a_run_without_times_cannot_be_aligned_by_them_and_says_what_else_there_is():
-    with pytest.raises(RefusedInputError, match="Run 7 has no times.*by frame or by update"):
+    with pytest.raises(RefusedInputError, match=r"Run 7 has no times.*by frame or by update"):
         aligned([Trace("Run 7", sequential(20))], "time")
     with pytest.raises(RefusedInputError, match="choose from frame, time, update"):
         aligned([Trace("Run 7", sequential(20))], "moon")

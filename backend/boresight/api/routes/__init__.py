@@ -12,6 +12,7 @@ from boresight.api.routes import (
     api_keys,
     approvals,
     audit,
+    comparisons,
     discussions,
     documentation,
     events,
@@ -39,6 +40,7 @@ NOUNS = (
     sensors,
     timeline,
     telemetry_sets,
+    comparisons,  # before `runs`, which would take `compare` for a run's number
     runs,
     figures,
     frames,

@@ -6,8 +6,6 @@ A figure shows at most a few thousand points, thinned so that no peak is lost. W
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -18,6 +16,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api.answers import json_response
+from boresight.api.comma_separated import csv_response
 from boresight.api.dependencies import Reading, Who
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
@@ -27,8 +26,11 @@ from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
 from boresight.figures.alignment import aligned, name_axis
 from boresight.figures.envelope import as_band
 from boresight.figures.focus import focus
+from boresight.figures.rms_tail import tailed
 from boresight.figures.thinning import thinning
 from boresight.services import runs, sensors
+from boresight.services.incumbents import baseline_beside
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 from boresight.store.tables import Sensor
 
@@ -53,6 +55,9 @@ class View:
     ] = "lines"
     x_from: Annotated[float | None, Query(description="Show this part of the x axis in full: where it begins.")] = None
     x_to: Annotated[float | None, Query(description="Show this part of the x axis in full: where it ends.")] = None
+    tail_from: Annotated[
+        float | None, Query(description="Where the tail of the RMS begins; by default where the run had settled.")
+    ] = None
 
     def draw(self, figure: Figure, traces: list[Trace]) -> bytes:
         """Draw a figure in this view.
@@ -65,7 +70,7 @@ class View:
         if (self.x_from is None) != (self.x_to is None):
             raise RefusedInputError("Give both ends of the window, x_from and x_to, or none.")
         with thinning(whole=self.x_from is not None) as watched:
-            drawn = figure.draw(aligned(traces, self.align))
+            drawn = figure.draw(tailed(aligned(traces, self.align), self.tail_from))
         name_axis(drawn, self.align)
         if self.overlay == "band":
             as_band(drawn, traces)
@@ -108,25 +113,31 @@ def get_figure(
     """Read a figure as Plotly JSON, of one run or of several over one another."""
     figure, blobs = _figure(name), request.app.state.blobs
     ids = [run_id, *_others(compare, run_id)]
-    labels = [_label(session, number) for number in ids]
+    labels = [label_of(session, number) for number in ids]
 
     def draw() -> bytes:
-        results = [result_so_far(session, blobs, number) for number in ids]
+        results = [_beside_baseline(session, blobs, number) for number in ids]
         return seen.draw(figure, [Trace(label, result) for label, result in zip(labels, results, strict=True)])
 
-    sources = [_source(session, number) for number in ids]
+    sources = [source_of(session, number) for number in ids]
     known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
     answer: Response = request.app.state.drawn.answer(request, known, draw)
     return answer
 
 
-def _source(session: Session, run_id: Id) -> str | None:
+def source_of(session: Session, run_id: Id) -> str | None:
     """Return what a run's figures are drawn from, as text; None while it may change."""
     run = runs.get_run(session, run_id)
     if run.result_sha256 is None:
         return None
-    truth = session.get_one(Sensor, run.sensor_id).truth
-    return run.result_sha256 + orjson.dumps(truth, option=orjson.OPT_SORT_KEYS).decode()
+    moving = [session.get_one(Sensor, run.sensor_id).truth, baseline_beside(session, run)]
+    return run.result_sha256 + orjson.dumps(moving, option=orjson.OPT_SORT_KEYS).decode()
+
+
+def _beside_baseline(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:
+    """Read a result, with the parameters that are in force now where the run did not start from them."""
+    baseline = baseline_beside(session, runs.get_run(session, run_id))
+    return {**result_so_far(session, blobs, run_id), **({"baseline": baseline} if baseline else {})}
 
 
 @router.get(
@@ -147,10 +158,8 @@ def get_figure_data(
     """Read the numbers behind a figure as CSV; of several runs one after another, with the run's number first."""
     figure, blobs, ids = _figure(name), request.app.state.blobs, [run_id, *_others(compare, run_id)]
     tables = {number: figure.table(result_so_far(session, blobs, number)) for number in ids}
-    text = _csv(_stacked(tables)) if len(tables) > 1 else _csv(tables[run_id])
-    file_name = f"run-{'-'.join(map(str, ids))}-{name}.csv"
-    headers = {"Content-Disposition": f'attachment; filename="{file_name}"'}
-    return Response(text, headers=headers, media_type="text/csv; charset=utf-8")
+    table = _stacked(tables) if len(tables) > 1 else tables[run_id]
+    return csv_response(table, f"run-{'-'.join(map(str, ids))}-{name}.csv")
 
 
 def _figure(name: str) -> Figure:
@@ -168,7 +177,7 @@ def _others(text: str, run_id: Id) -> list[int]:
     return [number for number in dict.fromkeys(map(int, words)) if number != run_id]
 
 
-def _label(session: Session, run_id: Id) -> str:
+def label_of(session: Session, run_id: Id) -> str:
     """Name a run in a legend."""
     run = runs.get_run(session, run_id)
     return f"Run {run_id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
@@ -183,14 +192,3 @@ def _stacked(tables: Mapping[int, Table]) -> Table:
         padded = (table.get(name, []) + [None] * (lengths[k] - len(table.get(name, []))) for k, table in tables.items())
         stacked[name] = [value for column in padded for value in column]
     return stacked
-
-
-def _csv(table: dict[str, list[Any]]) -> str:
-    """Write columns as CSV; what is null is empty, columns of unequal length end early."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table)
-    length = max((len(column) for column in table.values()), default=0)
-    for k in range(length):
-        writer.writerow([column[k] if k < len(column) and column[k] is not None else "" for column in table.values()])
-    return text.getvalue()
