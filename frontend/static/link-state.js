@@ -1,12 +1,14 @@
 // The one event stream of a page, and the light that says whether it can be believed.
 //
-// Every event of GET /api/v1/events is passed on as a DOM event on `document`: boresight:run, boresight:progress,
-// boresight:audit, with the decoded data in `detail`. A page listens there and opens no stream of its own, for a
-// browser allows few connections to one server. A hidden page closes its stream and opens it again when shown.
+// Every event of GET /api/v1/events is passed on as a DOM event on `document`: boresight:run, boresight:log,
+// boresight:progress, boresight:audit, with the decoded data in `detail`. A page listens there and opens no stream of its
+// own, for a browser allows few connections to one server; that of a run hears the points of its course too. After a
+// break the browser asks for what it missed by its last event id. A hidden page closes its stream; when it is shown again,
+// or when the server keeps no more what was missed, boresight:missed says that all should be read again.
 // LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken.
 // The body carries the same word in data-link, so that styles can grey what is no longer fresh.
 
-const KINDS = ["run", "progress", "audit"];
+const KINDS = ["run", "log", "progress", "audit", "missed"];
 const PROBE_MS = 8000;
 const STALE_AFTER_MS = 20000;
 
@@ -14,6 +16,7 @@ const light = document.getElementById("link-state");
 const said = document.getElementById("link-said"); // for screen readers: changes only, not every second
 let source = null;
 let broken = false;
+let opened = false;
 let heardAt = Date.now();
 
 function heard() {
@@ -40,9 +43,18 @@ function decode(text) {
   }
 }
 
+const tell = (kind, detail) => document.dispatchEvent(new CustomEvent(`boresight:${kind}`, { detail }));
+
 function open() {
-  source = new EventSource("/api/v1/events");
-  source.onopen = heard;
+  const run = document.querySelector("live-run")?.getAttribute("run");
+  let again = opened;
+  source = new EventSource(`/api/v1/events${run ? `?history=${run}` : ""}`);
+  source.onopen = () => {
+    heard();
+    if (again) tell("missed", {});
+    again = false;
+    opened = true;
+  };
   source.onmessage = heard;
   source.onerror = () => {
     broken = true;
@@ -51,7 +63,7 @@ function open() {
   for (const kind of KINDS) {
     source.addEventListener(kind, (event) => {
       heard();
-      document.dispatchEvent(new CustomEvent(`boresight:${kind}`, { detail: decode(event.data) }));
+      tell(kind, decode(event.data));
     });
   }
 }

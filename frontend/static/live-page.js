@@ -1,7 +1,7 @@
 // Keeps a page's live parts fresh: after an event of the server the page is read again, and they are renewed from it.
 import { renewParts } from "./live-parts.js";
 
-const AFTER_MS = { run: 600, audit: 600, progress: 3000 };
+const AFTER_MS = { run: 600, audit: 600, missed: 600, progress: 3000 };
 let timer = 0;
 let busy = false;
 let again = false;

@@ -33,11 +33,19 @@ function keepView(part) {
   };
 }
 
+/** Remember what was typed into fields; return what gives it back. */
+function keepTyped(part) {
+  const typed = [...part.querySelectorAll("input[id], textarea[id]")].filter((field) => field.value !== field.defaultValue);
+  return () => {
+    for (const { id, value } of typed) if (document.getElementById(id)) document.getElementById(id).value = value;
+  };
+}
+
 /** Renew a part; say whether it now is as the server has it. */
 function renew(part, fresh) {
   if (!fresh || part.innerHTML === fresh.innerHTML) return true;
   if (isUsed(part)) return false;
-  const restores = [keepView(part), keepFocus(part)];
+  const restores = [keepView(part), keepTyped(part), keepFocus(part)];
   part.replaceChildren(...fresh.childNodes);
   for (const restore of restores) restore();
   return true;

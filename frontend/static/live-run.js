@@ -1,34 +1,47 @@
 /**
  * <live-run run state>: follows one run while its page is open, from the frame's event stream (link-state.js).
  *
- * Shows progress and the age of the last event; asks the figures to refresh at most once a second; renews every
- * `[data-live]` part of the page from the server when the run changes state. When the stream opens, also after a break,
- * the parts are renewed too, so nothing that happened before is lost.
+ * Shows progress, pace and the age of the last event; draws the curves on from the points that progress carries
+ * (live-history.js) and fetches figures that cannot be drawn on; renews every `[data-live]` part of the page from the
+ * server when the run changes state. When the stream opens, and when events were missed, all is fetched again.
  */
+import { forget, grow, keep } from "./live-history.js";
 import { renewParts } from "./live-parts.js";
 import { send } from "./problem.js";
 
 const TERMINAL = new Set(["SUCCEEDED", "FAILED", "CANCELLED", "LOST"]);
-const REFRESH_MS = 1000;
+const DRAW_MS = 400;
+const WHOLE_MS = 15_000; // a curve that was drawn on is framed and thinned anew after this time
+const FETCH_MS = 1000;
 const RENEW_MS = 5000;
+const SILENT_MS = 30_000;
+const FOLLOWING = "plot-figure[data-follows]";
 
 class LiveRun extends HTMLElement {
-  #lastEvent = Date.now();
-  #figureTimer = 0;
+  #heardAt = NaN;
+  #wholeAt = Date.now();
+  #drawTimer = 0;
+  #fetchTimer = 0;
   #timers = [];
   #listening = null;
 
   connectedCallback() {
     this.state = this.getAttribute("state");
     if (TERMINAL.has(this.state)) return;
+    this.panel = document.querySelector(".run-live");
+    this.#hearServer();
     this.#listening = new AbortController();
     const { signal } = this.#listening;
-    document.addEventListener("boresight:progress", (event) => this.#progressed(event.detail), { signal });
-    document.addEventListener("boresight:run", (event) => this.#moved(event.detail), { signal });
+    const on = (name, hear) => document.addEventListener(name, (event) => hear(event.detail, event.target), { signal });
+    on("boresight:progress", (event) => this.#mine(event) && this.#progressed(event));
+    on("boresight:run", (event) => this.#mine(event) && this.#moved(event));
+    on("boresight:missed", () => this.#missed());
+    on("figure-drawn", (_, figure) => figure.matches(FOLLOWING) && grow(figure));
     this.link = new MutationObserver(() => this.#linkChanged());
     this.link.observe(document.body, { attributes: true, attributeFilter: ["data-link"] });
     // events only say that something moved; the page is asked again from time to time in case one was missed
     this.#timers = [setInterval(() => this.#showAge(), 1000), setInterval(() => this.#renew(), RENEW_MS)];
+    this.#showAge();
   }
 
   disconnectedCallback() {
@@ -39,63 +52,102 @@ class LiveRun extends HTMLElement {
     this.#listening?.abort();
     this.link?.disconnect();
     for (const timer of this.#timers) clearInterval(timer);
-    clearTimeout(this.#figureTimer);
+    clearTimeout(this.#drawTimer);
+    clearTimeout(this.#fetchTimer);
+  }
+
+  #mine(event) {
+    return String(event?.run_id) === this.getAttribute("run");
   }
 
   #progressed(event) {
-    if (!this.#mine(event)) return;
-    this.#lastEvent = Date.now();
+    this.#heardAt = Date.now();
+    if (event.attempt !== this.attempt) forget();
+    this.attempt = event.attempt;
+    keep(event.history);
     const bar = document.querySelector("[data-run-progress]");
     if (bar && Number.isFinite(event.fraction)) {
       bar.value = event.fraction;
       write("percent", `${Math.round(100 * event.fraction)}\u202f%`);
+      write("pace", this.#pace(event));
     }
     if (event.message) write("message", event.message);
     this.#showAge();
-    this.#refreshFigures();
-    if (this.state === "QUEUED" || !document.querySelector("#parameters table")) this.#renew();
+    if (!document.hidden) this.#drawTimer ||= setTimeout(() => this.#draw(), DRAW_MS);
+    if (this.state === "QUEUED" || document.querySelector("#verdict .empty")) this.#renew();
+  }
+
+  #pace({ fraction, elapsed_s: elapsed }) {
+    const frames = Number(document.querySelector(".run-live")?.dataset.frames);
+    if (!elapsed || !fraction) return "";
+    return frames ? `${((fraction * frames) / elapsed).toFixed(1)} frames/s, about ${span((elapsed * (1 - fraction)) / fraction)} left` : `for ${span(elapsed)}`;
   }
 
   #moved(event) {
-    if (!this.#mine(event)) return;
-    this.#lastEvent = Date.now();
+    this.#heardAt = Date.now();
     if (event.state !== this.state) this.#renew();
   }
 
-  #mine(event) {
-    return String(event?.run_id ?? event?.id) === this.getAttribute("run");
+  #missed() {
+    forget();
+    this.#renew();
+    this.#fetchFigures();
   }
 
   #linkChanged() {
     const { link } = document.body.dataset;
     if (link === "live" && this.wasLink !== "live") this.#renew(); // what happened before the stream was open was not heard
     this.wasLink = link;
+    this.#showAge();
   }
 
-  #refreshFigures() {
-    if (this.#figureTimer || document.hidden) return;
-    this.#figureTimer = setTimeout(() => {
-      this.#figureTimer = 0;
-      refresh("plot-figure[data-follows]");
-    }, REFRESH_MS);
+  /** Draw the figures on; fetch them when one cannot be, or when they were drawn on for long. */
+  async #draw() {
+    const drawn = await Promise.all([...document.querySelectorAll(FOLLOWING)].map(grow));
+    this.#drawTimer = 0;
+    if (!drawn.every(Boolean) || Date.now() - this.#wholeAt > WHOLE_MS) this.#fetchFigures();
+  }
+
+  #fetchFigures() {
+    this.#fetchTimer ||= setTimeout(() => {
+      this.#fetchTimer = 0;
+      this.#wholeAt = Date.now();
+      refresh(FOLLOWING);
+    }, FETCH_MS);
+  }
+
+  /** Take over from the server when the run was last heard of. */
+  #hearServer() {
+    const heard = document.querySelector(".run-live")?.dataset.heard;
+    if (heard) this.#heardAt = Math.max(this.#heardAt || 0, Date.now() - 1000 * heard);
   }
 
   #showAge() {
-    write("age", `last event ${Math.round((Date.now() - this.#lastEvent) / 1000)}\u202fs ago`);
+    const place = document.querySelector("[data-run-age]");
+    if (!place) return;
+    const { link } = document.body.dataset;
+    const silent = Date.now() - this.#heardAt;
+    const isSilent = this.state === "RUNNING" && silent > SILENT_MS;
+    place.dataset.state = link && link !== "live" ? link : isSilent ? "stale" : "live";
+    const word = place.dataset.state === "live" ? "" : `${place.dataset.state.toUpperCase()} · `;
+    place.textContent = `${word}last event ${Number.isNaN(silent) ? "not heard yet" : `${span(silent / 1000)} ago`}`;
   }
 
   /** Replace the parts of the page that depend on the state by what the server says now. */
   async #renew() {
-    if (document.hidden || TERMINAL.has(this.state)) return;
+    if (this.busy || document.hidden || TERMINAL.has(this.state)) return;
+    this.busy = true;
     try {
       const answer = await send(location.href, { headers: { Accept: "text/html" } });
       const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
       const all = renewParts(fresh);
-      this.#showAge();
+      this.#hearServer();
       if (all) this.#settle(fresh.querySelector("live-run")?.getAttribute("state")); // else after the next time
-    } catch (error) {
-      write("age", error.message);
+    } catch {
+      // the link light and the age tell that the server is away; the last data stay
     }
+    this.busy = false;
+    this.#showAge();
   }
 
   #settle(state) {
@@ -106,8 +158,14 @@ class LiveRun extends HTMLElement {
     refresh("plot-figure");
     if (!TERMINAL.has(state)) return;
     this.#rest();
-    if (state !== "SUCCEEDED") location.reload(); // its figures are void
+    if (state !== "SUCCEEDED" && document.querySelector("plot-figure")) location.reload(); // its figures are void
   }
+}
+
+/** Print a span of time: `12 s`, `4 min`, `3.2 h`. */
+function span(seconds) {
+  if (seconds < 100) return `${Math.round(seconds)}\u202fs`;
+  return seconds < 6000 ? `${Math.round(seconds / 60)}\u202fmin` : `${(seconds / 3600).toFixed(1)}\u202fh`;
 }
 
 function write(name, text) {

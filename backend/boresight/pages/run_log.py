@@ -1,16 +1,79 @@
-"""The log of a run on its page."""
+"""The log of a run on its page: every line with how grave it is, filtered by that in the address, and what follows a line.
+
+The rows hold a kind and a message. How grave a line is follows from them: a run that failed or was lost and an attempt that
+died are errors, a stop and an attempt that is computed again are warnings, all else is information.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from fastapi import Request
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
 
+from boresight.api.dependencies import Reading
+from boresight.errors import RefusedInputError
+from boresight.pages.rendering import render
 from boresight.services import runs
 from boresight.store.sessions import Session
-from boresight.store.tables import Run
+from boresight.store.tables import Run, RunEvent
+
+router = APIRouter()
+
+LEVELS = {"info": "All lines", "warning": "Warnings and errors", "error": "Errors"}
+SYMBOLS = {"info": "off", "warning": "caution", "error": "serious"}
+STATES = {"FAILED": "error", "LOST": "error", "CANCELLED": "warning", "CANCELLING": "warning"}
 
 
-def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:  # noqa: ARG001 - its query filters
+@dataclass(frozen=True)
+class Line:
+    """A line as it is shown: its level, and the level of the status symbol beside it."""
+
+    row: RunEvent
+    level: str
+    symbol: str
+
+
+def level_of_line(row: RunEvent) -> str:
+    """Say how grave a line is: `info`, `warning` or `error`."""
+    if row.kind == "state":
+        again = row.message.startswith("QUEUED: again")
+        return "warning" if again else STATES.get(row.message.partition(":")[0], "info")
+    if row.kind == "lost" or row.message.startswith("Traceback"):
+        return "error"
+    return "warning" if row.message.startswith("Attempt ") else "info"
+
+
+def lines_of(rows: Sequence[RunEvent], level: str) -> list[Line]:
+    """Return the lines that are at least as grave as a level.
+
+    Raises
+    ------
+    RefusedInputError
+        When there is no such level.
+    """
+    if level not in LEVELS:
+        raise RefusedInputError(f"A log has no level {level[:40]}; choose from {', '.join(LEVELS)}.")
+    order = list(LEVELS)
+    shown = ((row, level_of_line(row)) for row in rows)
+    return [Line(row, own, SYMBOLS[own]) for row, own in shown if order.index(own) >= order.index(level)]
+
+
+def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
     """Gather what `run_log.html` shows."""
-    return {"log": runs.log_lines(session, run.id)}
+    level = request.query_params.get("level", "info")
+    rows = runs.log_lines(session, run.id)
+    return {
+        "lines": lines_of(rows, level),
+        "level": level,
+        "filters": [(name, words, len(lines_of(rows, name))) for name, words in LEVELS.items()],
+    }
+
+
+@router.get("/runs/{run_id:int}/log/lines", response_class=HTMLResponse)
+def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, level: str = "info") -> HTMLResponse:
+    """Give the lines after a line as list items, for a page that follows the log."""
+    rows = runs.log_lines(session, run_id, after_id=after)
+    return render(request, "run_log_lines.html", lines=lines_of(rows, level))

@@ -77,6 +77,7 @@ class Engine:
         self._flights: list[Flight] = []
         self._reports = Reports()
         self._renewed_s = 0.0
+        self._threads = 0
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="boresight-engine", daemon=True)
@@ -98,9 +99,10 @@ class Engine:
         self._wake.set()
 
     def state(self) -> dict[str, Any]:
-        """Say for a health page who this is, whether its cluster is there, and how many tasks it has on it."""
+        """Say who this is, whether it turns and its cluster is there, how many threads that had last, and tasks on them."""
         connected = self._cluster is not None and self._cluster.connected
-        return {"owner": self.owner, "connected": connected, "tasks": len(self._flights)}
+        standing = {"turns": self._thread.is_alive(), "connected": connected, "threads": self._threads}
+        return {"owner": self.owner, **standing, "tasks": len(self._flights)}
 
     def _run(self) -> None:
         """Turn until asked to stop; an error is logged and the next turn tries again."""
@@ -267,9 +269,9 @@ class Engine:
     def _free_threads(self) -> list[str]:
         """Return the address of a worker for each of its threads that has no task."""
         busy = Counter(flight.worker for flight in self._flights)
-        return [
-            worker for worker, threads in self._on_cluster().workers().items() for _ in range(threads - busy[worker])
-        ]
+        workers = self._on_cluster().workers()
+        self._threads = sum(workers.values())
+        return [worker for worker, threads in workers.items() for _ in range(threads - busy[worker])]
 
     def _inputs(self, run: Claimed) -> Inputs:
         """Gather what the workers need."""
