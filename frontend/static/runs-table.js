@@ -1,8 +1,9 @@
 /**
  * The runs list: choose rows (Shift chooses a range) to compare, and keep the rows fresh while runs compute.
  *
- * Works without this module too: the check boxes are a plain GET form of /compare. Here the address is made short
- * (`?runs=1,2,3`), the button says how many are chosen, and the table's body is renewed after run events.
+ * Works without this module too: the check boxes are a plain GET form of /compare. Here what is chosen stands in the
+ * address and in every link to another page of the list, so that it is kept over pages, and the rows are renewed after run
+ * events, one by one: what has the focus keeps it.
  */
 import { send } from "./problem.js";
 
@@ -13,13 +14,19 @@ const form = document.querySelector("[data-runs-form]");
 let last = null;
 let timer = 0;
 
-const boxes = () => [...form.querySelectorAll("input[name=runs]")];
-const chosen = () => boxes().filter((box) => box.checked);
+const boxes = () => [...form.querySelectorAll("[data-list-body] input[name=runs]")];
+const chosen = () => [...form.querySelectorAll("input[name=runs]:checked")].map((box) => box.value);
 
 function chooseRange(box) {
   const all = boxes();
-  const [from, to] = [all.indexOf(last), all.indexOf(box)].sort((a, b) => a - b);
+  const [from, to] = [all.findIndex((other) => other.value === last), all.indexOf(box)].sort((a, b) => a - b);
   if (from >= 0) for (const between of all.slice(from, to + 1)) between.checked = box.checked;
+}
+
+function advice(count) {
+  if (count > MOST) return `${count} runs are chosen; at most ${MOST} can be compared. Unselect ${count - MOST}.`;
+  if (count === 1) return "Select one more run to compare.";
+  return count ? "" : "Select two or more runs to compare them; Shift selects a range.";
 }
 
 function showChoice() {
@@ -30,27 +37,61 @@ function showChoice() {
   form.querySelector("[data-compare-words]").textContent = advice(count);
 }
 
-function advice(count) {
-  if (count > MOST) return `${count} runs are chosen; at most ${MOST} can be compared. Unselect ${count - MOST}.`;
-  if (count === 1) return "Select one more run to compare.";
-  return count ? "" : "Select two or more runs to compare them; Shift selects a range.";
+const withChoice = (address) => {
+  const url = new URL(address, location.href);
+  if (chosen().length) url.searchParams.set("runs", chosen().join(","));
+  else url.searchParams.delete("runs");
+  return url.href.replaceAll("%2C", ",");
+};
+
+/** Let the address, the links and the forms of the list carry what is chosen. */
+function keepChoice() {
+  history.replaceState(null, "", withChoice(location.href));
+  for (const link of document.querySelectorAll('main a[href^="/runs?"], main .list-tools a, th a.sort')) link.href = withChoice(link.href);
+  for (const tools of document.querySelectorAll(".list-tools form")) {
+    tools.querySelector("input[name=runs]")?.remove();
+    tools.insertAdjacentHTML("beforeend", `<input type="hidden" name="runs" value="${chosen().join(",")}">`);
+  }
 }
 
 function compare(event) {
   event.preventDefault();
-  location.assign(`/compare?runs=${chosen().map((box) => box.value).join(",")}`);
+  location.assign(`/compare?runs=${chosen().join(",")}`);
 }
 
-/** Replace the rows by the server's, keeping what was chosen. */
+const keyOf = (row) => row.querySelector("input[name=runs]").value;
+
+/** Take over what has changed of a row; its check box stays. */
+function renewRow(row, fresh) {
+  for (const [k, cell] of [...fresh.cells].entries()) if (k && row.cells[k].innerHTML !== cell.innerHTML) row.cells[k].replaceWith(cell);
+  return row;
+}
+
+/** Put the server's rows in their places; rows that stay where they were are not moved. */
+function renewRows(body, fresh) {
+  const known = new Map([...body.rows].map((row) => [keyOf(row), row]));
+  let place = body.firstElementChild;
+  for (const row of [...fresh.rows]) {
+    const next = known.has(keyOf(row)) ? renewRow(known.get(keyOf(row)), row) : row;
+    if (next === place) place = place.nextElementSibling;
+    else body.insertBefore(next, place);
+  }
+  while (place) {
+    const gone = place;
+    place = place.nextElementSibling;
+    gone.remove();
+  }
+}
+
 async function renew() {
   timer = 0;
-  const kept = new Set(chosen().map((box) => box.value));
   try {
-    const fresh = new DOMParser().parseFromString(await (await send(location.href)).text(), "text/html");
-    const body = fresh.querySelector("[data-runs-body]");
-    if (!body || form.contains(document.activeElement)) return;
-    form.querySelector("[data-runs-body]").replaceChildren(...body.childNodes);
-    for (const box of boxes()) box.checked = kept.has(box.value);
+    const fresh = new DOMParser().parseFromString(await (await send(location.href)).text(), "text/html").querySelector("[data-list-body]");
+    if (!fresh) return;
+    const focused = document.activeElement;
+    const href = form.contains(focused) && focused.getAttribute("href");
+    renewRows(form.querySelector("[data-list-body]"), fresh);
+    if (document.activeElement !== focused) (href ? form.querySelector(`a[href="${CSS.escape(href)}"]`) : focused)?.focus({ preventScroll: true });
     showChoice();
   } catch {
     // the frame's link state says that the server is away; the rows shown are the last that arrived
@@ -66,8 +107,9 @@ if (form) {
   form.addEventListener("click", (event) => {
     if (event.target.name !== "runs") return;
     if (event.shiftKey) chooseRange(event.target);
-    last = event.target;
+    last = event.target.value;
     showChoice();
+    keepChoice();
   });
   form.addEventListener("submit", compare);
   showChoice();

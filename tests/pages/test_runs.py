@@ -7,7 +7,6 @@ import io
 
 import pytest
 
-from boresight.pages.runs import Filters, read_filters
 
 
 def test_a_row_says_how_much_the_rms_fell_in_microradians(house, read, results):
@@ -70,8 +69,3 @@ def test_the_list_is_not_shown_to_who_is_not_logged_in(house):
     stranger = house.visitor("victor")
     stranger.cookies = {}
     assert stranger.send("GET", "/runs").status_code in {303, 401}
-
-
-def test_a_filter_keeps_itself_in_the_address_of_the_next_page():
-    assert read_filters(sensor="3", state="FAILED").query(before=812) == "sensor=3&state=FAILED&before=812"
-    assert not Filters(None, None, None).any

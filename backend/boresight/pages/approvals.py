@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
@@ -19,6 +20,7 @@ from boresight.pages.attempts import attempt
 from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
+from boresight.pages.tables import Column, Table, all_of, csv_of, is_text, one_of, page_of, read_view
 from boresight.services import approvals, gates, parameter_sets
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
@@ -32,7 +34,32 @@ VIEWS = {
     "submitted": "Submitted by me",
     "all": "All",
 }
-ROWS_A_PAGE = 100
+REQUESTS = Table(
+    "approvals",
+    "Requests for approval",
+    (
+        Column("request", "Request", "-request", "tight", head=True),
+        Column("set", "Set, of sensor", "set", "named"),
+        Column("gates", "Gates", "", "verdict-words"),
+        Column("reason", "Reason", "", "words"),
+        Column("by", "Submitted by", "by", "named"),
+        Column("expires", "Signed, expires", "expires", "tight"),
+        Column("asked", "Asked of", "", "named"),
+        Column("part", "Your part", "", "act"),
+    ),
+    {"show": one_of(VIEWS), "q": is_text},
+    "-request",
+    kind="approvals",
+    rows_a_page=100,
+)
+CSV_FIELDS = {
+    "request": ("request", "kind", "state"),
+    "set": ("set",),
+    "gates": ("verdict",),
+    "reason": ("reason",),
+    "by": ("submitted_by", "submitted_utc"),
+    "expires": ("signed", "needed", "expires_utc"),
+}
 EFFECTS = {
     "OPEN": "Signed: another person must sign too before the set is approved.",
     "APPROVED": "Approved: an operator can now promote the set to baseline.",
@@ -53,31 +80,59 @@ class Entry:
 
 
 @router.get("/approvals", response_class=HTMLResponse)
-def approvals_page(
-    request: Request, session: Reading, actor: Who, show: str = "waiting", before: str = ""
-) -> HTMLResponse:
+def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the inbox: what waits for a signature, for one's own, what one submitted, or everything."""
-    view = show if show in VIEWS else "waiting"
-    found = approvals.list_approvals(
-        session,
-        state="OPEN" if view in {"waiting", "mine"} else None,
-        before_id=int(before) if before.isdecimal() else None,
-        limit=ROWS_A_PAGE + 1,
-    )
-    entries = _entries(request, session, actor, found[:ROWS_A_PAGE])
-    if view == "mine":
-        entries = [entry for entry in entries if entry.blocked is None]
-    if view == "submitted":
-        entries = [entry for entry in entries if entry.approval.submitted_by == actor.user_id]
+    view = read_view(request, REQUESTS)
+    show = view.where.get("show", "waiting")
+    found = page_of(session, view, **_narrowed(show, actor))
+    entries = _entries(request, session, actor, found.rows)
     return render(
         request,
         "approvals.html",
-        entries=entries,
+        view=view,
+        entries=[entry for entry in entries if show != "mine" or entry.blocked is None],
+        last=found.last,
         names=read_names(session),
         views=VIEWS,
-        view=view,
-        next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
+        show=show,
     )
+
+
+@router.get("/approvals.csv")
+def approvals_csv(request: Request, session: Reading, actor: Who) -> Response:
+    """Give every request of a view as CSV."""
+    view = read_view(request, REQUESTS)
+    show = view.where.get("show", "waiting")
+    entries = _entries(request, session, actor, list(all_of(session, view, **_narrowed(show, actor))))
+    shown = (entry for entry in entries if show != "mine" or entry.blocked is None)
+    return csv_of(view, CSV_FIELDS, (_csv_row(entry) for entry in shown))
+
+
+def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
+    """Say what an inbox holds, as the list takes it; what one may sign is found among what waits."""
+    return {
+        "show": None,
+        "state": "OPEN" if show in {"waiting", "mine"} else None,
+        "submitted_by": actor.user_id if show == "submitted" else None,
+    }
+
+
+def _csv_row(entry: Entry) -> dict[str, Any]:
+    """Lay out a request for a program."""
+    known = entry.approval
+    return {
+        "request": known.id,
+        "kind": known.kind,
+        "state": known.state,
+        "set": entry.parameter_set.name,
+        "verdict": entry.verdict,
+        "reason": known.reason,
+        "submitted_by": entry.submitter,
+        "submitted_utc": known.submitted_utc,
+        "signed": entry.signed,
+        "needed": known.needed,
+        "expires_utc": known.expires_utc,
+    }
 
 
 def _entries(request: Request, session: Session, actor: Actor, found: Sequence[Approval]) -> list[Entry]:

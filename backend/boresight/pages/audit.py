@@ -9,20 +9,44 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from typing import Any
-from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
-from fastapi.responses import HTMLResponse
+from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who
 from boresight.errors import RefusedInputError
 from boresight.pages.audit_changes import Change, changes
 from boresight.pages.rendering import render
+from boresight.pages.tables import Column, Page, Table, View, all_of, csv_of, is_text, page_of, read_view
 from boresight.services import audit
-from boresight.store.sessions import Session
 from boresight.store.tables import AuditRecord
 
-RECORDS_A_PAGE = 50
+FILTERS = ("object", "actor", "action", "since", "until")
+RECORDS = Table(
+    "audit",
+    "Records",
+    (
+        Column("number", "No.", "-number", "num", head=True),
+        Column("time", "Time", "", "tight"),
+        Column("who", "Who, with what", "who", "named"),
+        Column("did", "Did, to", "did", "happening"),
+        Column("changed", "What changed", "", "words"),
+        Column("reason", "Reason", "", "words"),
+        Column("hash", "Hash, request", "", "tight"),
+    ),
+    dict.fromkeys(FILTERS, is_text),
+    "-number",
+    kind="audit",
+)
+CSV_FIELDS = {
+    "number": ("id",),
+    "time": ("at_utc",),
+    "who": ("actor", "credential", "roles"),
+    "did": ("action", "object"),
+    "changed": ("changed",),
+    "reason": ("reason",),
+    "hash": ("hash", "request_id"),
+}
 VERIFIED_AT_EVERY_VISIT = 1000
 IN_GIST = 3
 TELLING = (
@@ -64,28 +88,15 @@ class Line:
         return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in telling[:IN_GIST])
 
 
-@dataclass(frozen=True)
-class Filters:
-    """What the address narrows the list to; empty is everything."""
+def _sought(view: View) -> dict[str, Any]:
+    """Say what a view is narrowed to, as the list takes it.
 
-    object: str = ""
-    actor: str = ""
-    action: str = ""
-    since: str = ""
-    until: str = ""
-
-    def records(self, session: Session, before_id: int | None) -> tuple[list[AuditRecord], str]:
-        """Return a page of records, one more than is shown, and why a filter was refused; then the list is empty."""
-        given = {name: text.strip() or None for name, text in asdict(self).items()}
-        try:
-            sought = audit.sought(**given)
-        except RefusedInputError as error:
-            return [], str(error)
-        return list(audit.list_records(session, before_id=before_id, sought=sought, limit=RECORDS_A_PAGE + 1)), ""
-
-    def query(self, **more: Any) -> str:
-        """Return the query of an address with these filters and more."""
-        return urlencode({name: value for name, value in (asdict(self) | more).items() if value})
+    Raises
+    ------
+    RefusedInputError
+        When a time cannot be read.
+    """
+    return {"since": None, "until": None} | asdict(audit.sought(**{name: view.where.get(name) for name in FILTERS}))
 
 
 def line_of(record: AuditRecord) -> Line:
@@ -101,30 +112,43 @@ def audit_page(
     request: Request,
     session: Reading,
     actor: Who,  # noqa: ARG001 - who is not logged in may not read
-    before: str = "",
     verify: str = "",
 ) -> HTMLResponse:
-    """Show a page of records, newest first, and the light of the chain."""
-    before_id = int(before) if before.isdecimal() else None
-    asked = request.query_params
-    filters = Filters(*(asked.get(name, "")[:200] for name in Filters.__dataclass_fields__))
-    found, refusal = filters.records(session, before_id)
+    """Show a page of records, and the light of the chain."""
+    view, found, refusal = read_view(request, RECORDS), Page((), None), ""
+    try:
+        found = page_of(session, view, **_sought(view))
+    except RefusedInputError as error:
+        refusal = str(error)
     newest = audit.list_records(session, limit=1)
     short = not newest or newest[0].id <= VERIFIED_AT_EVERY_VISIT
-    shown = found[:RECORDS_A_PAGE]
     return render(
         request,
         "audit.html",
-        lines=[line_of(record) for record in shown],
-        filters=filters,
+        view=view,
+        lines=[line_of(record) for record in found.rows],
+        last=found.last,
         refusal=refusal,
         words=audit.words(session),
-        later=before_id is not None,
-        older_query=filters.query(before=shown[-1].id) if len(found) > RECORDS_A_PAGE else "",
         chain=audit.verify(session) if short or verify else None,
         light=request.app.state.upkeep.light(),
         head=audit.head(session),
     )
+
+
+@router.get("/audit.csv")
+def audit_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
+    """Give every record of a view as CSV; the export with its verifier is what proves anything."""
+    view = read_view(request, RECORDS)
+    return csv_of(view, CSV_FIELDS, (_csv_row(record) for record in all_of(session, view, **_sought(view))))
+
+
+def _csv_row(record: AuditRecord) -> dict[str, Any]:
+    """Lay out a record for a program."""
+    return {name: getattr(record, name) for names in CSV_FIELDS.values() for name in names} | {
+        "roles": ", ".join(record.roles or ()),
+        "changed": line_of(record).gist,
+    }
 
 
 @router.get("/audit/{record_id}", response_class=HTMLResponse)

@@ -58,6 +58,22 @@ NAVIGATION = (
     Destination("/administration", "Administration", "m"),
 )
 
+# What keys do within a page; `keys.js` acts on them. None signs, promotes, rolls back, cancels or deletes.
+KEYS = (
+    (("/",), "the search field, or the first filter"),
+    (("j", "k"), "next row, previous row"),
+    (("Enter",), "open the row"),
+    (("x", "Shift+x"), "select the row, or all from the last one selected"),
+    (("c",), "compare what is selected"),
+    (("[", "]"), "previous, next: run, or page of the list"),
+    (("1", "…", "9"), "tab of the page"),
+    (("d",), "only what differs, or everything"),
+    (("e",), "the list or the run as a file"),
+    (("y",), "copy the address of this view"),
+    (("Esc",), "close what is open, leave a field"),
+    (("?",), "this list"),
+)
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -74,6 +90,7 @@ class Frame:
     four_eyes: bool
     flash: tuple[str, str] | None
     navigation: tuple[Destination, ...]
+    keys: tuple[tuple[tuple[str, ...], str], ...] = KEYS
 
 
 def _read_flash(request: Request) -> tuple[str, str] | None:

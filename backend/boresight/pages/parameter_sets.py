@@ -1,4 +1,4 @@
-"""Parameter sets: the list, and a set with its two states, its values against the baseline, its lineage and what may be done.
+"""A parameter set with its two states, its values against the baseline, its lineage and what may be done.
 
 The ground state and the on-board state are two symbols side by side and never one word: a set that is baseline on the
 ground says nothing about what the sensor uses.
@@ -24,14 +24,13 @@ from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.gates_panel import panel_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
-from boresight.services import approvals, gates, parameter_sets, runs, sensors, telemetry_sets, uplinks
+from boresight.services import approvals, parameter_sets, runs, sensors, telemetry_sets, uplinks
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
-from boresight.store.tables import GROUND_STATES, Approval, ParameterSet
+from boresight.store.tables import Approval, ParameterSet
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-ROWS_A_PAGE = 50
 SETS_A_SENSOR = 10_000  # more than a sensor is ever given
 
 
@@ -129,36 +128,6 @@ def bound_incumbent(session: Session, row: ParameterSet, request: Approval | Non
     sha256 = request.bound.get("incumbent_sha256") if request is not None else None
     fleet_sets = parameter_sets.list_parameter_sets(session, sensor_id=row.sensor_id, limit=SETS_A_SENSOR)
     return next((known for known in fleet_sets if known.sha256 == sha256 and known.id != row.id), None)
-
-
-@router.get("/parameter-sets", response_class=HTMLResponse)
-def parameter_sets_page(
-    request: Request, session: Reading, actor: Who, sensor: str = "", state: str = "", before: str = ""
-) -> HTMLResponse:
-    """Show a page of sets, newest first."""
-    sensor_id = int(sensor) if sensor.isdecimal() else None
-    found = parameter_sets.list_parameter_sets(
-        session,
-        sensor_id=sensor_id,
-        ground_state=state if state in GROUND_STATES else None,
-        before_id=int(before) if before.isdecimal() else None,
-        limit=ROWS_A_PAGE + 1,
-    )
-    shown = found[:ROWS_A_PAGE]
-    names = read_names(session)
-    return render(
-        request,
-        "parameter_sets.html",
-        sets=shown,
-        names=names,
-        sensors=sensors.list_sensors(session),
-        states=GROUND_STATES,
-        chosen_sensor=sensor_id,
-        chosen_state=state,
-        next_before=shown[-1].id if len(found) > ROWS_A_PAGE else None,
-        verdicts=gates.verdicts(session, {row.id for row in shown}),
-        actor=actor,
-    )
 
 
 @router.get("/parameter-sets/{set_id:int}", response_class=HTMLResponse)

@@ -1,17 +1,13 @@
 """The list of runs: what ran on which data, with what result; chosen rows go to the comparison.
 
-The address holds the whole view: `?sensor=3&state=FAILED&method=sqrf&before=812`. Pages are cut by run number, newest
-first, so that a page stays the page it was while new runs arrive.
+The address holds the whole view (`boresight.pages.tables`): filters, order, columns, page and what is chosen.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
-from urllib.parse import urlencode
+from typing import Any
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
@@ -21,65 +17,78 @@ from boresight.figures.numbers import MISSING, NARROW_SPACE, number, urad
 from boresight.pages.formats import instant, seconds_since
 from boresight.pages.methods import METHODS, title_of
 from boresight.pages.rendering import render
-from boresight.services import runs, sensors, telemetry_sets, users
+from boresight.pages.tables import Column, Table, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
+from boresight.services import sensors, telemetry_sets, users
 from boresight.services.fleet import level_of_result
 from boresight.store.sessions import Session
 from boresight.store.tables import RUN_STATES, Run
 
-ROWS_A_PAGE = 50
-CSV_ROWS_A_READ = 500
-CSV_COLUMNS = (
-    "run",
-    "label",
-    "sensor",
-    "method",
-    "telemetry_set",
-    "state",
+RUNS = Table(
+    "runs",
+    "Runs",
+    (
+        Column("state", "State", "state"),
+        Column("run", "Run", "-run", head=True),
+        Column("label", "Label", "label", "label"),
+        Column("sensor", "Sensor", "sensor"),
+        Column("method", "Method", "method"),
+        Column("data", "Data", "data", "label"),
+        Column("fit", "Fit"),
+        Column("rms", "RMS", "rms", "num", "Arclength RMS before and after, unweighted; sorted by after", "µrad"),
+        Column(
+            "validation",
+            "Validation RMS",
+            "validation",
+            "num",
+            "Of the stars held out, before and after; sorted by after",
+            "µrad",
+            optional=True,
+        ),
+        Column("chi2", "χ² / dof", "-chi2", "num"),
+        Column("change", "Change", "change", "num", "Of the RMS, against the parameters the sensor had at launch", "%"),
+        Column("frames", "Frames", "", "num", optional=True),
+        Column("by", "By", "by"),
+        Column("started", "Started", "-started"),
+        Column("ended", "Ended", "-ended", optional=True),
+        Column("duration", "Duration", "", "num"),
+    ),
+    {
+        "sensor": is_number,
+        "state": one_of(RUN_STATES),
+        "method": one_of(known.name for known in METHODS),
+        "data": is_number,
+        "q": is_text,
+    },
+    "-run",
+    kind="runs",
+    chosen="runs",
+)
+CSV_FIELDS = {
+    "state": ("state",),
+    "run": ("run",),
+    "label": ("label",),
+    "sensor": ("sensor",),
+    "method": ("method",),
+    "data": ("telemetry_set",),
+    "fit": ("status",),
+    "rms": ("rms_initial_arc_rad", "rms_final_arc_rad"),
+    "validation": ("validation_rms_initial_arc_rad", "validation_rms_final_arc_rad"),
+    "chi2": ("chi2_per_dof",),
+    "frames": ("frames",),
+    "by": ("launched_by",),
+    "started": ("launched_utc", "started_utc"),
+    "ended": ("ended_utc",),
+    "duration": ("duration_s",),
+}
+OF_SUMMARY = (
     "status",
-    "rms_initial_arc_rad",
-    "rms_final_arc_rad",
+    *CSV_FIELDS["rms"],
+    *CSV_FIELDS["validation"],
     "chi2_per_dof",
-    "launched_by",
-    "launched_utc",
-    "started_utc",
-    "ended_utc",
+    "frames",
 )
 
 router = APIRouter(dependencies=[Depends(current_actor)])
-
-
-@dataclass(frozen=True)
-class Filters:
-    """What of the list is shown; None shows all."""
-
-    sensor: int | None
-    state: str | None
-    method: str | None
-
-    @property
-    def any(self) -> bool:
-        """Tell whether anything is left out."""
-        return bool(self.where)
-
-    @property
-    def where(self) -> dict[str, Any]:
-        """Return the filters as the service takes them."""
-        named = {"sensor_id": self.sensor, "state": self.state, "method": self.method}
-        return {name: value for name, value in named.items() if value is not None}
-
-    def query(self, before: int | None = None) -> str:
-        """Return the address's query for these filters and a page."""
-        named = {"sensor": self.sensor, "state": self.state, "method": self.method, "before": before}
-        return urlencode({name: value for name, value in named.items() if value is not None})
-
-
-def read_filters(sensor: str = "", state: str = "", method: str = "") -> Filters:
-    """Read the filters from the address; what is no filter is left out, as an empty choice of the form is."""
-    return Filters(
-        sensor=int(sensor) if sensor.isdecimal() else None,
-        state=state if state in RUN_STATES else None,
-        method=method if method in {known.name for known in METHODS} else None,
-    )
 
 
 @dataclass(frozen=True)
@@ -97,12 +106,15 @@ class Names:
 
 def read_names(session: Session, found: Iterable[Run] = ()) -> Names:
     """Read the names of every sensor and person, and of the telemetry sets that these runs use."""
-    set_ids = {
-        set_id for run in found for set_id in (run.telemetry_set_id, run.validation_set_id) if set_id is not None
-    }
+    used = {set_id for run in found for set_id in (run.telemetry_set_id, run.validation_set_id) if set_id is not None}
+    return _names(session, used)
+
+
+def _names(session: Session, set_ids: Collection[int] | None) -> Names:
+    """Read the names of every sensor and person, and of these telemetry sets; of all where None is given."""
     return Names(
         {sensor.id: sensor.name for sensor in sensors.list_sensors(session)},
-        {set_id: telemetry_sets.get_telemetry_set(session, set_id).name for set_id in sorted(set_ids)},
+        telemetry_sets.names_of(session, set_ids),
         {person.id: person.printed_name for person in users.list_users(session)},
     )
 
@@ -120,7 +132,9 @@ class Line:
     fit_level: str
     advice: str
     rms: str
+    validation: str
     change: str
+    frames: int | None
     chi2_per_dof: float | None
     fraction: float | None
     seconds: float | None
@@ -129,7 +143,7 @@ class Line:
 def line_of(run: Run, names: Names) -> Line:
     """Lay out a run; what it has not computed is a dash."""
     summary = run.summary or {}
-    before, after = summary.get("rms_initial_arc_rad"), summary.get("rms_final_arc_rad")
+    before, after = (summary.get(f"rms_{when}_arc_rad") for when in ("initial", "final"))
     return Line(
         run=run,
         sensor=names.sensors.get(run.sensor_id, str(run.sensor_id)),
@@ -139,12 +153,19 @@ def line_of(run: Run, names: Names) -> Line:
         fit=summary.get("status"),
         fit_level=level_of_result(summary),
         advice=summary.get("advice") or "",
-        rms=MISSING if after is None else f"{urad(before)} → {urad(after)}",
+        rms=_from_to(before, after),
+        validation=_from_to(*(summary.get(f"validation_rms_{when}_arc_rad") for when in ("initial", "final"))),
+        frames=summary.get("frames"),
         change=_change(before, after),
         chi2_per_dof=summary.get("chi2_per_dof"),
         fraction=(run.progress or {}).get("fraction") if run.state in {"RUNNING", "CANCELLING"} else None,
         seconds=seconds_of(run),
     )
+
+
+def _from_to(before: float | None, after: float | None) -> str:
+    """Print an RMS before and after."""
+    return MISSING if after is None else f"{urad(before)} → {urad(after)}"
 
 
 def _change(before: float | None, after: float | None) -> str:
@@ -165,70 +186,46 @@ def seconds_of(run: Run) -> float | None:
 
 
 @router.get("/runs", response_class=HTMLResponse)
-def runs_page(
-    request: Request,
-    session: Reading,
-    chosen: Annotated[Filters, Depends(read_filters)],
-    before: str = "",
-) -> HTMLResponse:
-    """Show a page of runs, newest first."""
-    before_id = int(before) if before.isdecimal() else None
-    found = runs.list_runs(session, before_id=before_id, limit=ROWS_A_PAGE + 1, **chosen.where)
-    shown = found[:ROWS_A_PAGE]
-    names = read_names(session, shown)
+def runs_page(request: Request, session: Reading) -> HTMLResponse:
+    """Show a page of runs."""
+    view = read_view(request, RUNS)
+    found = page_of(session, view)
+    names = read_names(session, found.rows)
+    on_page = {run.id for run in found.rows}
     return render(
         request,
         "runs.html",
-        lines=[line_of(run, names) for run in shown],
+        view=view,
+        lines=[line_of(run, names) for run in found.rows],
+        last=found.last,
+        elsewhere=[number for number in view.chosen if number not in on_page],
         sensors=sensors.list_sensors(session),
         states=RUN_STATES,
         methods=METHODS,
-        chosen=chosen,
-        query=chosen.query(),
-        next_query=chosen.query(shown[-1].id) if len(found) > ROWS_A_PAGE else "",
-        older=before_id is not None,
     )
 
 
 @router.get("/runs.csv")
-def runs_csv(session: Reading, chosen: Annotated[Filters, Depends(read_filters)]) -> Response:
-    """Give every run that fits the filters as CSV, in SI."""
-    found = list(_all_runs(session, chosen))
-    names = read_names(session, found)
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(CSV_COLUMNS)
-    writer.writerows(_csv_row(run, names) for run in found)
-    headers = {"Content-Disposition": 'attachment; filename="runs.csv"'}
-    return Response(text.getvalue(), media_type="text/csv", headers=headers)
+def runs_csv(request: Request, session: Reading) -> Response:
+    """Give every run of a view as CSV, in SI."""
+    view = read_view(request, RUNS)
+    names = _names(session, None)
+    return csv_of(view, CSV_FIELDS, (_csv_row(run, names) for run in all_of(session, view)))
 
 
-def _all_runs(session: Session, chosen: Filters) -> Iterator[Run]:
-    """Walk through every page of the list."""
-    before_id = None
-    while found := runs.list_runs(session, before_id=before_id, limit=CSV_ROWS_A_READ, **chosen.where):
-        yield from found
-        before_id = found[-1].id
-
-
-def _csv_row(run: Run, names: Names) -> list[Any]:
-    summary = run.summary or {}
-    figures = [summary.get(key) for key in ("status", "rms_initial_arc_rad", "rms_final_arc_rad", "chi2_per_dof")]
-    line = line_of(run, names)
-    times = [run.launched_utc, run.started_utc, run.ended_utc]
-    return [
-        run.id,
-        _plain(run.label),
-        _plain(line.sensor),
-        run.method,
-        _plain(line.data),
-        run.state,
-        *figures,
-        _plain(line.by),
-        *times,
-    ]
-
-
-def _plain(text: str) -> str:
-    """Keep a spreadsheet from taking a person's words for a formula."""
-    return f"'{text}" if text[:1] in {"=", "+", "-", "@", "\t"} else text
+def _csv_row(run: Run, names: Names) -> dict[str, Any]:
+    """Lay out a run for a program."""
+    line, summary = line_of(run, names), run.summary or {}
+    return {
+        "run": run.id,
+        "label": run.label,
+        "sensor": line.sensor,
+        "method": run.method,
+        "telemetry_set": line.data,
+        "state": run.state,
+        "launched_by": line.by,
+        "launched_utc": run.launched_utc,
+        "started_utc": run.started_utc,
+        "ended_utc": run.ended_utc,
+        "duration_s": line.seconds,
+    } | {name: summary.get(name) for name in OF_SUMMARY}

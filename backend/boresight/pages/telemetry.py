@@ -12,10 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated
-from urllib.parse import urlencode
+from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Request
 from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
@@ -24,38 +23,48 @@ from boresight.api.uploads import Upload, Uploaded
 from boresight.errors import BoresightError, ForbiddenError, RefusedInputError
 from boresight.pages.attempts import Outcome, Refusal, attempt
 from boresight.pages.rendering import redirect, render
-from boresight.pages.runs import read_names
+from boresight.pages.runs import Names, read_names
+from boresight.pages.tables import Column, Table, View, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
 from boresight.services import sensors, telemetry_sets
 from boresight.services.actors import Actor, require_role
 from boresight.services.telemetry_sets import PURPOSES, Prepared
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import TelemetrySet
 
-ROWS_A_PAGE = 50
 SCRIPTED = "x-boresight-upload"  # the header of an upload whose progress a script shows
 
 router = APIRouter()
 
 
-@dataclass(frozen=True)
-class Filters:
-    """What of the list is shown; None shows all."""
-
-    sensor: int | None
-    purpose: str | None
-    archived: bool
-
-    def query(self, before: int | None = None) -> str:
-        """Return the address's query for these filters and a page."""
-        named = {"sensor": self.sensor, "purpose": self.purpose, "archived": int(self.archived) or None}
-        return urlencode({name: value for name, value in (named | {"before": before}).items() if value is not None})
-
-
-def read_filters(sensor: str = "", purpose: str = "", archived: str = "") -> Filters:
-    """Read the filters from the address; what is no filter is left out."""
-    return Filters(
-        int(sensor) if sensor.isdecimal() else None, purpose if purpose in PURPOSES else None, archived == "1"
-    )
+SETS = Table(
+    "telemetry",
+    "Telemetry sets",
+    (
+        Column("quality", "Quality"),
+        Column("set", "Set", "set", "name", head=True),
+        Column("sensor", "Sensor", "sensor", "nowrap"),
+        Column("frames", "Frames", "-frames", "num"),
+        Column("stars", "Stars", "-stars", "num"),
+        Column("unmatched", "Unmatched", "-unmatched", "num", "Detections without a star number"),
+        Column("begins", "Begins, span", "", "tight"),
+        Column("temperature", "Temperature", "", "num", "Least and greatest of the set", "°C", optional=True),
+        Column("uploaded", "Uploaded", "-uploaded", "tight"),
+    ),
+    {"sensor": is_number, "purpose": one_of(PURPOSES), "archived": one_of({"1"}), "q": is_text},
+    "-uploaded",
+    kind="dense",
+)
+CSV_FIELDS = {
+    "quality": ("verdict",),
+    "set": ("set", "name", "purpose", "archived_utc"),
+    "sensor": ("sensor",),
+    "frames": ("frames",),
+    "stars": ("stars",),
+    "unmatched": ("unmatched_share",),
+    "begins": ("start_utc", "span_s"),
+    "temperature": ("smallest_temperature_c", "largest_temperature_c"),
+    "uploaded": ("uploaded_utc", "uploaded_by"),
+}
 
 
 @dataclass(frozen=True)
@@ -67,27 +76,21 @@ class Shown:
     refusal: Refusal | None = None
 
 
-def _page(
-    request: Request, session: Session, actor: Actor, chosen: Filters, before: int | None, shown: Shown
-) -> HTMLResponse:
+def _in_use(view: View) -> dict[str, Any]:
+    """Narrow a view to sets that are not archived, where it does not show these too."""
+    return {"archived": None, "in_use": None if view.where.get("archived") else 1}
+
+
+def _page(request: Request, session: Session, actor: Actor, view: View, shown: Shown) -> HTMLResponse:
     """Render the list and the form."""
-    found = telemetry_sets.list_telemetry_sets(
-        session,
-        sensor_id=chosen.sensor,
-        purpose=chosen.purpose,
-        archived=chosen.archived,
-        before_id=before,
-        limit=ROWS_A_PAGE + 1,
-    )
-    sets = found[:ROWS_A_PAGE]
+    found = page_of(session, view, **_in_use(view))
     return render(
         request,
         "telemetry.html",
         status_code=422 if shown.refusal else 200,
-        sets=sets,
-        next_query=chosen.query(sets[-1].id) if len(found) > ROWS_A_PAGE else "",
-        later=before is not None,
-        chosen=chosen,
+        view=view,
+        sets=found.rows,
+        last=found.last,
         sensors=sensors.list_sensors(session),
         names=read_names(session),
         purposes=PURPOSES,
@@ -98,16 +101,41 @@ def _page(
 
 
 @router.get("/telemetry", response_class=HTMLResponse)
-def telemetry_page(
-    request: Request,
-    session: Reading,
-    actor: Who,
-    chosen: Annotated[Filters, Depends(read_filters)],
-    before: str = "",
-) -> HTMLResponse:
-    """Show a page of sets, newest first, and the form."""
-    before_id = int(before) if before.isdecimal() else None
-    return _page(request, session, actor, chosen, before_id, Shown(sensor=chosen.sensor))
+def telemetry_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show a page of sets, and the form."""
+    view = read_view(request, SETS)
+    sensor = view.where.get("sensor")
+    return _page(request, session, actor, view, Shown(sensor=int(sensor) if sensor else None))
+
+
+@router.get("/telemetry.csv")
+def telemetry_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
+    """Give every set of a view as CSV."""
+    view, names = read_view(request, SETS), read_names(session)
+    rows = (_csv_row(row, names) for row in all_of(session, view, **_in_use(view)))
+    return csv_of(view, CSV_FIELDS, rows)
+
+
+def _csv_row(row: TelemetrySet, names: Names) -> dict[str, Any]:
+    """Lay out a set for a program."""
+    time, temperature = (row.quality.get(name) or {} for name in ("time", "temperature_c"))
+    return {
+        "set": row.id,
+        "name": row.name,
+        "purpose": row.purpose,
+        "archived_utc": row.archived_utc,
+        "verdict": row.quality.get("verdict"),
+        "sensor": names.sensors[row.sensor_id],
+        "frames": row.frames,
+        "stars": row.stars,
+        "unmatched_share": row.quality.get("unmatched_share"),
+        "start_utc": time.get("start_utc"),
+        "span_s": time.get("span_s"),
+        "smallest_temperature_c": temperature.get("smallest"),
+        "largest_temperature_c": temperature.get("largest"),
+        "uploaded_utc": row.uploaded_utc,
+        "uploaded_by": names.person(row.uploaded_by),
+    }
 
 
 @router.post("/telemetry", response_class=HTMLResponse)
@@ -174,4 +202,4 @@ def _again(request: Request, actor: Actor, upload: Upload, refusal: Refusal | No
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
     shown = Shown(int(sensor) if sensor.isdecimal() else None, purpose if purpose in PURPOSES else PURPOSES[0], refusal)
     with reading(request.app.state.engine) as session:
-        return _page(request, session, actor, Filters(None, None, archived=False), None, shown)
+        return _page(request, session, actor, read_view(request, SETS), shown)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -223,6 +223,11 @@ def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
     if row is None:
         raise NotFoundError(f"There is no telemetry set {set_id}.")
     return row
+
+
+def names_of(session: Session, set_ids: Collection[int] | None = None) -> dict[int, str]:
+    """Return the names of these sets by their numbers; of all sets where None is given."""
+    return rows.names(session, set_ids)
 
 
 def list_telemetry_sets(

@@ -12,6 +12,8 @@ import json
 from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.sql.compiler import SQLCompiler
 
 
 def canonical(document: Any) -> str:
@@ -43,3 +45,29 @@ class JsonText(sa.types.TypeDecorator[Any]):
     def process_result_value(self, value: Any, dialect: sa.Dialect) -> Any:  # noqa: ARG002 - SQLAlchemy gives both
         """Decode on the way out."""
         return None if value is None else json.loads(value)
+
+
+class _NumberIn(sa.sql.functions.GenericFunction[float]):
+    """A number inside a document: the engines read JSON in TEXT differently."""
+
+    type = sa.Double()
+    inherit_cache = True
+
+
+@compiles(_NumberIn)
+def _of_sqlite(element: _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
+    """Extract by a path."""
+    column, key = (compiler.process(clause, **options) for clause in element.clauses)
+    return f"json_extract({column}, '$.' || {key})"
+
+
+@compiles(_NumberIn, "postgresql")
+def _of_postgresql(element: _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
+    """Read the text as JSON, and the member as a number."""
+    column, key = (compiler.process(clause, **options) for clause in element.clauses)
+    return f"CAST(CAST({column} AS JSON) ->> {key} AS DOUBLE PRECISION)"
+
+
+def number_in(column: Any, key: str) -> sa.ColumnElement[float]:
+    """Return the expression of a number at a document's top level; NULL where there is none."""
+    return _NumberIn(sa.type_coerce(column, sa.Text), sa.literal(key, sa.Text))

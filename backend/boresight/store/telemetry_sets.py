@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import sqlalchemy as sa
 
@@ -30,3 +30,11 @@ def sets(
     if before_id is not None:
         query = query.where(TelemetrySet.id < before_id)
     return session.scalars(query).all()
+
+
+def names(session: Session, set_ids: Collection[int] | None) -> dict[int, str]:
+    """Return the names of sets by their numbers; of all where None is given."""
+    query = sa.select(TelemetrySet.id, TelemetrySet.name)
+    if set_ids is not None:
+        query = query.where(TelemetrySet.id.in_(set_ids))
+    return {row[0]: row[1] for row in session.execute(query)}

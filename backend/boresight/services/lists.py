@@ -1,0 +1,57 @@
+"""Reading long lists page by page, sorted and narrowed: runs, telemetry, parameter sets, approvals, audit records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from boresight.errors import RefusedInputError
+from boresight.store import lists
+from boresight.store.lists import LISTS, Asked
+from boresight.store.sessions import Session
+
+PAGE = 50
+LONGEST_PAGE = 500
+
+
+def page_of(
+    session: Session, name: str, where: Mapping[str, Any], sort: str, *, before_id: int | None = None, limit: int = PAGE
+) -> list[Any]:
+    """Return a page of a list; the next page is that before the last row's id.
+
+    Parameters
+    ----------
+    name
+        Of the list, one of `boresight.store.lists.LISTS`.
+    where
+        What it is narrowed to, by the names of its filters.
+    sort
+        The name of what it is sorted by; `-` before it puts the greatest first.
+
+    Raises
+    ------
+    RefusedInputError
+        When the list knows no such filter or order.
+    """
+    return lists.page(session, name, _asked(name, where, sort, before_id), max(1, min(limit, LONGEST_PAGE + 1)))
+
+
+def all_of(session: Session, name: str, where: Mapping[str, Any], sort: str) -> Iterator[Any]:
+    """Yield every row of a list in its order.
+
+    Raises
+    ------
+    RefusedInputError
+        When the list knows no such filter or order.
+    """
+    return lists.walk(session, name, _asked(name, where, sort, None))
+
+
+def _asked(name: str, where: Mapping[str, Any], sort: str, before_id: int | None) -> Asked:
+    """Check the names."""
+    known = LISTS[name]
+    if sort.removeprefix("-") not in known.keys:
+        raise RefusedInputError(f"The list is not sorted by {sort!r}; choose from {', '.join(known.keys)}.")
+    if strange := sorted(set(where) - set(known.filters)):
+        raise RefusedInputError(f"The list has no filter {', '.join(strange)}; choose from {', '.join(known.filters)}.")
+    return Asked(where, sort, before_id)

@@ -1,0 +1,211 @@
+"""Long lists, sorted and filtered by the database and cut into pages by key.
+
+A page is asked for by the id of the last row before it. With k the value that the list is sorted by, c the row named,
+and rows without a value last, the page holds the rows after c in the order (k, newest first)::
+
+    k > k_c  or  (k = k_c and id < id_c)  or  k is null            (k < k_c where the order descends)
+
+so that it stays the page it was while rows arrive before it, and the hundredth page costs what the first one does. Only
+ids are sorted, for a row carries documents; the rows of one page are read by their ids. A list is one entry of `LISTS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import defer
+
+from boresight.store.documents import number_in
+from boresight.store.sessions import Session
+from boresight.store.tables import Approval, AuditRecord, ParameterSet, Run, Sensor, TelemetrySet, User
+
+ROWS_A_READ = 500
+Condition = Callable[[Any], sa.ColumnElement[bool]]
+
+
+@dataclass(frozen=True)
+class List:
+    """What a list is made of.
+
+    Parameters
+    ----------
+    table
+        The declared table of its rows.
+    keys
+        What it is sorted by: an expression of each name.
+    filters
+        What it is narrowed by: a condition on the given value.
+    unread
+        Columns that no list shows and that would be most of what is read.
+    """
+
+    table: Any
+    keys: Mapping[str, Any]
+    filters: Mapping[str, Condition]
+    unread: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What of a list is wanted: filters by name, and the name of a key, `-` before it for the greatest first."""
+
+    where: Mapping[str, Any]
+    sort: str
+    before_id: int | None = None
+
+
+def _name_of(table: Any, number: Any) -> Any:
+    """Return the expression of the name that a number of another table stands for."""
+    name = table.printed_name if table is User else table.name
+    return sa.func.lower(sa.select(name).where(table.id == number).correlate_except(table).scalar_subquery())
+
+
+def _is(column: Any) -> Condition:
+    return lambda value: column == value
+
+
+def _holds(*columns: Any) -> Condition:
+    return lambda text: sa.or_(*(column.icontains(text, autoescape=True) for column in columns))
+
+
+_final, _initial = (number_in(Run.summary, f"rms_{when}_arc_rad") for when in ("final", "initial"))
+
+LISTS = {
+    "runs": List(
+        Run,
+        {
+            "run": Run.id,
+            "state": Run.state,
+            "label": sa.func.lower(Run.label),
+            "sensor": _name_of(Sensor, Run.sensor_id),
+            "method": Run.method,
+            "data": _name_of(TelemetrySet, Run.telemetry_set_id),
+            "rms": _final,
+            "validation": number_in(Run.summary, "validation_rms_final_arc_rad"),
+            "chi2": number_in(Run.summary, "chi2_per_dof"),
+            "change": _final / sa.func.nullif(_initial, 0),
+            "by": _name_of(User, Run.launched_by),
+            "started": sa.func.coalesce(Run.started_utc, Run.launched_utc),
+            "ended": Run.ended_utc,
+        },
+        {
+            "sensor": _is(Run.sensor_id),
+            "state": _is(Run.state),
+            "method": _is(Run.method),
+            "data": _is(Run.telemetry_set_id),
+            "q": _holds(Run.label),
+        },
+        ("settings", "sensor_document", "progress"),
+    ),
+    "telemetry": List(
+        TelemetrySet,
+        {
+            "set": sa.func.lower(TelemetrySet.name),
+            "sensor": _name_of(Sensor, TelemetrySet.sensor_id),
+            "frames": TelemetrySet.frames,
+            "stars": TelemetrySet.stars,
+            "unmatched": number_in(TelemetrySet.quality, "unmatched_share"),
+            "uploaded": TelemetrySet.id,
+        },
+        {
+            "sensor": _is(TelemetrySet.sensor_id),
+            "purpose": _is(TelemetrySet.purpose),
+            "in_use": lambda _: TelemetrySet.archived_utc.is_(None),
+            "q": _holds(TelemetrySet.name),
+        },
+    ),
+    "parameter-sets": List(
+        ParameterSet,
+        {
+            "set": ParameterSet.id,
+            "sensor": _name_of(Sensor, ParameterSet.sensor_id),
+            "ground": ParameterSet.ground_state,
+            "board": ParameterSet.onboard_state,
+            "run": ParameterSet.run_id,
+            "by": _name_of(User, ParameterSet.created_by),
+            "baseline": ParameterSet.baseline_from_utc,
+        },
+        {
+            "sensor": _is(ParameterSet.sensor_id),
+            "state": _is(ParameterSet.ground_state),
+            "board": _is(ParameterSet.onboard_state),
+            "q": _holds(ParameterSet.name, ParameterSet.sha256),
+        },
+    ),
+    "approvals": List(
+        Approval,
+        {
+            "request": Approval.id,
+            "set": _name_of(ParameterSet, Approval.parameter_set_id),
+            "state": Approval.state,
+            "by": _name_of(User, Approval.submitted_by),
+            "expires": Approval.expires_utc,
+        },
+        {
+            "state": _is(Approval.state),
+            "submitted_by": _is(Approval.submitted_by),
+            "q": _holds(Approval.reason),
+        },
+    ),
+    "audit": List(
+        AuditRecord,
+        {"number": AuditRecord.id, "who": sa.func.lower(AuditRecord.actor), "did": AuditRecord.action},
+        {
+            "object": _is(AuditRecord.object),
+            "actor": _is(AuditRecord.actor),
+            "action": _is(AuditRecord.action),
+            "since_utc": lambda time_utc: AuditRecord.at_utc >= time_utc,
+            "until_utc": lambda time_utc: AuditRecord.at_utc < time_utc,
+        },
+    ),
+}
+
+
+def page(session: Session, name: str, asked: Asked, limit: int) -> list[Any]:
+    """Return the rows of a page, at most `limit`."""
+    known = LISTS[name]
+    return _rows(session, known, session.scalars(_ids(session, known, asked).limit(limit)).all())
+
+
+def walk(session: Session, name: str, asked: Asked) -> Iterator[Any]:
+    """Yield every row of a list in its order, from the first page on, without holding them all."""
+    known = LISTS[name]
+    ids = session.scalars(_ids(session, known, asked)).all()
+    for start in range(0, len(ids), ROWS_A_READ):
+        yield from _rows(session, known, ids[start : start + ROWS_A_READ])
+        session.expunge_all()
+
+
+def _ids(session: Session, known: List, asked: Asked) -> Any:
+    """Select the ids of a list in its order, those of the rows before the page left out."""
+    identity, key = known.table.id, known.keys[asked.sort.removeprefix("-")]
+    query = sa.select(identity).where(*(known.filters[name](value) for name, value in asked.where.items()))
+    descends = asked.sort.startswith("-")
+    if asked.before_id is not None:
+        query = query.where(_after(session, known, key, descends, asked.before_id))
+    if key is identity:
+        return query.order_by(identity.desc() if descends else identity)
+    return query.order_by((key.desc() if descends else key.asc()).nulls_last(), identity.desc())
+
+
+def _after(session: Session, known: List, key: Any, descends: bool, before_id: int) -> sa.ColumnElement[bool]:
+    """Say in SQL which rows come after one."""
+    identity = known.table.id
+    if key is identity:
+        return identity < before_id if descends else identity > before_id  # type: ignore[no-any-return]  # columns are Any here
+    last = session.scalar(sa.select(key).where(identity == before_id))
+    if last is None:
+        return sa.and_(key.is_(None), identity < before_id)
+    further = key < last if descends else key > last
+    return sa.or_(further, sa.and_(key == last, identity < before_id), key.is_(None))
+
+
+def _rows(session: Session, known: List, ids: Sequence[int]) -> list[Any]:
+    """Read rows by their ids, in the order of these."""
+    left_out = [defer(getattr(known.table, name)) for name in known.unread]
+    found = session.scalars(sa.select(known.table).where(known.table.id.in_(ids)).options(*left_out))
+    by_id = {row.id: row for row in found}
+    return [by_id[number] for number in ids if number in by_id]
