@@ -8,7 +8,6 @@ import io
 import pytest
 
 
-
 def test_a_row_says_how_much_the_rms_fell_in_microradians(house, read, results):
     house_page = read(house.visitor("victor").get("/runs"))
     rms = results["batch"]["rms_arc_rad"]
