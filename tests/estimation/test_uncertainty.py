@@ -11,7 +11,9 @@ from boresight.estimation.uncertainty import (
     _arcs_from,
     arc_sigma,
     difference_over_detector,
+    displacement_px,
     expected_difference,
+    radial_difference,
 )
 from tests.estimation.fields import COLUMNS, FREE, PITCH, ROWS, SCALE, TRUTH, star_field, weighed
 
@@ -81,3 +83,14 @@ def test_the_expected_difference_is_the_mean_square_of_differences_drawn(P):
 
     expected = expected_difference(INVERTED_WANG, TRUTH, P, places, PITCH)
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(drawn), axis=0)), expected, rtol=0.08)
+
+
+def test_displacements_of_two_states_differ_by_the_radial_difference_and_a_pinhole_has_none(P):
+    radius, moved = np.linspace(0, 1600, 9), TRUTH * 1.001
+    old, new = (displacement_px(INVERTED_WANG, x, TRUTH, radius, PITCH) for x in (TRUTH, moved))
+    between = radial_difference(INVERTED_WANG, moved, TRUTH, P, radius, PITCH)
+    assert new - old == pytest.approx(between.difference_px, abs=1e-9)
+
+    pinhole = TRUTH.copy()
+    pinhole[3] = pinhole[4] = 0.0
+    assert displacement_px(INVERTED_WANG, pinhole, pinhole, radius, PITCH) == pytest.approx(0, abs=1e-9)

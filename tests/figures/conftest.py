@@ -69,6 +69,7 @@ def ending(rng):
             "difference_arcsec": (change * 28.3).tolist(),
             "sigma_px": (0.02 + 4e-10 * radius**3).tolist(),
             "sigma_arcsec": ((0.02 + 4e-10 * radius**3) * 28.3).tolist(),
+            "displacement_px": {"initial": (-3e-9 * radius**3).tolist(), "final": (change - 3e-9 * radius**3).tolist()},
             "data_radius_px": 1440.0,
             "counts": {"edges_px": edges.tolist(), "stars": rng.poisson(np.linspace(20, 330, 25)).tolist()},
         },

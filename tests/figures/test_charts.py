@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from boresight.figures import FIGURES, Trace
+from boresight.figures.course import settled_step
+from boresight.figures.rms_tail import sigma_of_rms, tail_of, tailed
 
 
 def named(drawn, name):
@@ -23,27 +25,63 @@ def test_the_tail_and_the_aggregate_are_told_apart_by_dash(sequential_result):
     assert named(drawn, "Run · aggregate")[0].line.dash == "dot"
 
 
-def test_the_settled_part_leaves_the_first_fifth_out(sequential_result):
-    drawn = FIGURES["rms"].draw([Trace("Run", sequential_result)])
-    settled = named(drawn, "Run · tail")[1]
-    assert min(settled.x) == 40
+def test_the_tail_begins_where_the_run_had_settled_or_where_a_reader_wants_it(sequential_result):
+    had_settled = settled_step(sequential_result)
+    for trace, start in (
+        (Trace("Run", sequential_result), had_settled),
+        *((one, 50) for one in tailed([Trace("Run", sequential_result)], 50)),
+        *(
+            (one, 40) for one in [Trace("Run", sequential_result | {"status": "running"})]
+        ),  # the first fifth is left out
+    ):
+        whole, tail = named(FIGURES["rms"].draw([trace]), "Run · tail")
+        assert min(whole.x) == 0
+        assert min(tail.x) == pytest.approx(start, abs=1)
 
 
-def test_radii_without_stars_are_shaded_from_the_outermost_star_on(sequential_result):
-    drawn = FIGURES["radial"].draw([Trace("Run", sequential_result)])
-    shaded = [shape for shape in drawn.layout.shapes if shape.type == "rect"]
-    assert {shape.x0 for shape in shaded} == {1440.0}
-    assert {shape.x1 for shape in shaded} == {1620.0}
-    said = next(annotation for annotation in drawn.layout.annotations if annotation.text == "no stars")
-    assert 1440.0 < said.x < 1620.0
-    assert drawn.layout[said.yref.replace(" domain", "").replace("y", "yaxis")].title.text == "stars"
+def test_the_tail_s_mean_and_its_sigma_are_those_of_the_window(sequential_result):
+    (trace,) = tailed([Trace("Run", sequential_result)], 100)
+    tail = tail_of(trace.result)
+    mean = np.mean(sequential_result["history"]["tail_rms_rad"][100:])
+    assert (tail.points, tail.chosen) == (100, True)
+    assert tail.tail_rad == pytest.approx(mean)
+    assert tail.sigma_rad == pytest.approx(mean / np.sqrt(2 * sequential_result["pairs"]))
 
 
-def test_a_shade_too_narrow_for_words_is_named_in_the_legend(sequential_result):
-    radial = sequential_result["radial"] | {"data_radius_px": 1600.0}
-    drawn = FIGURES["radial"].draw([Trace("Run", sequential_result | {"radial": radial})])
-    assert not drawn.layout.annotations
-    assert [trace.showlegend for trace in named(drawn, "no stars")] == [True]
+def test_an_rms_of_n_arcs_scatters_by_its_sigma():
+    arcs = np.random.default_rng(3).normal(size=(4000, 200))
+    rms = np.sqrt(np.mean(arcs**2, axis=1))
+    assert rms.std() == pytest.approx(sigma_of_rms(1.0, 200), rel=0.05)
+
+
+@pytest.mark.parametrize(("name", "panels"), [("distortion", 1), ("radial", 2)])
+def test_radii_without_stars_are_hatched_from_the_outermost_star_on_and_named_once(name, panels, sequential_result):
+    hatched = named(FIGURES[name].draw([Trace("Run", sequential_result)]), "no stars: extrapolated")
+    assert [(min(one.x), max(one.x)) for one in hatched] == [(1440.0, 1620.0)] * panels
+    assert {one.fillpattern.shape for one in hatched} == {"/"}
+    assert [one.showlegend for one in hatched].count(True) == 1
+
+
+def test_new_minus_old_displacement_is_the_radial_difference(sequential_result):
+    drawn = FIGURES["distortion"].draw([Trace("Run", sequential_result)])
+    (new,), (old,) = named(drawn, "Run"), named(drawn, "old: at launch")
+    assert np.array(new.y) - np.array(old.y) == pytest.approx(sequential_result["radial"]["difference_px"], abs=1e-5)
+
+
+def test_a_result_from_before_the_curves_were_kept_says_how_to_have_them(sequential_result):
+    radial = {key: value for key, value in sequential_result["radial"].items() if key != "displacement_px"}
+    drawn = FIGURES["distortion"].draw([Trace("Run", sequential_result | {"radial": radial})])
+    assert "start it again" in drawn.layout.annotations[0].text
+
+
+def test_correlations_are_the_covariance_over_the_sigmas_and_name_the_strongest_pair():
+    P = np.array([[4.0, -5.4], [-5.4, 9.0]])
+    result = {"covariance": {"names": ["f_m", "b2_per_m2"], "matrix": P.tolist()}, "parameters": {"f_m": 1.0}}
+    drawn = FIGURES["correlation"].draw([Trace("Run", result)])
+    assert np.array(drawn.data[0].z, float)[0, 1] == pytest.approx(-0.9)
+    assert np.isnan(np.array(drawn.data[0].z, float)[0, 0])
+    assert "−0.9: read them together" in drawn.layout.title.text
+    assert FIGURES["correlation"].table(result)["correlation"] == pytest.approx([1.0, -0.9, 1.0])
 
 
 def test_maps_beside_each_other_have_short_titles_and_one_set_of_row_labels(sequential_result, batch_result):

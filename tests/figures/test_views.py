@@ -123,7 +123,7 @@ def test_a_window_shows_the_points_that_were_thinned_away_and_what_they_add_up_t
     assert len(line.x) == 103  # both ends and a neighbour beyond each
     assert np.sum((seen.x >= 10_000) & (seen.x <= 10_100)) < 20
     assert len(line.customdata) == len(line.x)
-    judge, coarse_judge = ([drawn for drawn in figure.data if drawn.name == "a"][-1] for figure in (fine, coarse))
+    judge, coarse_judge = ([drawn for drawn in figure.data if drawn.name == "a"][-2] for figure in (fine, coarse))
     at = np.interp(10_050, coarse_judge.x, coarse_judge.y)
     assert np.interp(10_050, judge.x, judge.y) == pytest.approx(at, rel=0.02)  # the mean so far, not of the window
 

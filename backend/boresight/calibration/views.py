@@ -11,7 +11,7 @@ from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.problem import Problem
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.metrics import aggregate_rms, tail_rms
-from boresight.estimation.uncertainty import radial_difference
+from boresight.estimation.uncertainty import displacement_px, radial_difference
 
 FloatArray = NDArray[np.float64]
 
@@ -101,6 +101,10 @@ def radial_view(
         "sigma_px": _list(curve.sigma_px),
         "difference_arcsec": _list(curve.difference_rad * ARCSEC),
         "sigma_arcsec": _list(curve.sigma_rad * ARCSEC),
+        "displacement_px": {
+            "initial": _list(displacement_px(camera, sensor.initial, sensor.initial, radius, sensor.pixel_pitch_m)),
+            "final": _list(displacement_px(camera, estimate.x, sensor.initial, radius, sensor.pixel_pitch_m)),
+        },
         "data_radius_px": float(reach.max()),
         "counts": {"edges_px": _list(edges), "stars": np.histogram(reach, edges)[0].tolist()},
     }

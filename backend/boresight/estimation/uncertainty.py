@@ -81,6 +81,21 @@ def radial_difference(
     )
 
 
+def displacement_px(
+    camera: CameraModel, x: FloatArray, x_0: FloatArray, radius_px: FloatArray, pitch: float
+) -> FloatArray:
+    """Return how far a state bends the radius away from a pinhole with the focal length of x_0, (n_radii,) in pixels.
+
+    A pinhole has the tangent r p / f_0 at the radius r. What the state has beyond that is brought to pixels by the plate
+    scale of x_0, r / t_0, so that the displacements of two states differ by exactly `radial_difference`.
+    """
+    radius = np.asarray(radius_px, dtype=np.float64)
+    t, _ = camera.radial_tangent(x, radius, pitch)
+    t_0, _ = camera.radial_tangent(x_0, radius, pitch)
+    ideal = radius * pitch / x_0[camera.parameter_names.index("f_m")]
+    return np.asarray(radius / np.where(t_0 == 0, np.inf, t_0) * (t - ideal))
+
+
 #: Azimuths in which arcs leave a place.
 AZIMUTHS = 8
 

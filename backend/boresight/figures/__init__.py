@@ -3,7 +3,9 @@
 from boresight.figures.arc_uncertainty import ARC_UNCERTAINTY
 from boresight.figures.chart import Figure, Result, Table, Trace, figure_json
 from boresight.figures.convergence import CONVERGENCE
+from boresight.figures.correlation import CORRELATION
 from boresight.figures.coverage import COVERAGE
+from boresight.figures.distortion import DISTORTION
 from boresight.figures.drop_one import DROP_ONE
 from boresight.figures.efficiency import EFFICIENCY
 from boresight.figures.frame_observability import FRAME_OBSERVABILITY
@@ -26,10 +28,10 @@ from boresight.figures.whiteness import WHITENESS
 __all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Result", "Table", "Trace", "figure_json"]
 
 CHAPTERS: dict[str, tuple[Figure, ...]] = {
-    "summary": (PARAMETERS, METHODS),
+    "summary": (PARAMETERS, CORRELATION, METHODS),
     "convergence": (CONVERGENCE,),
     "rms": (RMS,),
-    "distortion": (RADIAL, COVERAGE),
+    "distortion": (DISTORTION, RADIAL, COVERAGE),
     "observability": (OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION),
     "residuals": (RESIDUAL_AGAINST, RESIDUAL_MAP, INNOVATIONS, WHITENESS),
     "trust": (TWO_HALVES, ARC_UNCERTAINTY, EFFICIENCY, MORE_DATA, DROP_ONE, STARS),
@@ -38,7 +40,7 @@ CHAPTERS: dict[str, tuple[Figure, ...]] = {
 FIGURES: dict[str, Figure] = {figure.name: figure for chapter in CHAPTERS.values() for figure in chapter}
 WIDE = frozenset(
     {
-        "convergence", "observability", "frame-observability", "two-halves", "more-data", "residual-map", "stars",
-        "matching", "shadow",
+        "convergence", "rms", "distortion", "radial", "observability", "frame-observability", "two-halves", "more-data",
+        "residual-map", "stars", "matching", "shadow",
     }
 )  # fmt: skip

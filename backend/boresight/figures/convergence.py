@@ -7,8 +7,7 @@ comparison with frames on the axis a batch run is drawn as a level with its band
 The first bands are the a-priori ones and would flatten all that follows, so the window of each panel holds what
 follows the first steps, the median band, the truth, and the initial level where that is near; a double click shows all.
 
-The last panel judges the whole: a batch run's cost, on a log axis, or a sequential run's normalised innovation squared,
-sum nis / sum dof of the frames so far, which is 1 for a filter whose covariance is honest.
+The dotted line is where a run settled, and the last two panels judge it as a whole: `convergence_judge` has both.
 """
 
 from __future__ import annotations
@@ -22,7 +21,9 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from boresight.figures import theme
+from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.convergence_judge import PANELS, draw_judges, mark_settled
 from boresight.figures.course import Course, course_of, free_names
 from boresight.figures.quantities import Quantity, change_label, quantity
 from boresight.figures.thinning import keep_extremes
@@ -34,7 +35,11 @@ COLUMNS = 3
 PANEL_HEIGHT_PX = 190
 TRANSIENT_SHARE = 0.05  # of the steps, which the window need not hold
 POINT_BUDGET = 7000  # estimates of all panels and runs together
-JUDGE_BUDGET = 1200  # costs or innovations of all runs together
+REFERENCES = {
+    "initial": (theme.REFERENCE_COLOUR, "dot"),
+    "baseline": (theme.REFERENCE_COLOUR, "dash"),
+    "truth": (theme.TRUTH_COLOUR, "longdashdot"),
+}
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,8 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         return theme.missing(TITLE, "No frame or iteration has been recorded yet: the curves appear as the run moves.")
     axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
     panels = _panels(traces, found)
-    n_rows = 1 + len(panels) // COLUMNS
+    n_panels = len(panels) + PANELS
+    n_rows = -(-n_panels // COLUMNS)
     figure = make_subplots(n_rows, COLUMNS, shared_xaxes="all", horizontal_spacing=0.09, vertical_spacing=0.16 / n_rows)
     span = _span([course for course in found if course.axis == axis])
     limit = POINT_BUDGET // (len(panels) * len(found))
@@ -71,8 +77,16 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     for panel in panels:
         _draw_references(figure, panel, traces, span)
         _frame_panel(figure, panel)
-    _draw_judge(figure, divmod(len(panels), COLUMNS), [c if c and c.axis == axis else None for c in courses], traces)
-    return _dress(figure, traces, axis, n_rows, len(panels) + 1)
+    _dress(figure, traces, axis, n_rows, n_panels)
+    along = [course if course and course.axis == axis else None for course in courses]
+    draw_judges(figure, (_place(len(panels)), _place(len(panels) + 1)), along, traces)
+    mark_settled(figure, along, traces, n_panels)
+    return share_cursor(figure, axis)
+
+
+def _place(number: int) -> tuple[int, int]:
+    """Return row and column, from 1, of a panel."""
+    return number // COLUMNS + 1, number % COLUMNS + 1
 
 
 def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_rows: int, n_panels: int) -> go.Figure:
@@ -155,37 +169,11 @@ def _seen(value: FloatArray, reach: FloatArray) -> list[float]:
     return [float(settled.min()), float(settled.max()), float(value[-1]) - half, float(value[-1]) + half]
 
 
-def _draw_judge(
-    figure: go.Figure, place: tuple[int, int], courses: Sequence[Course | None], traces: Sequence[Trace]
-) -> None:
-    """Add the panel that judges the whole: cost of a batch run, or innovations of a sequential one."""
-    where = {"row": place[0] + 1, "col": place[1] + 1}
-    for course, style in zip(courses, theme.run_styles(traces), strict=True):
-        if course is None:
-            continue
-        y = course.series("cost") if course.axis == "iteration" else _innovations(course)
-        kept = keep_extremes([y], max(JUDGE_BUDGET // len(courses), 40))
-        hover = f"%{{y:.4g}}<extra>{style.label}</extra>"
-        drawn = theme.line(style, course.x[kept], y[kept], hovertemplate=hover, showlegend=False)
-        figure.add_trace(drawn, **where)
-    if any(course is not None and course.axis == "frame" for course in courses):
-        figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, **where)
-        figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **where)
-    else:
-        figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", dtick=1, **where)
-
-
-def _innovations(course: Course) -> FloatArray:
-    """Average the normalised innovation squared over the frames so far, per degree of freedom."""
-    nis, dof = (np.nancumsum(course.series(key)) for key in ("nis", "nis_dof"))
-    return np.where(dof > 0, nis / np.maximum(dof, 1), np.nan)
-
-
 def _draw_references(figure: go.Figure, panel: Panel, traces: Sequence[Trace], span: tuple[float, float]) -> None:
-    """Add the initial level, and the true one where a simulation knows it."""
+    """Add the initial level, the baseline's where it is another, and the true one where a simulation knows it."""
     levels: dict[tuple[str, float], tuple[str, str]] = {}
     for trace in traces:
-        for key, look in (("initial", (theme.REFERENCE_COLOUR, "dot")), ("truth", (theme.TRUTH_COLOUR, "longdashdot"))):
+        for key, look in REFERENCES.items():
             value = _named(trace.result.get(key), panel.name)
             if value is not None:
                 levels[key, float(panel.change(value))] = look
@@ -229,8 +217,9 @@ CONVERGENCE = Figure(
     title=TITLE,
     guide=(
         "Each panel shows how far one parameter has moved from its initial value (dotted line at zero), with its "
-        "own ±3σ band; double-click a panel to see the wide first bands. A trustworthy run settles, its band "
-        "narrows around the curve, and the curve stays inside the bands it drew earlier."
+        "own ±3σ band, and the last two the cost and the step; double-click a panel to see the wide first bands. A "
+        "trustworthy run settles (dotted upright line), its band narrows around the curve, and the curve stays inside "
+        "the bands it drew earlier."
     ),
     draw=draw,
     table=table,

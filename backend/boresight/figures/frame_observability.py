@@ -15,6 +15,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.figures import theme
+from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.trust_parts import FloatArray, Part, column
 
@@ -62,7 +63,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure.update_yaxes(title_text="min s, one value" if len(drawn) == 1 else "min s, σ2 alone", row=2, col=1)
     figure.update_xaxes(showticklabels=True)
     figure.update_xaxes(title_text=f"frame{_spacing(drawn)}", row=2, col=1)
-    return figure
+    return share_cursor(figure, "frame")
 
 
 def _window(drawn: Sequence[Part], names: Sequence[str]) -> list[float] | None:

@@ -15,6 +15,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.figures import theme
+from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.course import Course, course_of
 from boresight.figures.method_scores import bound_of, method_scores
@@ -60,7 +61,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4})
     figure.update_xaxes(title_text=axis)
     figure.update_yaxes(title_text="error / bound", type="log", exponentformat="power")
-    return figure
+    return share_cursor(figure, axis)
 
 
 def _approach(result: Result) -> _Approach | None:

@@ -2,7 +2,7 @@
 
 f, b4 and b2 trade against each other, so their separate values say little; their joint effect, the radial displacement
 final minus initial at a distance from the principal point, says what the detector will see. Below stand the stars that
-carried it, over the same radius; beyond the outermost star the curve is extrapolation, and shaded as such.
+carried it, over the same radius; beyond the outermost star the curve is extrapolation, and hatched as such.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from boresight.figures import theme
+from boresight.figures.axes import hatch, share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.thinning import keep_extremes
 
 FloatArray = NDArray[np.float64]
 
 TITLE = "Radial difference"
-SHADE = "rgba(133,146,163,0.16)"
-WIDE_ENOUGH = 0.06  # of the axis: a line of upright letters on the narrowest chart
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
@@ -41,12 +40,20 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     for trace, style in drawn:
         seen += _draw_run(figure, trace.result["radial"], style)
     theme.dress(figure, title=_headline(drawn[0][0]), height_px=460)
-    _shade_extrapolation(figure, [trace.result["radial"] for trace, _ in drawn])
-    _scale(figure, seen, _arcsec_per_px([trace.result["radial"] for trace, _ in drawn]))
-    return figure
+    radials = [trace.result["radial"] for trace, _ in drawn]
+    _hatch_extrapolation(figure, radials, window_of(seen))
+    _scale(figure, window_of(seen), arcsec_per_px(radials))
+    return share_cursor(figure, "radius_px")
 
 
-def _array(radial: Result, key: str) -> FloatArray:
+def window_of(seen: Sequence[float]) -> list[float]:
+    """Return the span of an axis that holds some values, with a margin."""
+    margin = 0.08 * (max(seen) - min(seen)) or 0.1
+    return [min(seen) - margin, max(seen) + margin]
+
+
+def column(radial: Result, key: str) -> FloatArray:
+    """Read a series over the radii, (n_radii,), NaN where it is not there."""
     n_points = len(radial["radius_px"])
     values = np.array(radial.get(key) or [], dtype=np.float64)
     return values if values.shape == (n_points,) else np.full(n_points, np.nan)
@@ -54,10 +61,10 @@ def _array(radial: Result, key: str) -> FloatArray:
 
 def _draw_run(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[float]:
     """Add one run's curve, band and histogram; return what the axis must hold where there are stars."""
-    radius, change = _array(radial, "radius_px"), _array(radial, "difference_px")
-    reach = 3 * _array(radial, "sigma_px")
+    radius, change = column(radial, "radius_px"), column(radial, "difference_px")
+    reach = 3 * column(radial, "sigma_px")
     kept = keep_extremes([change, reach])
-    angles = np.stack([_array(radial, "difference_arcsec"), 3 * _array(radial, "sigma_arcsec")])[:, kept]
+    angles = np.stack([column(radial, "difference_arcsec"), 3 * column(radial, "sigma_arcsec")])[:, kept]
     seen = np.concatenate([change, change - reach, change + reach])
     radius, change, reach = radius[kept], change[kept], reach[kept]
     figure.add_trace(theme.band(style, radius, change - reach, change + reach), row=1, col=1)
@@ -91,39 +98,32 @@ def _draw_counts(figure: go.Figure, counts: Result, style: theme.RunStyle) -> No
     figure.add_trace(outline, row=2, col=1)
 
 
-def _shade_extrapolation(figure: go.Figure, radials: Sequence[Result]) -> None:
-    """Shade the radii that no star of any run reached."""
+def reached_px(radials: Sequence[Result]) -> tuple[float, float]:
+    """Return the radius of the outermost star of any run, and where the axis ends."""
     reached = [float(radial["data_radius_px"]) for radial in radials if radial.get("data_radius_px") is not None]
     end = max(float(np.max(radial["radius_px"])) for radial in radials)
+    return (max(reached) if reached else end), end
+
+
+def _hatch_extrapolation(figure: go.Figure, radials: Sequence[Result], window: list[float]) -> None:
+    """Hatch the radii that no star of any run reached."""
+    reached, end = reached_px(radials)
     figure.update_xaxes(range=[0, end])
-    if not reached or max(reached) >= end:
+    if reached >= end:
         return
-    for row in (1, 2):
-        figure.add_vrect(x0=max(reached), x1=end, fillcolor=SHADE, line_width=0, layer="below", row=row, col=1)
-    figure.add_vline(
-        x=max(reached), line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1}, row="all", col=1
-    )
-    _say_extrapolation(figure, max(reached), end)
+    most = max([1, *(count for radial in radials for count in (radial.get("counts") or {}).get("stars") or ())])
+    hatch(figure, (reached, end), (window[0], window[1]), named=True, row=1, col=1)
+    hatch(figure, (reached, end), (0, most), named=False, row=2, col=1)
+    line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1}
+    figure.add_vline(x=reached, line=line, row="all", col=1)
 
 
-def _say_extrapolation(figure: go.Figure, start: float, end: float) -> None:
-    """Write over the empty part of the histogram, where no curve runs, or in the legend where that part is narrow."""
-    if end - start >= WIDE_ENOUGH * end:
-        middle = {"x": (start + end) / 2, "y": 0.5, "xref": "x", "yref": "y3 domain"}
-        figure.add_annotation(text="no stars", textangle=-90, showarrow=False, font={"size": 12}, **middle)
-        return
-    square = {"symbol": "square", "size": 12, "color": theme.REFERENCE_COLOUR, "opacity": 0.4}
-    figure.add_trace(
-        go.Scatter(x=[None], y=[None], mode="markers", marker=square, name="no stars", showlegend=True), row=2, col=1
-    )
-
-
-def _arcsec_per_px(radials: Sequence[Result]) -> float | None:
+def arcsec_per_px(radials: Sequence[Result]) -> float | None:
     """Read the plate scale on the axis out of the curves, or None where the runs do not share one."""
     scales = []
     for radial in radials:
-        pixels = np.concatenate([_array(radial, "sigma_px"), _array(radial, "difference_px")])
-        angles = np.concatenate([_array(radial, "sigma_arcsec"), _array(radial, "difference_arcsec")])
+        pixels = np.concatenate([column(radial, "sigma_px"), column(radial, "difference_px")])
+        angles = np.concatenate([column(radial, "sigma_arcsec"), column(radial, "difference_arcsec")])
         usable = np.isfinite(pixels) & np.isfinite(angles) & (np.abs(pixels) > 1e-12)
         if not usable.any():
             return None
@@ -131,12 +131,10 @@ def _arcsec_per_px(radials: Sequence[Result]) -> float | None:
     return scales[0] if max(scales) < 1.02 * min(scales) else None
 
 
-def _scale(figure: go.Figure, seen: list[float], arcsec_per_px: float | None) -> None:
+def _scale(figure: go.Figure, window: list[float], arcsec_per_px: float | None) -> None:
     """Put arcseconds on the right, tied to the pixels on the left, where one plate scale holds."""
     figure.update_xaxes(title_text="radius from the principal point (px)", row=2, col=1)
     figure.update_yaxes(title_text="stars", rangemode="tozero", row=2, col=1)
-    margin = 0.08 * (max(seen) - min(seen)) or 0.1
-    window = [min(seen) - margin, max(seen) + margin]
     figure.update_yaxes(title_text="final − initial (px)", range=window, zeroline=True, row=1, col=1, secondary_y=False)
     if arcsec_per_px is None:
         figure.update_yaxes(visible=False, row=1, col=1, secondary_y=True)
@@ -151,13 +149,13 @@ def _scale(figure: go.Figure, seen: list[float], arcsec_per_px: float | None) ->
 
 def _headline(trace: Trace) -> str:
     radial = trace.result["radial"]
-    change, radius = _array(radial, "difference_px"), _array(radial, "radius_px")
+    change, radius = column(radial, "difference_px"), column(radial, "radius_px")
     reached = radial.get("data_radius_px")
     within = np.isfinite(change) & (radius <= (np.inf if reached is None else float(reached)))
     if not within.any():
         return TITLE
     worst = int(np.argmax(np.where(within, np.abs(change), -1.0)))
-    reach = 3 * _array(radial, "sigma_px")[worst]
+    reach = 3 * column(radial, "sigma_px")[worst]
     spread = f" ±{reach:.2g}" if np.isfinite(reach) else ""
     return f"Largest change where stars reach: {theme.signed(change[worst])}{spread} px (3σ) at {radius[worst]:.0f} px"
 
@@ -168,7 +166,7 @@ def table(result: Result) -> Table:
     if not radial.get("radius_px"):
         return {}
     keys = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
-    return {key: theme.plain(_array(radial, key)) for key in keys}
+    return {key: theme.plain(column(radial, key)) for key in keys}
 
 
 RADIAL = Figure(
@@ -177,7 +175,7 @@ RADIAL = Figure(
     guide=(
         "The curve is how far the new parameters move a star along the radius against the initial ones, with its "
         "±3σ band; the histogram below counts the stars at that radius. Trust it where stars stand and the band "
-        "is narrow: in the shaded part no star was seen and the curve is extrapolation."
+        "is narrow: in the hatched part no star was seen and the curve is extrapolation."
     ),
     draw=draw,
     table=table,

@@ -5,7 +5,8 @@ under the parameters it had at the time. An aggregate well below the tail means 
 A batch run has the error of the whole set at each iteration; beside sequential runs it is a level.
 
 The first frames fall from the initial error by hundreds of microradians and tail and aggregate then differ by a few, so
-a sequential run is drawn twice: whole on the left, and on the right what follows its first fifth.
+a sequential run is drawn twice: whole on the left, and on the right what follows once it had settled, or from where a
+reader wants it. The band is what chance alone does to an RMS of so many arcs (`rms_tail`).
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from boresight.figures import theme
+from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.course import Course, course_of
+from boresight.figures.rms_tail import tail_start
 from boresight.figures.thinning import keep_extremes
 
 FloatArray = NDArray[np.float64]
@@ -30,7 +33,7 @@ TITLE = "Tail and aggregate RMS"
 URAD_PER_RAD = 1e6
 LOG_RATIO = 8.0  # beyond this ratio of highest to lowest a log axis reads better
 TICKS_URAD = [step * 10**decade for decade in range(-1, 6) for step in (1, 2, 5)]
-SETTLING_SHARE = 0.2
+MOST_BANDS = 3  # runs with their bands; more hide the curves
 POINT_BUDGET = 8000  # of all panels, runs and curves together
 CURVES = {"frame": {"tail_rms_rad": "tail", "aggregate_rms_rad": "aggregate"}, "iteration": {"rms_arc_rad": "RMS"}}
 
@@ -55,24 +58,30 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
     along = [course.x for course in found if course.axis == axis]
     span = (min(float(x.min()) for x in along), max(float(x.max()) for x in along))
-    starts = [span[0]] if axis == "iteration" else [span[0], span[0] + SETTLING_SHARE * (span[1] - span[0])]
-    panels = [_Panel(i + 1, start, span[1], POINT_BUDGET // (4 * len(found))) for i, start in enumerate(starts)]
+    starts = [span[0]] if axis == "iteration" else [span[0], _tail_start(traces, courses)]
+    panels = [_Panel(i + 1, start, span[1], POINT_BUDGET // (6 * len(found))) for i, start in enumerate(starts)]
     figure = make_subplots(1, len(panels), column_widths=[0.4, 0.6][: len(panels)] if len(panels) > 1 else None)
     for trace, course, style in zip(traces, courses, theme.run_styles(traces), strict=True):
         for panel in panels:
             if course is not None and course.axis == axis:
-                _draw_run(figure, panel, course, style)
+                _draw_run(figure, panel, course, style, len(traces) <= MOST_BANDS and trace.result.get("pairs"))
             if len(traces) == 1 or course is None or course.axis != axis:
                 _draw_levels(figure, panel, trace.result, style, single=len(traces) == 1)
     return _dress(figure, panels, traces, axis)
+
+
+def _tail_start(traces: Sequence[Trace], courses: Sequence[Course | None]) -> float:
+    """Return where the last of the sequential runs has its tail begin."""
+    pairs = zip(traces, courses, strict=True)
+    return max(tail_start(trace.result, course) for trace, course in pairs if course and course.axis == "frame")
 
 
 def _has_curve(course: Course) -> bool:
     return any(np.isfinite(course.series(key)).any() for key in CURVES[course.axis])
 
 
-def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.RunStyle) -> None:
-    """Add the curves of one run; tail in the run's dash, aggregate dotted in the same colour."""
+def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.RunStyle, pairs: float | None) -> None:
+    """Add the curves of one run; tail in the run's dash, aggregate dotted in the same colour; bands where `pairs` is known."""
     for key, word in CURVES[course.axis].items():
         y = course.series(key) * URAD_PER_RAD
         shown = np.isfinite(y) & (course.x >= panel.start)
@@ -80,6 +89,9 @@ def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.Run
         if not len(x):
             continue
         kept = keep_extremes([y], panel.limit)
+        if pairs and word != "aggregate":
+            reach = 3 * y[kept] / np.sqrt(2 * pairs)
+            figure.add_trace(theme.band(style, x[kept], y[kept] - reach, y[kept] + reach), row=1, col=panel.column)
         name = f"{style.label} · {word}"
         curve = theme.RunStyle(style.label, style.colour, "dot" if word == "aggregate" else style.dash)
         settings = {
@@ -121,9 +133,9 @@ def _dress(figure: go.Figure, panels: list[_Panel], traces: Sequence[Trace], axi
         figure.update_xaxes(title_text=axis, range=_window(panel.start, panel.end), row=1, col=panel.column)
     if len(panels) > 1:
         figure.update_xaxes(title_text=f"{axis}, whole run", row=1, col=1)
-        figure.update_xaxes(title_text=f"{axis}, after the first fifth", row=1, col=2)
+        figure.update_xaxes(title_text=f"{axis}, tail from {panels[1].start:.5g} on", row=1, col=2)
     figure.update_yaxes(title_text="RMS arc error (µrad)", row=1, col=1)
-    return figure
+    return share_cursor(figure, axis)
 
 
 def _window(start: float, end: float) -> list[float]:
@@ -152,10 +164,10 @@ RMS = Figure(
     name="rms",
     title=TITLE,
     guide=(
-        "Tail is the error of the whole set under the parameters of that moment, aggregate the running error of "
-        "the frames so far, each under the parameters it had at the time. The two should meet and lie flat near "
-        "the final level; an aggregate well below the tail means that the filter follows single frames instead of "
-        "the sensor."
+        "Tail is the error of the whole set under the parameters of that moment, with what chance does to it (±3σ), "
+        "aggregate the running error of the frames so far, each under the parameters it had at the time. The two should "
+        "meet and lie flat near the final level; an aggregate well below the tail means that the filter follows single "
+        "frames instead of the sensor."
     ),
     draw=draw,
     table=table,

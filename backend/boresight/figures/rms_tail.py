@@ -1,0 +1,95 @@
+"""The tail of a run: what its error is once it has settled, in numbers with their sigma.
+
+An RMS of n independent arc errors of one sigma is known to rms / sqrt(2 n): the square of it is a mean of n squares, each with
+twice its variance (chi-square with n degrees of freedom). Tail and aggregate of one set share their arcs, so their
+difference is known better than either; the sigma tells how far the next set's RMS may lie from this one's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.figures.chart import Result, Trace
+from boresight.figures.course import Course, course_of, settled_step
+
+FloatArray = NDArray[np.float64]
+
+SETTLING_SHARE = 0.2  # of the run, where nothing says when it settled
+LATEST_SHARE = 0.95  # of the run: a tail that is shorter than the rest says nothing
+
+
+@dataclass(frozen=True)
+class Tail:
+    """Error of a run from a step on.
+
+    Parameters
+    ----------
+    axis, start, end, points
+        The steps it covers.
+    tail_rad, aggregate_rad
+        Mean of the tail RMS over the window, and the aggregate RMS at its end; None where the run has none.
+    sigma_rad
+        One sigma of either, from the number of arcs of the set; None where that is not known.
+    chosen
+        Whether a reader chose the start; else it is where the run had settled, or its first fifth.
+    """
+
+    axis: str
+    start: float
+    end: float
+    points: int
+    tail_rad: float | None
+    aggregate_rad: float | None
+    sigma_rad: float | None
+    chosen: bool
+
+
+def tailed(traces: Sequence[Trace], tail_from: float | None) -> list[Trace]:
+    """Tell every run where a reader wants its tail to begin."""
+    if tail_from is None:
+        return list(traces)
+    return [replace(trace, result={**trace.result, "tail_from": tail_from}) for trace in traces]
+
+
+def tail_start(result: Result, course: Course) -> float:
+    """Return the step at which the tail begins, on the course's axis."""
+    low, high = float(course.x.min()), float(course.x.max())
+    latest = low + LATEST_SHARE * (high - low)
+    if (chosen := result.get("tail_from")) is not None:
+        return float(np.clip(chosen, low, latest))
+    first = settled_step(result)
+    settled = low + SETTLING_SHARE * (high - low) if first is None else float(course.x[first])
+    return min(settled, latest)
+
+
+def tail_of(result: Result) -> Tail | None:
+    """Sum up what follows the start of the tail; None for a batch, which has no way behind it, and before any step."""
+    course = course_of(result)
+    if course is None or course.axis != "frame":
+        return None
+    start = tail_start(result, course)
+    shown = course.x >= start
+    tail = course.series("tail_rms_rad")[shown]
+    aggregate = course.series("aggregate_rms_rad")
+    known, seen = tail[np.isfinite(tail)], aggregate[np.isfinite(aggregate)]
+    mean = float(known.mean()) if len(known) else None
+    arcs = result.get("pairs")
+    return Tail(
+        axis=course.axis,
+        start=start,
+        end=float(course.x.max()),
+        points=int(shown.sum()),
+        tail_rad=mean,
+        aggregate_rad=float(seen[-1]) if len(seen) else None,
+        sigma_rad=sigma_of_rms(mean, arcs),
+        chosen=result.get("tail_from") is not None,
+    )
+
+
+def sigma_of_rms(rms_rad: float | None, arcs: float | None) -> float | None:
+    """Return one sigma of an RMS over so many arcs, in its unit."""
+    return None if rms_rad is None or not arcs else float(rms_rad / np.sqrt(2 * arcs))
