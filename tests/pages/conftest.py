@@ -132,9 +132,8 @@ class House:
     def __post_init__(self) -> None:
         self.app = create_app(self.settings)
         self.app.state.write_lock = asyncio.Lock()
-        self.app.state.workers = SimpleNamespace(
-            notify=lambda: None, state=dict
-        )  # nothing computes behind the pages' tests
+        # nothing computes behind the pages' tests
+        self.app.state.workers = SimpleNamespace(notify=lambda: None, state=dict)
         self.engine = self.app.state.engine
         self.blobs = self.app.state.blobs
 

@@ -1,0 +1,80 @@
+"""The log tab: how grave a line is, the filter in the address, and the lines after a line."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from boresight.pages.run_log import level_of_line
+from boresight.store.sessions import utc_now, writing
+from boresight.store.tables import RUN_STATES, RunEvent
+
+LINES = [
+    ("state", "QUEUED", "info"),
+    ("state", "RUNNING: attempt 1 on host/1", "info"),
+    ("log", "10 %: frame 4: 4 of 40 frames", "info"),
+    ("log", "Attempt 1: its server was stopped", "warning"),
+    ("state", "QUEUED: again, because its server was stopped", "warning"),
+    ("lost", "Attempt 2: its worker process died", "error"),
+    ("log", "Traceback (most recent call last):\n  <b>1</b> / 0", "error"),
+    ("state", "CANCELLING: Cancelled by Ada.", "warning"),
+    ("state", "FAILED: given up", "error"),
+]
+
+
+@pytest.fixture
+def run_id(house):
+    """A run with one line of every kind."""
+    made = house.add_run(state="FAILED", reason="given up")
+    with writing(house.engine) as session:
+        for kind, message, _ in LINES:
+            session.add(RunEvent(run_id=made, attempt=1, at_utc=utc_now(), kind=kind, message=message))
+    return made
+
+
+def shown(page):
+    """The levels of the lines that a page shows, in order."""
+    return re.findall(r'<li data-line="\d+" data-level="(\w+)"', page)
+
+
+@pytest.mark.parametrize(("kind", "message", "level"), LINES)
+def test_how_grave_a_line_is_follows_from_its_kind_and_words(kind, message, level):
+    assert level_of_line(RunEvent(kind=kind, message=message)) == level
+
+
+@pytest.mark.parametrize("state", RUN_STATES)
+def test_every_end_without_a_result_is_more_than_information(state):
+    grave = level_of_line(RunEvent(kind="state", message=state)) != "info"
+    assert grave is (state in {"FAILED", "LOST", "CANCELLED", "CANCELLING"})
+
+
+def test_the_filter_is_in_the_address_and_each_choice_says_how_many_lines_it_has(house, read, run_id):
+    victor = house.visitor("victor")
+    assert shown(victor.get(f"/runs/{run_id}?part=log")) == [level for *_, level in LINES]
+    page = victor.get(f"/runs/{run_id}?part=log&level=error")
+    assert shown(page) == ["error"] * 3
+    assert "All lines 9 Warnings and errors 6 Errors 3" in " ".join(read(page).split())
+    assert f'href="/runs/{run_id}/log" download' in page
+
+
+def test_a_log_in_which_nothing_is_that_grave_says_so(house, read):
+    assert "No line is that grave." in read(house.visitor("victor").get("/runs/1?part=log&level=error"))
+
+
+def test_a_level_that_is_none_is_refused(house, run_id):
+    house.visitor("victor").get(f"/runs/{run_id}?part=log&level=loud", status=422)
+    house.visitor("victor").get(f"/runs/{run_id}/log/lines?level=loud", status=422)
+
+
+def test_a_page_that_follows_gets_only_the_lines_after_its_last(house, run_id):
+    victor = house.visitor("victor")
+    numbers = re.findall(r'data-line="(\d+)"', victor.get(f"/runs/{run_id}/log/lines"))
+    later = victor.get(f"/runs/{run_id}/log/lines?after={numbers[5]}&level=warning")
+    assert re.findall(r'data-line="(\d+)"', later) == numbers[6:]
+    assert victor.get(f"/runs/{run_id}/log/lines?after={numbers[-1]}").strip() == ""
+
+
+def test_what_a_log_says_is_text(house, run_id):
+    page = house.visitor("victor").get(f"/runs/{run_id}/log/lines")
+    assert "&lt;b&gt;1&lt;/b&gt; / 0" in page
