@@ -1,8 +1,11 @@
-"""What a server does beside its requests: it holds the store against its audit log, and writes when keys were used.
+"""What a server does beside its requests: it holds the store against its audit log, watches the fleet, writes when keys were used.
 
 A page shows the light of the chain and must not wait for it, for a long chain takes seconds to walk. So a thread walks
 it over and over, and a page reads what the last walk found. Between two walks it rests a minute, and at least `REST`
 times as long as the walk took, so that a chain of any length costs a fixed small part of one processor.
+
+After each look the alarms are brought in line with what is so now (`services.watch`); a round that finds nothing new writes
+nothing.
 
 A key is used more often than is worth writing: the newest time of each is kept in memory and written once a round.
 """
@@ -15,7 +18,8 @@ import time
 from dataclasses import dataclass
 
 from boresight.api.rounds import Rounds
-from boresight.services import api_keys, audit
+from boresight.services import api_keys, audit, watch
+from boresight.services.conditions import chain_condition
 from boresight.store.sessions import Engine, reading, utc_now, writing
 
 log = logging.getLogger(__name__)
@@ -101,6 +105,18 @@ class Upkeep:
         if state != self._found.state and not report.ok:
             log.critical("The audit log does not hold: %s", report.sentence)
         self._found = Light(state, report.last_id, utc_now(), report.sentence)
+
+    def watch(self) -> None:
+        """Bring the alarms of the fleet and of the audit log in line with what is so now."""
+        known = self._found.state in {"verified", "broken"}
+        broken = chain_condition(self._found.state, self._found.sentence)
+        with reading(self._database) as session:
+            if not watch.differs(session, broken):
+                return
+        with writing(self._database) as session:
+            watch.watch(session)
+            if known:
+                watch.watch_chain(session, broken)
 
     def light(self) -> Light:
         """Return what the last walk found, as stale when the next one is long overdue."""

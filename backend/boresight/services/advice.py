@@ -14,11 +14,10 @@ sigma = sigma_0 sqrt(S_0 / S): exact where stars and field are of the same kind,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from boresight.figures.numbers import count, fixed
-from boresight.figures.quantities import quantity
 from boresight.services.drift import Drift, judge
 from boresight.services.fleet import OLD_DAYS, days_since
 from boresight.services.trend import Point, Trend, span_of
@@ -72,37 +71,37 @@ class AtHand:
 
 
 def advise(trend: Trend, drift: Drift | None = None) -> Advice:
-    """Say whether to recalibrate a sensor now."""
+    """Say whether to recalibrate a sensor now: the first of the rules above that fits."""
     drift = drift or judge(trend)
-    baseline = trend.baseline
-    if baseline is None:
+    if trend.baseline is None:
         return Advice("MORE DATA NEEDED", "There is no baseline; register the sensor again.")
-    data, age_d = at_hand(trend), days_since(baseline)
-    reasons = tuple(_reasons(drift, data, baseline, age_d))
+    data, age_d = at_hand(trend), days_since(trend.baseline)
+    answer, sentence = next(_rules(drift, data, trend.baseline, age_d))
+    return Advice(answer, sentence, tuple(_reasons(drift, data, trend.baseline, age_d)))
+
+
+def _rules(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | None) -> Iterator[tuple[str, str]]:
+    """Yield the answers that fit, the gravest first; there is always one."""
+    name, ratio = baseline.name, data.ratio
     if drift.verdict == "DRIFT":
-        return Advice("YES", f"Recalibrate: {baseline.name} does not hold any more.", reasons)
+        yield "YES", f"Recalibrate: {name} does not hold any more."
     if not data.sets:
-        nothing = f"No telemetry is newer than what {baseline.name} was made of: upload a pass for calibration."
-        return Advice("MORE DATA NEEDED", nothing, reasons)
+        yield "MORE DATA NEEDED", f"No telemetry is newer than what {name} was made of: upload a pass for calibration."
     if baseline.run_id is None:
-        return Advice("YES", f"Recalibrate: {baseline.name} was made on the ground, and there is telemetry.", reasons)
-    if data.ratio is not None and data.ratio > TOO_COARSE:
-        coarse = (
-            f"With the {count(data.stars)} stars at hand a sigma would be {fixed(data.ratio, 1)} times the baseline's."
-        )
-        return Advice("MORE DATA NEEDED", f"{coarse} Wait for more frames.", reasons)
+        yield "YES", f"Recalibrate: {name} was made on the ground, and there is telemetry to replace it."
+    if ratio is not None and ratio > TOO_COARSE:
+        coarse = f"With the {count(data.stars)} stars at hand a sigma would be {fixed(ratio, 1)} times the baseline's"
+        yield "MORE DATA NEEDED", f"{coarse}: wait for more frames."
     if age_d is not None and age_d > OLD_DAYS:
-        return Advice(
-            "YES", f"Recalibrate: {baseline.name} is older than {OLD_DAYS:.0f} days and newer data are here.", reasons
+        yield "YES", f"Recalibrate: {name} is older than {OLD_DAYS:.0f} days and newer data are here."
+    if ratio is not None and ratio <= HALVED:
+        yield (
+            "YES",
+            f"Recalibrate: with the data at hand every sigma would be {fixed(ratio, 2)} times the baseline's or less.",
         )
-    if data.ratio is not None and data.ratio <= HALVED:
-        sharper = f"Recalibrate: with the data at hand every sigma would be {fixed(data.ratio, 2)} times the baseline's or less."
-        return Advice("YES", sharper, reasons)
     if drift.verdict == "NOT TESTED":
-        return Advice(
-            "YES", f"Calibrate {data.sets[-1].name}: nothing newer than {baseline.name} was looked at yet.", reasons
-        )
-    return Advice("NOT YET", f"{baseline.name} holds, and newer data would not sharpen it much.", reasons)
+        yield "YES", f"Calibrate {data.sets[-1].name}: nothing newer than {name} was looked at yet."
+    yield "NOT YET", f"{name} holds, and newer data would not sharpen it much."
 
 
 def at_hand(trend: Trend) -> AtHand:
@@ -148,11 +147,6 @@ def _reasons(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | 
         said.append(f"Newer than the baseline's data: {kinds}{untried}.")
     if data.ratio is not None:
         said.append(f"With them a sigma is foretold at {fixed(data.ratio, 2)} times the baseline's at most.")
-    if drift.verdict == "DRIFT" and drift.largest is not None and data.ratio is not None:
-        name, worth = drift.largest
-        said.append(
-            f"The change of {quantity(name).symbol}, {fixed(abs(worth), 1)} σ of the difference, is larger than that."
-        )
     if age_d is not None:
         said.append(f"{baseline.name} became baseline {age_d:.0f} days ago; the limit is {OLD_DAYS:.0f}.")
     return said

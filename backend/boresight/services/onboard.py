@@ -11,6 +11,7 @@ from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope, require_user
 from boresight.services.parameter_sets import get_parameter_set
 from boresight.services.transitions import require_seen, subject_of
+from boresight.services.watch import watch
 from boresight.services.words import refuse_control_characters
 from boresight.store import uplinks as rows
 from boresight.store.sessions import Session, utc_now
@@ -115,4 +116,5 @@ def add_entry(
     after = {"onboard_state": onboard_state, "version": row.version, "record": f"uplinks/{uplink.id}"}
     after |= {name: value for name, value in told.items() if value is not None}
     audit.append(session, actor, f"recorded {onboard_state} for", subject_of(row), before, after, source.strip())
+    watch(session, [row.sensor_id])
     return uplink

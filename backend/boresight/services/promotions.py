@@ -12,6 +12,7 @@ from boresight.services.evidence import refuse_blocked
 from boresight.services.signers import second_persons
 from boresight.services.staleness import make_others_stale, refuse_expired, refuse_moved
 from boresight.services.transitions import get_parameter_set, move, require_seen, who_changed
+from boresight.services.watch import watch
 from boresight.store import approvals as approval_rows
 from boresight.store import parameter_sets as rows
 from boresight.store.sessions import Session, utc_now
@@ -50,6 +51,7 @@ def promote(
     move(session, actor, row, "BASELINE", "promoted", reason=approval.reason, approval=approval.id, kind=approval.kind)
     record_promotion(session, actor, row, approval)
     make_others_stale(session, actor, row)
+    watch(session, [row.sensor_id])
     return row
 
 

@@ -6,12 +6,12 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.fleet import SensorTile, fleet_overview
 from boresight.services.parameter_sets import create_ground_calibration
-from boresight.services.transitions import require_seen, subject_of
+from boresight.services.transitions import get_sensor, require_seen, subject_of
 from boresight.store import sensors as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Sensor
@@ -103,20 +103,6 @@ def edit_sensor(
     row.document = after
     row.version += 1
     audit.append(session, actor, "edited", subject_of(row), before, after)
-    return row
-
-
-def get_sensor(session: Session, sensor_id: int) -> Sensor:
-    """Return a sensor.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
-    row = session.get(Sensor, sensor_id)
-    if row is None:
-        raise NotFoundError(f"There is no sensor {sensor_id}.")
     return row
 
 

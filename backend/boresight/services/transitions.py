@@ -9,9 +9,9 @@ from boresight.services import audit
 from boresight.services.actors import Actor
 from boresight.store import parameter_sets as rows
 from boresight.store.sessions import Session
-from boresight.store.tables import Approval, ParameterSet, Sensor
+from boresight.store.tables import Alarm, Approval, ParameterSet, Sensor
 
-Versioned = Approval | ParameterSet | Sensor
+Versioned = Alarm | Approval | ParameterSet | Sensor
 
 
 def get_approval(session: Session, approval_id: int) -> Approval:
@@ -42,14 +42,30 @@ def get_parameter_set(session: Session, parameter_set_id: int) -> ParameterSet:
     return row
 
 
+def get_sensor(session: Session, sensor_id: int) -> Sensor:
+    """Return a sensor.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Sensor, sensor_id)
+    if row is None:
+        raise NotFoundError(f"There is no sensor {sensor_id}.")
+    return row
+
+
 def subject_of(row: Versioned) -> str:
     """Name a row as the audit log does, by its REST address."""
-    noun = {Approval: "approvals", ParameterSet: "parameter-sets", Sensor: "sensors"}[type(row)]
+    noun = {Alarm: "alarms", Approval: "approvals", ParameterSet: "parameter-sets", Sensor: "sensors"}[type(row)]
     return f"{noun}/{row.id}"
 
 
 def label_of(row: Versioned) -> str:
     """Name a row as people do."""
+    if isinstance(row, Alarm):
+        return f"Alarm {row.id}"
     return f"Request {row.id}" if isinstance(row, Approval) else row.name
 
 

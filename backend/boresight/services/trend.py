@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.services.sensors import get_sensor
+from boresight.services.transitions import get_sensor
 from boresight.store import trends as rows
 from boresight.store.sessions import Session, utc_text
 from boresight.store.tables import ParameterSet, Sensor, TelemetrySet

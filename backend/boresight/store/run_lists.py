@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import sqlalchemy as sa
@@ -36,3 +36,8 @@ def recent_summaries(session: Session, method: str, limit: int = 20) -> list[dic
     """Return the summaries of the newest runs of a method that succeeded."""
     query = sa.select(Run.summary).where(Run.state == "SUCCEEDED", Run.method == method, Run.summary.is_not(None))
     return [summary for summary in session.scalars(query.order_by(Run.id.desc()).limit(limit)) if summary]
+
+
+def sensors_of(session: Session, run_ids: Collection[int]) -> list[int]:
+    """Return the sensors that some runs are of, each once."""
+    return list(session.scalars(sa.select(Run.sensor_id).where(Run.id.in_(run_ids)).distinct().order_by(Run.sensor_id)))

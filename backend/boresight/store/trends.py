@@ -12,15 +12,16 @@ from boresight.store.tables import ParameterSet, Promotion, Run, TelemetrySet, U
 
 
 def finished(session: Session, sensor_id: int) -> Sequence[Any]:
-    """Return id, telemetry_set_id, method, label, ended_utc, launched_by and summary of a sensor's runs that succeeded."""
+    """Return id, telemetry_set_id, method, label, ended_utc and summary of a sensor's runs that succeeded."""
     columns = (Run.id, Run.telemetry_set_id, Run.method, Run.label, Run.ended_utc, Run.summary)
     query = sa.select(*columns).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED")
     return session.execute(query.order_by(Run.id)).all()
 
 
 def telemetry(session: Session, sensor_id: int) -> dict[int, TelemetrySet]:
-    """Return all of a sensor's telemetry sets by number."""
-    query = sa.select(TelemetrySet).where(TelemetrySet.sensor_id == sensor_id)
+    """Return all telemetry sets of a sensor, and those that its runs used, by number."""
+    used = sa.select(Run.telemetry_set_id).where(Run.sensor_id == sensor_id)
+    query = sa.select(TelemetrySet).where(sa.or_(TelemetrySet.sensor_id == sensor_id, TelemetrySet.id.in_(used)))
     return {row.id: row for row in session.scalars(query.order_by(TelemetrySet.id))}
 
 

@@ -8,14 +8,16 @@ two servers on one database cannot both end a run, and a result that comes too l
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import orjson
 
 from boresight.services.run_estimates import predicted_s, seconds_per_star
+from boresight.services.watch import watch
 from boresight.store import run_events, runs
+from boresight.store.run_lists import sensors_of
 from boresight.store.runs import Claimed, Held, Waiting
 from boresight.store.sessions import Engine as Database
 from boresight.store.sessions import Session, reading, utc_now, writing
@@ -48,11 +50,22 @@ class Reconciler:
     lease_s: float
     max_attempts: int
 
-    def settle(self, outcomes: Iterable[Outcome]) -> None:
+    def settle(self, outcomes: Collection[Outcome]) -> None:
         """Write how attempts ended."""
         with writing(self.database) as session:
             for outcome in outcomes:
                 self._settle_one(session, outcome)
+        self._watch([outcome["run_id"] for outcome in outcomes if outcome["state"] == "SUCCEEDED"])
+
+    def _watch(self, run_ids: Collection[int]) -> None:
+        """See whether what runs found raises an alarm, in a transaction of its own: no result is lost by it."""
+        if not run_ids:
+            return
+        try:
+            with writing(self.database) as session:
+                watch(session, sensors_of(session, run_ids))
+        except Exception:
+            log.exception("The watch failed after a run; the server's upkeep looks again")
 
     def _settle_one(self, session: Session, outcome: Outcome) -> None:
         """Write one end with its log, unless the attempt no longer holds the run."""

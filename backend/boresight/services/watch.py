@@ -1,0 +1,122 @@
+"""The watch: it raises alarms and returns them to normal, and leaves the rest of them to people (`services.alarms`).
+
+It compares the conditions of now with the alarms that are open and writes only what differs, so it may be called as often as
+one likes, in any transaction: after a run ends, a promotion, a record on board, and every round of the server's upkeep.
+Two servers that watch one store agree, for there is one writer at a time and one open alarm of a source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from boresight.services.actors import SYSTEM
+from boresight.services.alarms import close_if_over, step
+from boresight.services.conditions import CHAIN, Condition, conditions
+from boresight.store import alarms as rows
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import Alarm
+
+GRAVITY = {"caution": 0, "serious": 1, "critical": 2}
+
+
+def watch(session: Session, sensor_ids: Sequence[int] | None = None) -> int:
+    """Bring the alarms of the fleet, or of some sensors, in line with what is so now; return how many changed."""
+    return _settle(session, *_compared(session, sensor_ids)) + _unshelve_overdue(session)
+
+
+def watch_chain(session: Session, broken: Condition | None) -> int:
+    """Do the same for the audit log, of which the last verification is known."""
+    return _settle(session, *_chain_compared(session, broken))
+
+
+def differs(session: Session, broken: Condition | None) -> bool:
+    """Whether `watch` or `watch_chain` would change anything; reads only, so it keeps no writer waiting."""
+    pairs = (_compared(session, None), _chain_compared(session, broken))
+    return bool(rows.overdue_shelves(session)) or any(
+        any(source not in known or _is_news(known[source], one) for source, one in found.items())
+        or any(row.active and source not in found for source, row in known.items())
+        for found, known in pairs
+    )
+
+
+Compared = tuple[Mapping[str, Condition], Mapping[str, Alarm]]
+
+
+def _compared(session: Session, sensor_ids: Sequence[int] | None) -> Compared:
+    """Return what is wrong with sensors, and their open alarms, by source."""
+    known = {
+        source: row
+        for source, row in rows.open_alarms(session).items()
+        if row.sensor_id is not None and (sensor_ids is None or row.sensor_id in sensor_ids)
+    }
+    return {one.source: one for one in conditions(session, sensor_ids)}, known
+
+
+def _chain_compared(session: Session, broken: Condition | None) -> Compared:
+    """Return what is wrong with the audit log, and its open alarm."""
+    known = {source: row for source, row in rows.open_alarms(session).items() if source == CHAIN}
+    return {} if broken is None else {CHAIN: broken}, known
+
+
+def _settle(session: Session, found: Mapping[str, Condition], known: Mapping[str, Alarm]) -> int:
+    """Raise, renew or return what differs."""
+    changed = [_raise(session, one) for source, one in found.items() if source not in known]
+    changed += [_renew(session, known[source], one) for source, one in found.items() if source in known]
+    changed += [_return(session, row) for source, row in known.items() if source not in found]
+    return sum(changed)
+
+
+def _is_news(row: Alarm, found: Condition) -> bool:
+    """Whether an open alarm says something else than is so now."""
+    return not row.active or (row.sentence, row.level) != (found.sentence, found.level)
+
+
+def _raise(session: Session, found: Condition) -> bool:
+    """Open an alarm."""
+    row = Alarm(
+        source=found.source,
+        sensor_id=found.sensor_id,
+        kind=found.kind,
+        level=found.level,
+        sentence=found.sentence,
+        evidence=dict(found.evidence),
+        active=1,
+        acknowledged=0,
+        raised_utc=utc_now(),
+        version=0,
+    )
+    session.add(row)
+    session.flush()
+    step(session, SYSTEM, row, "RAISED", found.sentence)
+    return True
+
+
+def _renew(session: Session, row: Alarm, found: Condition) -> bool:
+    """Say what is so now of an open alarm; one that came back or became graver wants to be seen again."""
+    again = not row.active or GRAVITY[found.level] > GRAVITY[row.level]
+    if not _is_news(row, found):
+        return False
+    row.level, row.sentence, row.evidence = found.level, found.sentence, dict(found.evidence)
+    if again:
+        row.active, row.acknowledged, row.returned_utc = 1, 0, None
+    step(session, SYSTEM, row, "RAISED AGAIN" if again else "COMMENTED", found.sentence)
+    return True
+
+
+def _return(session: Session, row: Alarm) -> bool:
+    """Say that it is over."""
+    if not row.active:
+        return False
+    row.active, row.returned_utc = 0, utc_now()
+    step(session, SYSTEM, row, "RETURNED", "The condition is over.")
+    close_if_over(session, SYSTEM, row)
+    return True
+
+
+def _unshelve_overdue(session: Session) -> int:
+    """Take from the shelf what was there until now."""
+    overdue = rows.overdue_shelves(session)
+    for row in overdue:
+        row.shelved_until_utc = None
+        step(session, SYSTEM, row, "UNSHELVED", "Its time on the shelf is over.")
+    return len(overdue)

@@ -1,0 +1,82 @@
+"""Queries on alarms, what became of them, and notes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import Alarm, AlarmEvent, Note
+
+
+@dataclass(frozen=True)
+class Sought:
+    """What a list of alarms is narrowed to; None is everything, and closed ones are left out unless asked for.
+
+    Parameters
+    ----------
+    sensor_id, kind
+        Of the alarm.
+    state
+        `unacknowledged`, `acknowledged`, `shelved` or `closed`.
+    """
+
+    sensor_id: int | None = None
+    kind: str | None = None
+    state: str | None = None
+
+
+def _is_shelved() -> sa.ColumnElement[bool]:
+    return sa.and_(Alarm.shelved_until_utc.is_not(None), Alarm.shelved_until_utc > utc_now())
+
+
+def _states() -> Mapping[str | None, Sequence[sa.ColumnElement[bool]]]:
+    """Say each state in SQL."""
+    is_open, rests = Alarm.closed_utc.is_(None), sa.not_(_is_shelved())
+    return {
+        None: (is_open,),
+        "unacknowledged": (is_open, Alarm.acknowledged == 0, rests),
+        "acknowledged": (is_open, Alarm.acknowledged == 1, rests),
+        "shelved": (is_open, _is_shelved()),
+        "closed": (Alarm.closed_utc.is_not(None),),
+    }
+
+
+def alarms(session: Session, sought: Sought, *, before_id: int | None, limit: int) -> Sequence[Alarm]:
+    """Return a page of alarms, newest first."""
+    query = sa.select(Alarm).where(*_states()[sought.state]).order_by(Alarm.id.desc()).limit(limit)
+    if sought.sensor_id is not None:
+        query = query.where(Alarm.sensor_id == sought.sensor_id)
+    if sought.kind is not None:
+        query = query.where(Alarm.kind == sought.kind)
+    return session.scalars(query if before_id is None else query.where(Alarm.id < before_id)).all()
+
+
+def open_alarms(session: Session) -> dict[str, Alarm]:
+    """Return every alarm that is not closed, by its source."""
+    return {row.source: row for row in session.scalars(sa.select(Alarm).where(Alarm.closed_utc.is_(None)))}
+
+
+def count_unacknowledged(session: Session) -> int:
+    """Count the alarms that wait for somebody; a shelved one waits for its time."""
+    query = sa.select(sa.func.count()).select_from(Alarm).where(*_states()["unacknowledged"])
+    return session.scalar(query) or 0
+
+
+def overdue_shelves(session: Session) -> Sequence[Alarm]:
+    """Return the alarms whose time on the shelf is over."""
+    query = sa.select(Alarm).where(Alarm.closed_utc.is_(None), Alarm.shelved_until_utc <= utc_now())
+    return session.scalars(query.order_by(Alarm.id)).all()
+
+
+def events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
+    """Return what became of an alarm, in order."""
+    return session.scalars(sa.select(AlarmEvent).where(AlarmEvent.alarm_id == alarm_id).order_by(AlarmEvent.id)).all()
+
+
+def notes(session: Session, subject_kind: str, subject_id: int) -> Sequence[Note]:
+    """Return the notes on a thing, in order."""
+    query = sa.select(Note).where(Note.subject_kind == subject_kind, Note.subject_id == subject_id)
+    return session.scalars(query.order_by(Note.id)).all()
