@@ -25,6 +25,7 @@ from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.convergence_judge import PANELS, draw_judges, mark_settled
 from boresight.figures.course import Course, course_of, free_names
+from boresight.figures.following import follow_column, follow_parameters
 from boresight.figures.quantities import Quantity, change_label, quantity
 from boresight.figures.thinning import keep_extremes
 
@@ -80,6 +81,8 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     _dress(figure, traces, axis, n_rows, n_panels)
     along = [course if course and course.axis == axis else None for course in courses]
     draw_judges(figure, (_place(len(panels)), _place(len(panels) + 1)), along, traces)
+    follow_parameters(figure, panels, traces)
+    follow_column(figure, _place(len(panels)), "nis_per_dof", traces)
     mark_settled(figure, along, traces, n_panels)
     return share_cursor(figure, axis)
 

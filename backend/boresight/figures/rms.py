@@ -24,6 +24,7 @@ from boresight.figures import theme
 from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.course import Course, course_of
+from boresight.figures.following import follow_errors
 from boresight.figures.rms_tail import tail_start
 from boresight.figures.thinning import keep_extremes
 
@@ -67,7 +68,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
                 _draw_run(figure, panel, course, style, len(traces) <= MOST_BANDS and trace.result.get("pairs"))
             if len(traces) == 1 or course is None or course.axis != axis:
                 _draw_levels(figure, panel, trace.result, style, single=len(traces) == 1)
-    return _dress(figure, panels, traces, axis)
+    return follow_errors(_dress(figure, panels, traces, axis), URAD_PER_RAD, traces)
 
 
 def _tail_start(traces: Sequence[Trace], courses: Sequence[Course | None]) -> float:
