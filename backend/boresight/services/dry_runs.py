@@ -57,6 +57,15 @@ def dry_run(session: Session, order: Order, sight: Sight | None = None) -> dict[
     }
 
 
+def expected_s(session: Session, orders: Sequence[Order]) -> float:
+    """Return how long runs of one method will take together, seconds of computing."""
+    if not orders:
+        return 0.0
+    pace = pace_of(session, orders[0].settings.method).s_per_star
+    settings = orders[0].settings.document()
+    return round(sum(predicted_s(settings, order.telemetry.frames, order.telemetry.stars, pace) for order in orders), 3)
+
+
 def _warnings(order: Order, free: Sequence[str], pairs: int) -> list[str]:
     """Gather what an analyst should know before queueing."""
     warnings = [str(sentence) for sentence in order.telemetry.quality.get("warnings") or ()]

@@ -1,0 +1,157 @@
+"""Queries on campaigns: whatever their size, a fixed number of statements.
+
+A sensor may have several rows in a campaign, one for each time it was launched; the newest counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+
+from boresight.store import seals
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import TERMINAL_RUN_STATES, Base, Campaign, CampaignRun, Run, RunEvent, Sensor, TelemetrySet
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a sensor of a campaign stands; what its run has not, or it without a run, is None."""
+
+    id: int
+    sensor_id: int
+    sensor: str
+    run_id: int | None
+    refusal: str | None
+    telemetry_set_id: int | None
+    validation_set_id: int | None
+    state: str | None
+    reason: str | None
+    summary: dict[str, Any] | None
+
+
+def _newest() -> sa.Select[tuple[int]]:
+    """Select the row that counts of each sensor of each campaign."""
+    return sa.select(sa.func.max(CampaignRun.id)).group_by(CampaignRun.campaign_id, CampaignRun.sensor_id)
+
+
+def add_runs(session: Session, values: Sequence[Mapping[str, Any]]) -> dict[int, int]:
+    """Insert many runs as QUEUED, one a sensor, with the first line of each one's log; return their ids by sensor."""
+    now = utc_now()
+    fixed = {"state": "QUEUED", "attempt": 0, "cancel_requested": 0, "launched_utc": now}
+    added = _inserted(session, Run, [{**one, **fixed} for one in values], Run.id, Run.sensor_id)
+    line = {"attempt": 0, "at_utc": now, "kind": "state", "message": "QUEUED"}
+    _inserted(session, RunEvent, [{"run_id": run_id, **line} for run_id in sorted(run_id for run_id, _ in added)])
+    return {sensor_id: run_id for run_id, sensor_id in added}
+
+
+def add_places(session: Session, values: Sequence[Mapping[str, Any]]) -> None:
+    """Insert many sensors of a campaign."""
+    _inserted(session, CampaignRun, values, CampaignRun.id)
+
+
+def _inserted(session: Session, model: type[Base], values: Sequence[Mapping[str, Any]], *returned: Any) -> list[Any]:
+    """Insert many rows in few statements, note them for their seals, and return columns of each, its id first."""
+    if not values:
+        return []
+    statement = sa.insert(model).execution_options(**seals.BULK)
+    if not returned:
+        session.execute(statement, values)
+        return []
+    rows = list(session.execute(statement.returning(*returned), values))
+    for row in rows:
+        seals.note(session, model, row[0])
+    return rows
+
+
+def find_campaign(session: Session, campaign_id: int) -> Campaign | None:
+    """Return a campaign's row, or None."""
+    return session.get(Campaign, campaign_id)
+
+
+def campaigns(session: Session, *, before_id: int | None, limit: int) -> Sequence[Campaign]:
+    """Return a page of campaigns, newest first."""
+    query = sa.select(Campaign).order_by(Campaign.id.desc()).limit(limit)
+    return session.scalars(query if before_id is None else query.where(Campaign.id < before_id)).all()
+
+
+def counts(session: Session, campaign_ids: Collection[int]) -> dict[int, dict[str | None, int]]:
+    """Count the sensors of campaigns by the state of their runs; None is those that have no run."""
+    counted = session.execute(
+        sa.select(CampaignRun.campaign_id, Run.state, sa.func.count())
+        .outerjoin(Run, Run.id == CampaignRun.run_id)
+        .where(CampaignRun.campaign_id.in_(campaign_ids), CampaignRun.id.in_(_newest()))
+        .group_by(CampaignRun.campaign_id, Run.state)
+    )
+    found: dict[int, dict[str | None, int]] = {campaign_id: {} for campaign_id in campaign_ids}
+    for campaign_id, state, count in counted:
+        found[campaign_id][state] = count
+    return found
+
+
+def standings(session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None) -> list[Standing]:
+    """Return where the sensors of a campaign stand, in the order of their rows."""
+    query = (
+        sa.select(
+            CampaignRun.id, CampaignRun.sensor_id, Sensor.name, CampaignRun.run_id, CampaignRun.refusal,
+            Run.telemetry_set_id, Run.validation_set_id, Run.state, Run.reason, Run.summary,
+        )
+        .join(Sensor, Sensor.id == CampaignRun.sensor_id)
+        .outerjoin(Run, Run.id == CampaignRun.run_id)
+        .where(CampaignRun.campaign_id == campaign_id, CampaignRun.id > after_id, CampaignRun.id.in_(_newest()))
+        .order_by(CampaignRun.id)
+        .limit(limit)
+    )  # fmt: skip
+    return [Standing(*row) for row in session.execute(query)]
+
+
+def campaign_of_run(session: Session, run_id: int) -> int | None:
+    """Return the campaign that launched a run, or None."""
+    return session.scalar(sa.select(CampaignRun.campaign_id).where(CampaignRun.run_id == run_id))
+
+
+def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[int, str]]:
+    """Ask every run of a campaign that has not ended to stop; return them with their new states."""
+    of_campaign = sa.select(CampaignRun.run_id).where(CampaignRun.campaign_id == campaign_id)
+    stopped = session.execute(
+        sa.update(Run)
+        .where(Run.id.in_(of_campaign), Run.state.in_(("QUEUED", "RUNNING")))
+        .values(
+            cancel_requested=1,
+            reason=reason,
+            ended_utc=sa.case((Run.state == "QUEUED", utc_now()), else_=None),
+            state=sa.case((Run.state == "QUEUED", "CANCELLED"), else_="CANCELLING"),
+        )
+        .returning(Run.id, Run.attempt, Run.state)
+        .execution_options(synchronize_session=False, **seals.BULK)
+    ).all()
+    lines = [
+        {"run_id": run_id, "attempt": attempt, "at_utc": utc_now(), "kind": "state", "message": f"{state}: {reason}"}
+        for run_id, attempt, state in stopped
+    ]
+    _inserted(session, RunEvent, lines)
+    for run_id, _, state in stopped:
+        if state in TERMINAL_RUN_STATES:
+            seals.note(session, Run, run_id)
+    return [(run_id, state) for run_id, _, state in stopped]
+
+
+def sets_numbered(session: Session, set_ids: Collection[int]) -> list[TelemetrySet]:
+    """Return telemetry sets; while they are held, the session finds them without a statement each."""
+    return [
+        row
+        for some in seals.portions(sorted(set_ids))
+        for row in session.scalars(sa.select(TelemetrySet).where(TelemetrySet.id.in_(some)))
+    ]
+
+
+def newest_sets(session: Session) -> dict[tuple[int, str], int]:
+    """Return the newest set in use of every sensor and purpose, by (sensor id, purpose)."""
+    query = (
+        sa.select(TelemetrySet.sensor_id, TelemetrySet.purpose, sa.func.max(TelemetrySet.id))
+        .where(TelemetrySet.archived_utc.is_(None))
+        .group_by(TelemetrySet.sensor_id, TelemetrySet.purpose)
+    )
+    return {(sensor_id, purpose): newest for sensor_id, purpose, newest in session.execute(query)}

@@ -1,0 +1,40 @@
+"""A fleet for campaigns: sensors, each with sets that are named and never looked into."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from boresight.services import audit
+from boresight.services.actors import COMMAND_LINE
+from boresight.store.blobs import BlobStore, register_blob
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import Sensor, TelemetrySet
+
+PURPOSES = ("calibration", "validation")
+
+
+def add_fleet(session: Session, blobs: BlobStore, document: Mapping[str, Any], n: int) -> list[int]:
+    """Add n sensors with a calibration and a validation set each; return their numbers."""
+    now = utc_now()
+    added = [Sensor(name=f"ST-{k:04}", document={**document, "name": f"ST-{k:04}"}, created_utc=now) for k in range(n)]
+    session.add_all(added)
+    session.flush()
+    add_sets(session, blobs, [sensor.id for sensor in added])
+    audit.append(session, COMMAND_LINE, "brought in", "sensors")
+    return [sensor.id for sensor in added]
+
+
+def add_sets(session: Session, blobs: BlobStore, sensor_ids: list[int], purposes: tuple[str, ...] = PURPOSES) -> None:
+    """Give sensors a new set of each purpose."""
+    for purpose in purposes:
+        content = f"{purpose} {session.query(TelemetrySet).count()}".encode()
+        sha256 = register_blob(session, blobs, blobs.put(content), "text/csv").sha256
+        session.add_all(
+            TelemetrySet(
+                sensor_id=sensor_id, name=purpose, purpose=purpose, original_sha256=sha256, table_sha256=sha256, frames=100,
+                stars=2000, quality={}, uploaded_utc=utc_now(),
+            )
+            for sensor_id in sensor_ids
+        )  # fmt: skip
+        session.flush()
