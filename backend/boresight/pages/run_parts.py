@@ -26,6 +26,7 @@ from boresight.figures.shadow import SHADOW, shown
 from boresight.figures.star_table import star_rows, to_flag
 from boresight.figures.trust_marks import prospects, trust_marks
 from boresight.figures.trust_parts import why_absent
+from boresight.pages.run_frames import frames_of
 from boresight.pages.run_log import log_of
 from boresight.pages.run_provenance import command_of, provenance_of
 from boresight.services.actors import Actor
@@ -156,7 +157,7 @@ GATHERED: dict[str, Callable[[Desk], dict[str, Any]]] = {
     "residuals": charts_of("residuals"),
     "trust": lambda desk: {"trust": trust_of(desk.result, desk.why_nothing)},
     "matching": lambda desk: {"matching": matching_of(desk.result, desk.why_nothing)},
-    "frames": lambda _: {},
+    "frames": lambda desk: frames_of(desk.session, desk.request, desk.run),
     "log": logged,
     "provenance": origin_of,
     "notes": lambda _: {},
