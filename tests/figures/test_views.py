@@ -11,6 +11,7 @@ from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.alignment import ALIGNMENTS, aligned, name_axis
 from boresight.figures.envelope import as_band, span_of
 from boresight.figures.focus import POINT_BUDGET, focus
+from boresight.figures.theme import run_styles
 from boresight.figures.thinning import keep_extremes, thinning
 from tests.figures.conftest import batch, sequential
 
@@ -96,6 +97,11 @@ def test_a_band_keeps_the_reference_and_replaces_all_others():
     names = {drawn.name for drawn in figure.data}
     assert names == {"Run 1 · tail", "Run 1 · aggregate", "lowest to highest of 11 runs"}
     assert len(figure_json(figure)) < len(figure_json(FIGURES["rms"].draw(traces))) / 2
+
+
+def test_twenty_runs_have_twenty_lines():
+    styles = run_styles([Trace(f"Run {k}", {}) for k in range(20)])
+    assert len({(style.colour, style.dash) for style in styles}) == 20
 
 
 def test_two_runs_are_no_band():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from urllib.parse import parse_qsl
 
 import pytest
 from hypothesis import given
@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
-from boresight.figures.parameter_table import contrasts
-from boresight.pages.compare import MOST_RUNS, read_run_ids
+from boresight.pages.compare import read_view
+from boresight.services.comparisons import MOST_RUNS, read_run_ids
 
 
 def test_every_figure_overlays_the_other_runs_on_the_reference(house):
@@ -73,20 +73,61 @@ def test_each_run_is_compared_once_in_the_order_given(numbers):
     assert read == list(dict.fromkeys(numbers))
 
 
-@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 3), st.floats(0.1, 3))
-def test_two_runs_are_apart_by_the_sigma_of_their_difference(a, b, sigma_a, sigma_b):
-    results = [
-        {"parameters": {"f_m": a}, "sigma": {"f_m": sigma_a}},
-        {"parameters": {"f_m": b}, "sigma": {"f_m": sigma_b}},
-    ]
-    (row,) = contrasts(results, 0)
-    assert row.separations[0] is None
-    assert row.separations[1] == pytest.approx((b - a) / math.hypot(sigma_a, sigma_b))
+@given(
+    st.lists(st.integers(1, 99), min_size=2, max_size=MOST_RUNS, unique=True),
+    st.sampled_from(["", "1", "7", "x"]),
+    st.booleans(),
+    st.sampled_from(["", "frame", "time", "update", "moon"]),
+    st.sampled_from(["", "lines", "band", "table", "pie"]),
+)
+def test_the_address_of_a_view_opens_the_same_view(numbers, reference, everything, align, overlay):
+    view = read_view(numbers, reference, "1" if everything else "", align, overlay)
+    asked = dict(parse_qsl(view.query()))
+    again = read_view(
+        read_run_ids([asked["runs"]]),
+        asked.get("reference", ""),
+        asked.get("all", ""),
+        asked.get("align", ""),
+        asked.get("overlay", ""),
+    )
+    assert again == view
 
 
-def test_a_parameter_that_no_run_estimated_has_no_separation():
-    results = [
-        {"parameters": {"g_y": 1.0}, "sigma": {"g_y": None}},
-        {"parameters": {"g_y": 1.1}, "sigma": {"g_y": None}},
-    ]
-    assert contrasts(results, 0)[0].separations[1] is None
+def test_the_view_is_in_every_address_of_the_page(house):
+    victor = house.visitor("victor")
+    page = victor.get("/compare?runs=1,2&reference=2&align=update&overlay=band")
+    assert 'src="/api/v1/runs/2/figures/rms?compare=1&amp;align=update&amp;overlay=band"' in page
+    assert 'href="/compare?runs=1,2&amp;reference=2&amp;all=1&amp;align=update&amp;overlay=band"' in page
+    assert '<option value="update" selected>' in page
+
+
+def test_two_methods_on_one_set_differ_by_no_noise_and_the_page_says_on_what_that_rests(house, read):
+    text = read(house.visitor("victor").get("/compare?runs=1,2"))
+    assert "the same data, TS-calibration" in text
+    assert "not noise" in text
+    assert "Runs of separate data: the variances add up." in text
+
+
+def test_tables_only_draws_nothing(house):
+    page = house.visitor("victor").get("/compare?runs=1,2&overlay=table")
+    assert "<plot-figure" not in page
+    assert "Parameters of the runs" in page
+
+
+def test_more_than_eight_runs_are_warned_of_with_the_table_and_the_band_at_hand(house, results):
+    runs = [1, 2, *(house.add_run(state="SUCCEEDED", result=results["batch"]) for _ in range(7))]
+    page = house.visitor("victor").get(f"/compare?runs={','.join(map(str, runs))}")
+    assert "More than eight runs" in page
+    assert 'overlay=table">Tables only' in page
+    assert 'overlay=band">Band of the lowest' in page
+
+
+def test_unlike_models_are_refused_with_a_set_to_convert(house, results):
+    other = house.add_run(
+        state="SUCCEEDED", result=results["batch"], sensor_document={"camera_model": "pinhole_radial"}
+    )
+    ada = house.visitor("ada")
+    made = ada.send("POST", "/api/v1/parameter-sets", json={"run_id": 1}, headers={"X-CSRF-Token": ada.csrf_token})
+    assert made.status_code == 201
+    page = ada.get(f"/compare?runs=1,{other}", status=422)
+    assert f'<a href="/parameter-sets/{made.json()["id"]}">' in page

@@ -7,7 +7,7 @@ three typical sigmas large is a real and ordinary one; one of forty sigma and ni
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,56 +107,3 @@ def set_rows(
     """Lay out a parameter set's values against the set it replaces, on the scale of its sensor's typical sigmas."""
     old = (incumbent or {}).get("parameters") or {}
     return parameter_rows({**document, "initial": old, "typical_sigma": sensor.get("typical_sigma")})
-
-
-@dataclass(frozen=True)
-class Contrast:
-    """One parameter in several runs, against the reference run.
-
-    Parameters
-    ----------
-    values, sigmas
-        A number a run, None where that run has none; SI.
-    separations
-        (value - reference) / sqrt(sigma² + sigma_reference²) a run: how surely the two differ. None for the
-        reference itself and where neither run estimated the parameter.
-    """
-
-    name: str
-    values: Sequence[float | None]
-    sigmas: Sequence[float | None]
-    separations: Sequence[float | None]
-
-    @property
-    def differs(self) -> bool:
-        """Tell whether any run's value is another than the rest."""
-        return len(set(self.values)) > 1
-
-
-def _separation(
-    value: float | None, sigma: float | None, reference: float | None, spread: float | None
-) -> float | None:
-    variance = (sigma or 0.0) ** 2 + (spread or 0.0) ** 2
-    return _ratio(_difference(value, reference), variance**0.5)
-
-
-def contrasts(results: Sequence[Mapping[str, Any]], reference: int) -> list[Contrast]:
-    """Set the parameters of several results of one camera model beside each other.
-
-    Parameters
-    ----------
-    results
-        Calibration JSONs.
-    reference
-        Index in `results` of the run that the others are measured against.
-    """
-    found = []
-    for name in results[reference].get("parameters") or {}:
-        values = [(result.get("parameters") or {}).get(name) for result in results]
-        sigmas = [(result.get("sigma") or {}).get(name) for result in results]
-        apart = [
-            None if k == reference else _separation(values[k], sigmas[k], values[reference], sigmas[reference])
-            for k in range(len(results))
-        ]
-        found.append(Contrast(name, values, sigmas, apart))
-    return found

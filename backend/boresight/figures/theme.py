@@ -139,9 +139,10 @@ def escape(text: str) -> str:
 
 
 def run_styles(traces: Sequence[Trace]) -> list[RunStyle]:
-    """Give each run its colour and dash, by its place in the comparison."""
+    """Give each run its colour and dash, by its place in the comparison; colours that come again have another dash."""
+    colours, dashes = len(RUN_COLOURS), len(RUN_DASHES)
     return [
-        RunStyle(escape(trace.label), RUN_COLOURS[i % len(RUN_COLOURS)], RUN_DASHES[i % len(RUN_DASHES)])
+        RunStyle(escape(trace.label), RUN_COLOURS[i % colours], RUN_DASHES[(i + i // colours) % dashes])
         for i, trace in enumerate(traces)
     ]
 

@@ -1,14 +1,16 @@
-"""Comparing runs: their figures over one another and a table of what differs, nothing else.
+"""Comparing runs: what differs from a reference run, in sigmas of the difference, and their figures over one another.
 
-`?runs=1,2,3&reference=2&all=1` is the whole view. One run is the reference; the others' parameters are measured against
-it in the sigma of the difference. Runs of unlike camera models are refused: their parameters are not the same quantities.
+`?runs=1,2,3&reference=2&all=1&align=time&overlay=band` is the whole view, so whoever opens the address sees the same. Only what
+differs is shown unless `all=1`; `align` is what the figures' axis of frames counts; `overlay` draws each run, the band of the
+lowest and the highest, or no figures but the tables. Runs of unlike camera models are refused with the way out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
@@ -16,35 +18,69 @@ from fastapi.responses import HTMLResponse
 from boresight.api.dependencies import Reading, current_actor
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
-from boresight.figures import FIGURES, WIDE
+from boresight.figures import FIGURES, WIDE, radial_contrast
+from boresight.figures.alignment import ALIGNMENTS
 from boresight.figures.numbers import number, urad
-from boresight.figures.parameter_table import contrasts
+from boresight.pages.compare_tables import correlation_lines, parameter_lines, together
 from boresight.pages.method_panel import method_panel
 from boresight.pages.methods import title_of
 from boresight.pages.rendering import render
 from boresight.pages.runs import Names, read_names
-from boresight.services import runs
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Session
-from boresight.store.tables import Run
+from boresight.services import comparisons
+from boresight.services.comparisons import Compared, Comparison, UnlikeModelsError
 
-MOST_RUNS = 20
 CROWDED_RUNS = 8
+OVERLAYS = {"lines": "every run", "band": "lowest to highest", "table": "no figures, tables only"}
+ALIGNED_BY = {"frame": "frame number", "time": "time since the first frame", "update": "update"}
 
 router = APIRouter(dependencies=[Depends(current_actor)])
 
 
 @dataclass(frozen=True)
-class Compared:
-    """One run of a comparison with its result; an empty result where the run has none."""
+class View:
+    """Everything that the address of the page says."""
 
-    run: Run
-    result: Mapping[str, Any]
+    run_ids: Sequence[int]
+    reference: int
+    everything: bool
+    align: str
+    overlay: str
+
+    def query(self, **changed: Any) -> str:
+        """Write the view as an address's query, with changes; what is as it is by default is left out."""
+        view = replace(self, **changed)
+        named = {
+            "reference": "" if view.reference == view.run_ids[0] else view.reference,
+            "all": "1" if view.everything else "",
+            "align": "" if view.align == "frame" else view.align,
+            "overlay": "" if view.overlay == "lines" else view.overlay,
+        }
+        chosen = {"runs": ",".join(map(str, view.run_ids))} | {name: value for name, value in named.items() if value}
+        return urlencode(chosen, safe=",")
 
     @property
-    def camera_model(self) -> str:
-        """The camera model the run was launched with."""
-        return str(self.run.sensor_document.get("camera_model"))
+    def figures_query(self) -> str:
+        """Write the part of the view that figures are asked with, behind their runs; empty where all is by default."""
+        named = {"align": self.align, "overlay": self.overlay}
+        usual = {"align": "frame", "overlay": "lines"}
+        return "".join(f"&{name}={value}" for name, value in named.items() if value != usual[name])
+
+    @property
+    def ordered(self) -> list[int]:
+        """The runs with the reference first, in which order figures colour them."""
+        return [self.reference, *(run_id for run_id in self.run_ids if run_id != self.reference)]
+
+
+def read_view(run_ids: Sequence[int], reference: str, everything: str, align: str, overlay: str) -> View:
+    """Read the view from the address; what is no choice is as by default."""
+    chosen = int(reference) if reference.isdecimal() and int(reference) in run_ids else run_ids[0]
+    return View(
+        run_ids,
+        chosen,
+        bool(everything),
+        align if align in ALIGNMENTS else "frame",
+        overlay if overlay in OVERLAYS else "lines",
+    )
 
 
 @dataclass(frozen=True)
@@ -58,44 +94,6 @@ class Difference:
     def differs(self) -> bool:
         """Tell whether the runs do not all have the same."""
         return len(set(self.values)) > 1
-
-
-def read_run_ids(asked: Sequence[str]) -> list[int]:
-    """Read run numbers from `1,2,3` or from repeated fields, each once, in their order.
-
-    Raises
-    ------
-    RefusedInputError
-        When something is no number, or there are more than can be compared.
-    """
-    texts = [text.strip() for part in asked for text in part.split(",") if text.strip()]
-    if strange := [text for text in texts if not text.isdecimal()]:
-        raise RefusedInputError(f"{strange[0]!r} is no run number; give them as ?runs=1,2,3.")
-    found = list(dict.fromkeys(int(text) for text in texts))
-    if len(found) > MOST_RUNS:
-        raise RefusedInputError(
-            f"{len(found)} runs were chosen; at most {MOST_RUNS} can be compared. Leave out {len(found) - MOST_RUNS}."
-        )
-    return found
-
-
-def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) -> list[Compared]:
-    """Read the runs and their results.
-
-    Raises
-    ------
-    RefusedInputError
-        When their camera models are unlike; names them.
-    """
-    found = [Compared(runs.get_run(session, run_id), runs.result(session, blobs, run_id) or {}) for run_id in run_ids]
-    models = {one.camera_model: one.run.id for one in found}
-    if len(models) > 1:
-        (first, first_id), (second, second_id) = list(models.items())[:2]
-        raise RefusedInputError(
-            f"Run #{first_id} uses the camera model {first} and run #{second_id} uses {second}: their parameters are not"
-            " the same quantities. Compare runs of one model."
-        )
-    return found
 
 
 def differences(compared: Sequence[Compared], names: Names) -> list[Difference]:
@@ -152,32 +150,43 @@ def compare_page(
     asked: Annotated[list[str] | None, Query(alias="runs")] = None,
     reference: str = "",
     everything: Annotated[str, Query(alias="all")] = "",
+    align: str = "",
+    overlay: str = "",
 ) -> HTMLResponse:
     """Show several runs over one another, or say what to choose."""
+    blobs = request.app.state.blobs
     try:
-        run_ids = read_run_ids(asked or [])
-        compared = read_compared(session, request.app.state.blobs, run_ids)
+        run_ids = comparisons.read_run_ids(asked or [])
+        if len(run_ids) < 2:
+            comparisons.read_compared(session, blobs, run_ids)
+            return render(request, "compare.html", refusal=None, sets=[], found=None)
+        view = read_view(run_ids, reference, everything, align, overlay)
+        found = comparisons.compare(session, blobs, run_ids, view.reference)
+    except UnlikeModelsError as error:
+        return render(request, "compare.html", status_code=422, refusal=str(error), sets=error.sets, found=None)
     except RefusedInputError as error:
-        return render(request, "compare.html", status_code=422, refusal=str(error), compared=[])
-    if len(compared) < 2:
-        return render(request, "compare.html", refusal=None, compared=[])
-    place = run_ids.index(int(reference)) if reference.isdecimal() and int(reference) in run_ids else 0
-    rows = differences(compared, read_names(session, [one.run for one in compared]))
-    parameters = contrasts([one.result for one in compared], place)
-    return render(
-        request,
-        "compare.html",
-        refusal=None,
-        compared=compared,
-        run_ids=run_ids,
-        reference=place,
-        ordered=[run_ids[place], *(run_id for run_id in run_ids if run_id != run_ids[place])],
-        everything=bool(everything),
-        crowded=len(compared) > CROWDED_RUNS,
-        methods=method_panel(compared),
-        rows=[row for row in rows if everything or row.differs],
-        alike=sum(not row.differs for row in rows),
-        parameters=[row for row in parameters if everything or row.differs],
-        figures=list(FIGURES.values()),
-        wide=WIDE,
-    )
+        return render(request, "compare.html", status_code=422, refusal=str(error), sets=[], found=None)
+    names = read_names(session, [one.run for one in found.compared])
+    return render(request, "compare.html", refusal=None, found=found, view=view, **_tables(found, view, names))
+
+
+def _tables(found: Comparison, view: View, names: Names) -> Mapping[str, Any]:
+    """Lay out everything that the page shows of a comparison."""
+    rows, lines, pairs = differences(found.compared, names), parameter_lines(found), correlation_lines(found)
+    return {
+        "rows": [row for row in rows if view.everything or row.differs],
+        "alike": sum(not row.differs for row in rows),
+        "parameters": [line for line in lines if view.everything or line.differs],
+        "correlations": [pair for pair in pairs if view.everything or pair.differs],
+        "correlated": len(pairs),
+        "together": together(found),
+        "methods": method_panel(found.compared),
+        "titles": [title_of(one.run.method) for one in found.compared],
+        "assumption": comparisons.ASSUMPTION,
+        "crowded": len(found.compared) > CROWDED_RUNS,
+        "figures": [] if view.overlay == "table" else list(FIGURES.values()),
+        "radial": {"title": radial_contrast.TITLE, "guide": radial_contrast.GUIDE},
+        "wide": WIDE,
+        "alignments": ALIGNED_BY,
+        "overlays": OVERLAYS,
+    }

@@ -25,6 +25,7 @@ from boresight.store.tables import Run, TelemetrySet
 from boresight.telemetry.overlap import shared_exposures
 
 MOST_RUNS = 20
+LONGEST_NUMBER = 18  # digits of a row's number
 #: Columns of the table, and what they are called in the document, where each is a list a run.
 COLUMNS = {
     "value": "values",
@@ -116,10 +117,14 @@ def read_run_ids(asked: Sequence[str]) -> list[int]:
     ------
     RefusedInputError
         When something is no number, or there are more than can be compared.
+    NotFoundError
+        When a number is greater than any row's.
     """
     texts = [text.strip() for part in asked for text in part.split(",") if text.strip()]
-    if strange := [text for text in texts if not text.isdecimal() or len(text) > 18]:
-        raise RefusedInputError(f"{strange[0]!r} is no run number; give them as ?runs=1,2,3.")
+    if strange := [text for text in texts if not text.isdecimal()]:
+        raise RefusedInputError(f"{strange[0][:20]!r} is no run number; give them as ?runs=1,2,3.")
+    if any(len(text.lstrip("0")) > LONGEST_NUMBER for text in texts):
+        raise NotFoundError("There is no run of so great a number; choose from the list.")
     found = list(dict.fromkeys(int(text) for text in texts))
     if len(found) > MOST_RUNS:
         raise RefusedInputError(
