@@ -15,8 +15,20 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import api_keys, approvals, audit, discussions, parameter_sets, uplinks, users, webhooks
+from boresight.services import (
+    api_keys,
+    approvals,
+    audit,
+    discussions,
+    notes,
+    parameter_sets,
+    uplinks,
+    users,
+    watch,
+    webhooks,
+)
 from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.services.conditions import chain_condition
 from boresight.store import seals
 from boresight.store.sessions import Engine, Session, open_engine, reading, utc_now, writing
 from boresight.store.tables import Base, GateProfile, GateReport, Package, ParameterSet, TableDefinition, Waiver
@@ -58,6 +70,8 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
         api_keys.create_key(session, people["ana"], label="passes", scopes=["runs"])
         users.change_roles(session, people["root"], people["eve"].user_id or 0, ["viewer", "operator"])
         webhooks.create_webhook(session, people["root"], label="desk", url="https://example.org/hook")
+        notes.add_note(session, people["ana"], "sensors", row.sensor_id, "The focus moved.")
+        watch.watch_chain(session, chain_condition("broken", "For the sake of an alarm."))
 
 
 def _fill_the_rest(session: Session) -> None:
