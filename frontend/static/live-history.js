@@ -53,14 +53,15 @@ function stretched(layout, last) {
 /** Bring a drawn figure up to the newest point; false when it must be fetched whole. */
 export async function grow(figure) {
   const { canvas } = figure;
-  const followed = (canvas?._fullLayout ? canvas.data : []).flatMap(({ meta }, k) => (meta?.follow ? [k] : []));
-  const curve = followed.find((k) => !canvas.data[k].meta.follow.level && !canvas.data[k].meta.follow.band);
+  const drawn = canvas?._fullLayout ? canvas._fullData : []; // its arrays are decoded
+  const followed = drawn.flatMap(({ meta }, k) => (meta?.follow ? [k] : []));
+  const curve = followed.find((k) => !drawn[k].meta.follow.level && !drawn[k].meta.follow.band);
   if (curve === undefined) return false;
-  const last = canvas.data[curve].x.at(-1);
+  const last = drawn[curve].x.at(-1);
   if (!course.frame.length || course.after > last) return false;
   const first = course.frame.findIndex((frame) => frame > last);
   if (first < 0) return true;
-  const traces = followed.map((k) => grown(canvas.data[k], first));
+  const traces = followed.map((k) => grown(drawn[k], first));
   const change = Object.fromEntries(["x", "y", "customdata"].map((name) => [name, traces.map((trace) => trace[name])]));
   await window.Plotly.update(canvas, change, stretched(canvas.layout, last), followed);
   return true;

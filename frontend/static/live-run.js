@@ -136,7 +136,7 @@ class LiveRun extends HTMLElement {
   /** Replace the parts of the page that depend on the state by what the server says now. */
   async #renew() {
     if (this.busy || document.hidden || TERMINAL.has(this.state)) return;
-    this.busy = true;
+    this.busy = true; // and for a second after, however many events come
     try {
       const answer = await send(location.href, { headers: { Accept: "text/html" } });
       const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
@@ -146,7 +146,7 @@ class LiveRun extends HTMLElement {
     } catch {
       // the link light and the age tell that the server is away; the last data stay
     }
-    this.busy = false;
+    setTimeout(() => (this.busy = false), FETCH_MS);
     this.#showAge();
   }
 
