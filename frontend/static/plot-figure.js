@@ -1,10 +1,12 @@
 /**
- * <plot-figure src csv name label>: one Plotly figure of a run, fetched as JSON and drawn as SVG.
+ * <plot-figure src name label scale>: one Plotly figure of a run, fetched as JSON and drawn as SVG.
  *
  * States, each in words below the drawing: loading, empty, error (with Retry), stale (the last good drawing stays,
  * dimmed, with its time). A `figure-refresh` event on the element fetches again. The panel around it has the CSV link and
- * the PNG button; an image is always on white.
+ * the PNG button; an image is always on white. `scale` is log or linear, for the axes that a figure offers both for. Of a
+ * figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
  */
+import { linkCursor, unlinkCursor } from "./plot-cursor.js";
 import { fetchJson } from "./problem.js";
 import { onTheme, onWhite } from "./plot-theme.js";
 
@@ -42,6 +44,7 @@ let queue = Promise.resolve();
 const isEmpty = (figure) => !figure.data.some((trace) => ["x", "y", "z"].some((axis) => length(trace[axis]) > 0));
 const length = (values) => values?.length ?? (values?.bdata ? values.bdata.length : 0);
 const reasonOf = (figure) => figure.layout?.annotations?.[0]?.text ?? "Nothing to draw yet: the run has not come this far.";
+const plain = (markup) => new DOMParser().parseFromString(markup ?? "", "text/html").body.textContent;
 const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;
 
 class PlotFigure extends HTMLElement {
@@ -51,6 +54,7 @@ class PlotFigure extends HTMLElement {
   #again = false;
   #drawnAt = "";
   #abort = null;
+  #window = null;
 
   connectedCallback() {
     if (!this.canvas) this.#build();
@@ -76,6 +80,7 @@ class PlotFigure extends HTMLElement {
     this.#begun = false;
     this.#abort.abort();
     this.resizer.disconnect();
+    unlinkCursor(this.canvas);
     if (this.canvas._fullLayout) window.Plotly.purge(this.canvas);
   }
 
@@ -89,7 +94,8 @@ class PlotFigure extends HTMLElement {
     this.words.setAttribute("role", "status");
     this.retry = Object.assign(document.createElement("button"), { type: "button", className: "button-small", textContent: "Retry", hidden: true });
     this.retry.addEventListener("click", () => this.refresh());
-    this.prepend(this.canvas, this.words, this.retry);
+    this.headline = Object.assign(document.createElement("p"), { className: "figure-headline", hidden: true });
+    this.prepend(this.headline, this.canvas, this.words, this.retry);
     this.png = this.closest(".figure-panel")?.querySelector("[data-png]");
     this.png?.addEventListener("click", () => this.#savePng());
     if (this.png) this.png.disabled = true;
@@ -105,7 +111,7 @@ class PlotFigure extends HTMLElement {
     const slow = setTimeout(() => this.#say("loading", "Still working on this figure."), SLOW_MS);
     if (!this.#figure) this.#say("loading", "Loading the figure.");
     try {
-      const [figure] = await Promise.all([fetchJson(this.getAttribute("src")), plotly()]);
+      const [figure] = await Promise.all([fetchJson(this.#address()), plotly()]);
       this.#figure = figure;
       this.#drawnAt = utcTime();
       await this.#draw();
@@ -128,10 +134,41 @@ class PlotFigure extends HTMLElement {
       return;
     }
     this.#say("ready", "");
-    const { data, layout } = onTheme(this.#figure);
+    const { data, layout } = this.#scaled(onTheme(this.#figure));
+    const first = !this.canvas._fullLayout;
     await window.Plotly.react(this.canvas, data, { ...layout, ...this.#size() }, CONFIG);
+    if (first) this.canvas.on("plotly_relayout", (change) => this.#look(change));
+    linkCursor(this.canvas, layout.meta?.axis);
+    this.headline.textContent = plain(this.#figure.layout.title?.text);
+    this.headline.hidden = !this.headline.textContent || this.headline.textContent === this.getAttribute("label");
     if (this.png) this.png.disabled = false;
     this.dispatchEvent(new CustomEvent("figure-drawn", { bubbles: true }));
+  }
+
+  /** The figure's address, with the window that is looked at. */
+  #address() {
+    const address = new URL(this.getAttribute("src"), location);
+    this.#window?.forEach((end, place) => address.searchParams.set(["x_from", "x_to"][place], end));
+    return address.pathname + address.search;
+  }
+
+  /** Put the axes that are offered on both scales on the one that is asked for. */
+  #scaled({ data, layout }) {
+    const type = this.getAttribute("scale");
+    for (const axis of (type && layout.meta?.log) || []) Object.assign(layout[axis], { type, autorange: true });
+    return { data, layout };
+  }
+
+  /** After a zoom ask for what was thinned away there; only where every panel shows the same part of one axis. */
+  #look(change) {
+    const { layout } = this.#figure;
+    const axes = Object.keys(layout).filter((name) => name.startsWith("xaxis"));
+    if (!layout.meta?.detail || axes.some((name) => name !== "xaxis" && !layout[name].matches)) return;
+    const ends = [0, 1].map((end) => Object.entries(change).find(([name]) => name.startsWith("xaxis") && name.endsWith(`[${end}]`))?.[1]);
+    const whole = Object.keys(change).some((name) => name.startsWith("xaxis") && name.endsWith(".autorange"));
+    if (!whole && !ends.every(Number.isFinite)) return;
+    this.#window = whole ? null : ends;
+    this.refresh();
   }
 
   #size() {
@@ -163,7 +200,7 @@ class PlotFigure extends HTMLElement {
   }
 
   async #savePng() {
-    const { data, layout } = onWhite(this.#figure);
+    const { data, layout } = this.#scaled(onWhite(this.#figure));
     const { height } = this.#size();
     const url = await window.Plotly.toImage({ data, layout }, { format: "png", width: 1200, height, scale: 2 });
     Object.assign(document.createElement("a"), { href: url, download: `${this.getAttribute("name")}.png` }).click();

@@ -29,7 +29,7 @@ from boresight.pages.run_live import live_of
 from boresight.pages.run_parts import Desk, marks_of, part_of_page
 from boresight.pages.run_tabs import FORMER, TITLES, tabs_of
 from boresight.pages.runs import read_names, seconds_of
-from boresight.services import gates, parameter_sets, runs, sensors, telemetry_sets
+from boresight.services import gates, notes, parameter_sets, runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
 from boresight.services.neighbours import neighbours
 from boresight.store.sessions import Session
@@ -105,7 +105,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         marks=marks_of(result),
         judged=verdict(result) if marks_of(result) and result else None,
         part=part,
-        tabs=tabs_of(run_id, part, result),
+        tabs=tabs_of(run_id, part, result, len(notes.list_notes(session, actor, "runs", run_id))),
         advice=list((result or {}).get("advice") or ()),
         no_result=desk.why_nothing,
         wide=WIDE,

@@ -27,8 +27,11 @@ from boresight.figures.star_table import star_rows, to_flag
 from boresight.figures.trust_marks import prospects, trust_marks
 from boresight.figures.trust_parts import why_absent
 from boresight.pages.run_frames import frames_of
+from boresight.pages.run_frames import frames_of
 from boresight.pages.run_log import log_of
 from boresight.pages.run_provenance import command_of, provenance_of
+from boresight.pages.run_views import course_facts, sight_facts, tail_facts, view_of
+from boresight.services import notes
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
 from boresight.store.tables import TERMINAL_RUN_STATES, Run, Sensor, TelemetrySet
@@ -94,6 +97,30 @@ def charts_of(name: str) -> Callable[[Desk], dict[str, Any]]:
     return gather
 
 
+def convergence_of(desk: Desk) -> dict[str, Any]:
+    """Gather the course of the estimate."""
+    view = view_of(desk.request.query_params, desk.result)
+    return {**charts_of("convergence")(desk), "view": view, "facts": course_facts(desk.result)}
+
+
+def rms_of(desk: Desk) -> dict[str, Any]:
+    """Gather tail, aggregate and held-out errors."""
+    view = view_of(desk.request.query_params, desk.result)
+    tail, facts = tail_facts(desk.result, view)
+    return {**charts_of("rms")(desk), "view": view, "facts": facts, "tail": tail}
+
+
+def observability_of(desk: Desk) -> dict[str, Any]:
+    """Gather what the data see, and which would help."""
+    facts, helpful = sight_facts(desk.result)
+    return {**charts_of("observability")(desk), "facts": facts, "helpful": helpful}
+
+
+def noted(desk: Desk) -> dict[str, Any]:
+    """Gather the notes on the run."""
+    return {"notes": notes.list_notes(desk.session, desk.actor, "runs", desk.run.id)}
+
+
 def logged(desk: Desk) -> dict[str, Any]:
     """Gather the log."""
     return log_of(desk.request, desk.session, desk.run)
@@ -150,15 +177,15 @@ def marks_of(result: Result | None) -> list[Any]:
 
 GATHERED: dict[str, Callable[[Desk], dict[str, Any]]] = {
     "summary": summary_of,
-    "convergence": charts_of("convergence"),
-    "rms": charts_of("rms"),
+    "convergence": convergence_of,
+    "rms": rms_of,
     "distortion": charts_of("distortion"),
-    "observability": charts_of("observability"),
+    "observability": observability_of,
     "residuals": charts_of("residuals"),
     "trust": lambda desk: {"trust": trust_of(desk.result, desk.why_nothing)},
     "matching": lambda desk: {"matching": matching_of(desk.result, desk.why_nothing)},
     "frames": lambda desk: frames_of(desk.session, desk.request, desk.run),
     "log": logged,
     "provenance": origin_of,
-    "notes": lambda _: {},
+    "notes": noted,
 }
