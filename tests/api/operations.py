@@ -17,7 +17,7 @@ from boresight.api import schemas
 from boresight.api.paging import Page
 from boresight.server import create_app
 
-from . import gates, onboard
+from . import alarms, campaigns, gates, onboard
 from .conftest import PASSWORD, House, settings_in
 
 with tempfile.TemporaryDirectory() as _folder:
@@ -172,6 +172,7 @@ def _compare(house: House) -> Made:
 
 
 GOOD: dict[str, Callable[[House], Made]] = {
+    **alarms.GOOD,
     "compare_runs": _compare,
     "compare_runs_data": _compare,
     "draw_radial_contrast": _compare,
@@ -203,6 +204,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
     "list_frames": lambda house: ("victor", {"run_id": house.finished()}),
     "get_frame": lambda house: ("victor", {"run_id": house.finished(), "frame": 1}),
+    **campaigns.GOOD,
     "list_figures": lambda house: ("victor", {"run_id": house.finished()}),
     "get_figure": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
     "get_figure_data": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),

@@ -13,6 +13,7 @@ from boresight.api.routes import NOUNS, PREFIX
 from boresight.store.sessions import reading
 from boresight.store.tables import Base
 
+from . import alarms
 from .conftest import PASSWORD, House
 from .operations import GOOD, OPEN, OPERATIONS, TRANSITIONS, UNSAFE, WITH_ID, ask, documented_shape
 
@@ -135,6 +136,7 @@ ABLE = {
     ),
 }  # who may do it, where not the analyst
 BODIES: dict[str, dict[str, Any]] = {
+    **alarms.BODIES,
     "convert_parameter_set": {"params": {"to": "pinhole_radial"}},
     "edit_sensor": {"json": {"name": "x"}},
     "submit_parameter_set": {"json": {"reason": "x"}},

@@ -42,6 +42,8 @@ TAGS = [
     {"name": "gates", "description": "Limits that parameter sets are held to, what was found, and waivers."},
     {"name": "approvals", "description": "Requests that a second person signs or refuses."},
     {"name": "uplinks", "description": "What was sent and loaded on board, as recorded."},
+    {"name": "alarms", "description": "What needs a person: acknowledge, shelve, assign, comment."},
+    {"name": "notes", "description": "What people wrote down; only ever added."},
     {"name": "events", "description": "The live feed, as server-sent events."},
     {"name": "audit", "description": "The append-only, hash-chained log."},
     {"name": "users", "description": "People and their roles."},

@@ -9,9 +9,11 @@ from boresight.api.cookies import SESSION_COOKIE
 from boresight.api.dependencies import csrf
 from boresight.api.openapi import refusals
 from boresight.api.routes import (
+    alarms,
     api_keys,
     approvals,
     audit,
+    campaigns,
     comparisons,
     discussions,
     documentation,
@@ -20,9 +22,11 @@ from boresight.api.routes import (
     frames,
     gate_profiles,
     gate_reports,
+    notes,
     onboard,
     packages,
     parameter_sets,
+    presets,
     runs,
     sensors,
     server,
@@ -30,6 +34,7 @@ from boresight.api.routes import (
     table_definitions,
     telemetry_sets,
     timeline,
+    trends,
     uplinks,
     users,
     webhooks,
@@ -39,9 +44,12 @@ PREFIX = "/api/v1"
 NOUNS = (
     sensors,
     timeline,
+    trends,
     telemetry_sets,
     comparisons,  # before `runs`, which would take `compare` for a run's number
     runs,
+    campaigns,
+    presets,
     figures,
     frames,
     parameter_sets,
@@ -53,6 +61,8 @@ NOUNS = (
     onboard,
     table_definitions,
     packages,
+    alarms,
+    notes,
     events,
     audit,
     users,

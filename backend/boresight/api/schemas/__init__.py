@@ -6,8 +6,10 @@ addresses of their own.
 
 from __future__ import annotations
 
+from boresight.api.schemas.alarms import Alarm, AlarmEvent, Note
 from boresight.api.schemas.approvals import Approval, Opening, Remark, Signature
 from boresight.api.schemas.audit import AuditRecord, ChainReport
+from boresight.api.schemas.campaigns import Campaign, CampaignResult, DryRunOfCampaign, Preset
 from boresight.api.schemas.fleet import Sensor, TelemetrySet
 from boresight.api.schemas.frames import FrameLine, RunFrame
 from boresight.api.schemas.gates import DryRunOfProfile, GateProfile, GateReport, TriedProfile, Waiver
@@ -20,13 +22,18 @@ from boresight.api.schemas.uplinks import AsOf, Event, OnBoard, Promotion, Uplin
 from boresight.api.schemas.webhooks import NewWebhook, Webhook, WebhookDelivery
 
 __all__ = [
+    "Alarm",
+    "AlarmEvent",
     "ApiKey",
     "Approval",
     "AsOf",
     "AuditRecord",
+    "Campaign",
+    "CampaignResult",
     "ChainReport",
     "Document",
     "DryRun",
+    "DryRunOfCampaign",
     "DryRunOfProfile",
     "Event",
     "Forecast",
@@ -36,10 +43,12 @@ __all__ = [
     "LogLine",
     "NewApiKey",
     "NewWebhook",
+    "Note",
     "OnBoard",
     "Opening",
     "Package",
     "ParameterSet",
+    "Preset",
     "Promotion",
     "Remark",
     "Row",
