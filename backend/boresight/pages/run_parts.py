@@ -27,7 +27,6 @@ from boresight.figures.star_table import star_rows, to_flag
 from boresight.figures.trust_marks import prospects, trust_marks
 from boresight.figures.trust_parts import why_absent
 from boresight.pages.run_frames import frames_of
-from boresight.pages.run_frames import frames_of
 from boresight.pages.run_log import log_of
 from boresight.pages.run_provenance import command_of, provenance_of
 from boresight.pages.run_views import course_facts, sight_facts, tail_facts, view_of

@@ -1,4 +1,4 @@
-"""How a reader looks at a part's charts, all of it in the address: which axis, which scale, which tail; and the facts beside them."""
+"""How a reader looks at a part's charts, all of it in the address: axis, scale, tail; and the facts that stand beside them."""
 
 from __future__ import annotations
 
