@@ -17,7 +17,7 @@ from tests.calibration.judged import Case, case, field, simulated
 
 PARTS = {
     "arc_sigma_map", "two_halves", "efficiency", "more_data", "drop_one", "nis_over_time", "whiteness", "stars",
-    "residual_against", "residuals",
+    "residual_against", "residuals", "residual_field", "residual_distribution", "residual_outliers", "worst_frames",
 }  # fmt: skip
 REAL_SKY = Path(os.environ.get("BORESIGHT_REAL_SKY", Path(__file__).parents[3] / "shared/data/real-sky"))
 
@@ -33,6 +33,9 @@ def test_every_method_is_judged_from_every_side_and_a_clean_set_calls_for_nothin
     assert trust["whiteness"]["white"]
     assert trust["nis_over_time"]["consistent"]
     assert trust["suspects"] == []
+    assert trust["residual_field"]["even"]
+    assert trust["residual_distribution"]["normal_tails"]
+    assert trust["worst_frames"]["beyond"] <= trust["worst_frames"]["expected_beyond"] + 3
     assert all(trust["residual_against"][name]["even"] for name in ("radius", "magnitude", "temperature", "time"))
     # singular values leave out a number or two of each exposure, and say so by wider sigmas
     assert 0.97 < trust["efficiency"]["overall_ratio"] < (1.06 if method == "svd" else 1.03)

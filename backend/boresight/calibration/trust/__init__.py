@@ -8,7 +8,10 @@
 `drop_one`         what holding each free parameter at its start would cost
 `innovations`      normalised innovations over time, with their bounds
 `whiteness`        whether the residuals drift
+`worst_frames`     the frames that are explained worst
 `residuals`        centroids against the projected catalogue, in pixels
+`field`            their means over the detector, before and after
+`distribution`     their histogram and quantiles against the normal curve, and outliers
 `stars`            every star over its sightings, suspects named
 `against`          the residual against radius, magnitude, temperature and time
 =================  ====================================================================================================
@@ -31,8 +34,10 @@ from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.trust.advice import trust_advice
 from boresight.calibration.trust.against import residual_against
 from boresight.calibration.trust.arc_map import arc_sigma_map
+from boresight.calibration.trust.distribution import residual_distribution, residual_outliers
 from boresight.calibration.trust.drop_one import drop_one, drop_one_sentence
 from boresight.calibration.trust.efficiency import efficiency
+from boresight.calibration.trust.field import residual_field
 from boresight.calibration.trust.ground import Ground, Unavailable, stand
 from boresight.calibration.trust.innovations import nis_over_time
 from boresight.calibration.trust.more_data import more_data
@@ -40,6 +45,7 @@ from boresight.calibration.trust.residuals import Sightings, residuals, sighting
 from boresight.calibration.trust.stars import star_table, stars, stars_sentence
 from boresight.calibration.trust.two_halves import two_halves
 from boresight.calibration.trust.whiteness import whiteness
+from boresight.calibration.trust.worst_frames import worst_frames
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
@@ -56,8 +62,17 @@ OF_THE_FIT: dict[str, Part] = {
     "drop_one": drop_one,
     "nis_over_time": nis_over_time,
     "whiteness": whiteness,
+    "worst_frames": worst_frames,
 }
-OF_THE_STARS = ("residuals", "stars", "residual_against")
+#: Parts that need the residuals of single stars too.
+OF_THE_RESIDUALS: dict[str, Callable[[Ground, Sightings], Any]] = {
+    "residuals": residuals,
+    "residual_field": residual_field,
+    "residual_distribution": residual_distribution,
+    "residual_outliers": residual_outliers,
+}
+OF_THE_STARS = (*OF_THE_RESIDUALS, "stars", "residual_against")
+SINGULAR = "The numbers of this fit are too close to singular: free fewer parameters."
 BESIDE = ("drop_one_sentence", "stars_sentence", "stars_in_all")
 
 
@@ -109,27 +124,23 @@ def _fill(view: dict[str, Any], name: str, part: Callable[[], Any]) -> None:
     except Unavailable as reason:
         view["unavailable"][name] = str(reason)
     except np.linalg.LinAlgError:
-        view["unavailable"][name] = "The numbers of this fit are too close to singular: free fewer parameters."
+        view["unavailable"][name] = SINGULAR
 
 
 def _fill_stars(view: dict[str, Any], ground: Ground) -> None:
     """The parts that rest on residuals in pixels."""
-    found: list[Sightings] = []
-    _fill(view, "residuals", lambda: residuals(ground, _first(found, ground)))
-    if view["residuals"] is None:
-        reason = view["unavailable"]["residuals"]
-        view["unavailable"] |= {"stars": reason, "residual_against": reason}
+    try:
+        found = sightings(ground)
+    except (Unavailable, np.linalg.LinAlgError) as error:
+        reason = str(error) if isinstance(error, Unavailable) else SINGULAR
+        view["unavailable"] |= dict.fromkeys(OF_THE_STARS, reason)
         return
-    entries, missing = residual_against(ground, found[0])
+    for name, part in OF_THE_RESIDUALS.items():
+        _fill(view, name, partial(part, ground, found))
+    entries, missing = residual_against(ground, found)
     view["residual_against"] = entries
     view["unavailable"] |= {f"residual_against.{name}": reason for name, reason in missing.items()}
-    _fill(view, "stars", lambda: _stars(view, ground, found[0]))
-
-
-def _first(found: list[Sightings], ground: Ground) -> Sightings:
-    """Take the sightings once and keep them for the other parts."""
-    found.append(sightings(ground))
-    return found[0]
+    _fill(view, "stars", lambda: _stars(view, ground, found))
 
 
 def _fits(view: dict[str, Any]) -> bool:

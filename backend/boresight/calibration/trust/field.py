@@ -1,0 +1,138 @@
+"""Residuals over the detector, before and after: means of cells with their sigmas, so that noise is not read as structure.
+
+Before are the residuals at the sensor's own parameters, after those at the best fit, each under its own best attitude. The mean
+of a cell's n residuals has along each axis the sigma
+
+    sigma_of_mean = sqrt(sum sigma_i^2 M_i) / n
+
+with M_i the share of a star's own error that is left in its residual (`pixel_residuals`), times the residuals' spread at the best
+fit where that exceeds one. Squares of means over sigmas, summed over cells and axes, are held against chi-square. The fit has
+taken some freedom out of them, so chance alone calls fewer than 1 % of sets uneven. The rms of a cell shows where centroids
+are noisier.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from boresight.calibration.pixel_residuals import Freedom, pixel_residuals
+from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
+from boresight.calibration.trust.residuals import LEAST_SHARE, Sightings
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: Cells along the longer side.
+FEWEST_CELLS, MOST_CELLS = 4, 16
+#: Stars that a cell holds on average, where the set is large enough for that.
+STARS_A_CELL = 15
+#: Stars that a cell needs for a mean.
+LEAST_STARS = 4
+UNLIKELY = 0.01
+
+
+def residual_field(ground: Ground, found: Sightings) -> dict[str, Any]:
+    """Cells over the whole detector, with their residuals before and after."""
+    sensor, arcs = ground.problem.sensor, found.arcs
+    row_edges, col_edges = cell_edges(sensor.rows, sensor.columns, int(found.known.sum()))
+    cell = cells_of(arcs.row_px, arcs.col_px, row_edges, col_edges)
+    spread = max(found.spread, 1.0)
+    r, M = before(ground, found)
+    views = {
+        "before": _binned(r, M, arcs.sigma_px * spread, cell, row_edges, col_edges),
+        "after": _binned(found.r, found.M, arcs.sigma_px * spread, cell, row_edges, col_edges),
+    }
+    if views["after"] is None:
+        raise Unavailable(f"No cell of the detector holds {LEAST_STARS} stars: add frames.")
+    return {
+        "row_edges_px": nested(row_edges),
+        "col_edges_px": nested(col_edges),
+        "frames_used": arcs.n_frames,
+        "even": views["after"]["p"] >= UNLIKELY,
+        "sentence": _sentence(views["before"], views["after"]),
+        **views,
+    }
+
+
+def before(ground: Ground, found: Sightings) -> tuple[FloatArray, FloatArray]:
+    """Residuals (n_stars, 2) and shares (n_stars, 2, 2) at the sensor's own parameters, taken as known."""
+    n = len(ground.parameters.free)
+    known = Freedom(ground.parameters.free, ground.parameters.scale, np.zeros((n, n)))
+    sensor = ground.problem.sensor
+    seen = pixel_residuals(ground.problem.camera, sensor.initial, found.arcs, sensor.parity, known)
+    return seen.r, seen.M
+
+
+def cell_edges(rows: int, columns: int, n_stars: int) -> tuple[FloatArray, FloatArray]:
+    """Edges of square cells, or nearly so, in pixels: as many as the stars fill."""
+    longer, shorter = max(rows, columns), min(rows, columns)
+    along = np.sqrt(n_stars / STARS_A_CELL * longer / shorter)
+    many = int(np.clip(round(float(along)), FEWEST_CELLS, MOST_CELLS))
+    few = max(1, round(many * shorter / longer))
+    n_rows, n_columns = (few, many) if columns >= rows else (many, few)
+    return np.linspace(-0.5, rows - 0.5, n_rows + 1), np.linspace(-0.5, columns - 0.5, n_columns + 1)
+
+
+def cells_of(row_px: FloatArray, col_px: FloatArray, row_edges: FloatArray, col_edges: FloatArray) -> IntArray:
+    """Number of the cell of each place (n,), row after row."""
+    i = np.clip(np.searchsorted(row_edges, row_px, side="right") - 1, 0, len(row_edges) - 2)
+    j = np.clip(np.searchsorted(col_edges, col_px, side="right") - 1, 0, len(col_edges) - 2)
+    return np.asarray(i * (len(col_edges) - 1) + j)
+
+
+def _binned(
+    r: FloatArray, M: FloatArray, sigma_px: FloatArray, cell: IntArray, row_edges: FloatArray, col_edges: FloatArray
+) -> dict[str, Any] | None:
+    """Means with sigmas and rms of cells, and whether they are noise; None where no cell has stars enough."""
+    known = np.isfinite(r[:, 0])
+    shape = (len(row_edges) - 1, len(col_edges) - 1)
+    of, r = cell[known], r[known]
+    variance = sigma_px[known, None] ** 2 * np.maximum(np.diagonal(M[known], axis1=1, axis2=2), LEAST_SHARE)
+    count = np.bincount(of, minlength=shape[0] * shape[1])
+    filled = count >= LEAST_STARS
+    if not filled.any():
+        return None
+    safe = np.maximum(count, 1)
+    mean, of_mean, rms = (
+        np.stack([_summed(values[:, k], of, count) for k in (0, 1)]) for values in (r, variance, r**2)
+    )
+    mean, of_mean, rms = mean / safe, np.sqrt(of_mean) / safe, np.sqrt(rms.mean(axis=0) / safe)
+    chi2 = float(np.sum((mean[:, filled] / of_mean[:, filled]) ** 2))
+    return {
+        "count": count.reshape(shape).tolist(),
+        **{
+            name: nested(np.where(filled, values, np.nan).reshape(shape))
+            for name, values in (
+                ("mean_row_px", mean[0]),
+                ("mean_col_px", mean[1]),
+                ("sigma_row_px", of_mean[0]),
+                ("sigma_col_px", of_mean[1]),
+                ("rms_px", rms),
+            )
+        },
+        "rms_in_all_px": float(np.sqrt(np.mean(r**2))),
+        "chi2": chi2,
+        "dof": 2 * int(filled.sum()),
+        "p": float(chdtrc(2 * int(filled.sum()), chi2)),
+    }
+
+
+def _summed(values: FloatArray, of: IntArray, count: IntArray) -> FloatArray:
+    """Sums over cells."""
+    return np.asarray(np.bincount(of, values, minlength=len(count)))
+
+
+def _sentence(before: dict[str, Any] | None, after: dict[str, Any]) -> str:
+    """The verdict in words."""
+    was = "" if before is None else f"{before['rms_in_all_px']:.3g} px before and "
+    size = f"Residuals are {was}{after['rms_in_all_px']:.3g} px after (rms an axis)"
+    if after["p"] >= UNLIKELY:
+        return f"{size}; what is left has no pattern over the detector that the noise lets one see ({probability(after['p'])})."
+    return (
+        f"{size}; what is left has a pattern over the detector that noise does not explain ({probability(after['p'])}): "
+        "the camera model does not have this distortion, or some stars are matched wrongly."
+    )
