@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.store.campaigns import Standing
+from boresight.store.campaigns import Counted, Standing
 from boresight.store.tables import RUN_STATES, TERMINAL_RUN_STATES, Campaign
 
 NOT_LAUNCHED = "NOT LAUNCHED"
@@ -23,10 +23,13 @@ class CampaignView:
         What it is.
     counts
         Sensors by the state of their runs, or `NOT LAUNCHED`; every word, zero where there are none.
+    newest_id
+        Of its newest launch, which grows when what failed is launched again.
     """
 
     row: Campaign
     counts: Mapping[str, int]
+    newest_id: int
 
     @property
     def id(self) -> int:
@@ -64,10 +67,10 @@ class CampaignView:
         return "SUCCEEDED" if self.counts["SUCCEEDED"] == self.sensors else "ENDED"
 
 
-def view_of(row: Campaign, counted: Mapping[str | None, int]) -> CampaignView:
+def view_of(row: Campaign, counted: Counted) -> CampaignView:
     """Put a campaign beside its counts by state, where None has no run."""
-    counts = {state: counted.get(state, 0) for state in RUN_STATES}
-    return CampaignView(row, {**counts, NOT_LAUNCHED: counted.get(None, 0)})
+    counts = {state: counted.by_state.get(state, 0) for state in RUN_STATES}
+    return CampaignView(row, {**counts, NOT_LAUNCHED: counted.by_state.get(None, 0)}, counted.newest_id)
 
 
 def result_of(standing: Standing) -> dict[str, Any]:

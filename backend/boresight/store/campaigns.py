@@ -32,6 +32,14 @@ class Standing:
     summary: dict[str, Any] | None
 
 
+@dataclass(frozen=True)
+class Counted:
+    """How many sensors of a campaign have a run in each state, None for no run; and the number of its newest launch."""
+
+    by_state: Mapping[str | None, int]
+    newest_id: int
+
+
 def _newest() -> sa.Select[tuple[int]]:
     """Select the row that counts of each sensor of each campaign."""
     return sa.select(sa.func.max(CampaignRun.id)).group_by(CampaignRun.campaign_id, CampaignRun.sensor_id)
@@ -77,17 +85,18 @@ def campaigns(session: Session, *, before_id: int | None, limit: int) -> Sequenc
     return session.scalars(query if before_id is None else query.where(Campaign.id < before_id)).all()
 
 
-def counts(session: Session, campaign_ids: Collection[int]) -> dict[int, dict[str | None, int]]:
-    """Count the sensors of campaigns by the state of their runs; None is those that have no run."""
+def counts(session: Session, campaign_ids: Collection[int]) -> dict[int, Counted]:
+    """Count the sensors of campaigns by the state of their runs."""
     counted = session.execute(
-        sa.select(CampaignRun.campaign_id, Run.state, sa.func.count())
+        sa.select(CampaignRun.campaign_id, Run.state, sa.func.count(), sa.func.max(CampaignRun.id))
         .outerjoin(Run, Run.id == CampaignRun.run_id)
         .where(CampaignRun.campaign_id.in_(campaign_ids), CampaignRun.id.in_(_newest()))
         .group_by(CampaignRun.campaign_id, Run.state)
     )
-    found: dict[int, dict[str | None, int]] = {campaign_id: {} for campaign_id in campaign_ids}
-    for campaign_id, state, count in counted:
-        found[campaign_id][state] = count
+    found = {campaign_id: Counted({}, 0) for campaign_id in campaign_ids}
+    for campaign_id, state, count, newest_id in counted:
+        before = found[campaign_id]
+        found[campaign_id] = Counted({**before.by_state, state: count}, max(before.newest_id, newest_id))
     return found
 
 
