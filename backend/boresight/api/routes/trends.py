@@ -24,8 +24,6 @@ Model = Annotated[str | None, Query(description=f"A camera model; the baseline's
 IN_CSV: dict[int | str, dict[str, Any]] = {
     200: {"content": {"text/csv": {}}, "description": "One row a calibration, numbers in SI."}
 }
-    200: {"content": {"text/csv": {}}, "description": "One row a calibration, numbers in SI."}
-}
 
 
 def _known(model: str | None) -> str | None:
