@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import suppress
+from http import HTTPStatus
 from urllib.parse import quote
 
 from fastapi import Request
@@ -13,11 +15,19 @@ from boresight.api.dependencies import current_actor
 from boresight.api.problems import problem_of
 from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.pages.rendering import TEMPLATES, redirect, render
+from boresight.services import users
+from boresight.store.sessions import reading
 
+log = logging.getLogger(__name__)
+
+FORBIDDEN = HTTPStatus.FORBIDDEN
+NOBODY = "No administrator is left to give one; boresight user add on the server makes one."
 SENTENCE = {404: "There is no page at this address.", 405: "This address does not take what was sent."}
 ADVICE = {
-    403: "If it is a role that you lack: an administrator can give it, on the page Users and keys.",
+    400: "Go back, reload the page and send its form again.",
+    403: "Go back; if it is a role that you lack, ask for it.",
     404: "It may have another number, or the address was copied incompletely.",
+    405: "Open the page by a link or by the navigation, and use its buttons.",
     409: "Read the thing again to see its state now, then decide anew.",
     412: "Somebody changed it after you opened the page. Go back, reload, and look at what is there now.",
     413: "Split the file, or ask an administrator to raise the limit.",
@@ -25,7 +35,9 @@ ADVICE = {
     428: "Go back, reload the page and do it from there.",
     429: "Wait as long as the sentence says; nothing of this request was stored.",
     500: "Nothing of this request was stored. Try again; if it fails again, report the request id below.",
+    503: "Wait a moment and try again; if it stays so, tell whoever keeps the server, with the request id below.",
 }
+ADVICE_OF_ANY = "Go back and try again; if it fails again, report the request id below."
 
 
 def is_page(request: Request) -> bool:
@@ -54,16 +66,32 @@ def problem_page(request: Request, error: Exception) -> Response:
         status_code=problem.status,
         problem=problem,
         sentence=SENTENCE.get(problem.status, problem.detail) if isinstance(error, HTTPException) else problem.detail,
-        advice=ADVICE.get(problem.status, ""),
+        advice=ADVICE.get(problem.status, ADVICE_OF_ANY) + _who_grants(request, problem.status),
         request_id=getattr(request.state, "request_id", None),
     )
+
+
+def _who_grants(request: Request, status: int) -> str:
+    """Name who can give a role, to who is known and lacks it."""
+    if status != FORBIDDEN or getattr(request.state, "actor", None) is None:
+        return ""
+    try:
+        with reading(request.app.state.engine) as session:
+            names = users.administrators(session)
+    except Exception:
+        log.exception("A refusal could not name the administrators")
+        return ""
+    said = f"On the page Users and keys {' or '.join(names)} can give roles." if names else NOBODY
+    return f" {said}"
 
 
 def bare_problem_page(request: Request, error: Exception) -> Response:
     """Answer an error where even the frame around a page cannot be made: its sentence and the request id, alone."""
     problem = problem_of(error)
     page = TEMPLATES.get_template("bare_problem.html").render(
-        problem=problem, advice=ADVICE.get(problem.status, ""), request_id=getattr(request.state, "request_id", None)
+        problem=problem,
+        advice=ADVICE.get(problem.status, ADVICE_OF_ANY),
+        request_id=getattr(request.state, "request_id", None),
     )
     return HTMLResponse(page, status_code=problem.status, headers={"Cache-Control": "no-store"})
 

@@ -51,7 +51,7 @@ def _page(request: Request, actor: Actor, session: Session, shown: Shown) -> HTM
         status_code=422 if shown.refusal else 200,
         people=people if administrator else [],
         names={person.id: person.printed_name for person in people},
-        administrators=[p.printed_name for p in people if "administrator" in p.roles and p.disabled_utc is None],
+        administrators=users.administrators(session),
         keys=api_keys.list_keys(session, None if administrator else actor.user_id),
         roles=WHAT_A_ROLE_MAY,
         scopes=SCOPES,

@@ -269,6 +269,12 @@ def list_users(session: Session) -> Sequence[User]:
     return rows.users(session)
 
 
+def administrators(session: Session) -> list[str]:
+    """Return the printed names of who can give roles now."""
+    people = list_users(session)
+    return [one.printed_name for one in people if "administrator" in one.roles and one.disabled_utc is None]
+
+
 def _require_administrator(actor: Actor) -> None:
     """Refuse keys too: one that gave roles or passwords could make itself a person who signs."""
     refuse_key(actor, "manage people")
