@@ -28,7 +28,9 @@ class LogTail extends HTMLElement {
   }
 
   #hear(event) {
-    if (event?.run_id === undefined || String(event.run_id) === this.getAttribute("run")) this.#timer ||= setTimeout(() => this.#read(), WAIT_MS);
+    if (event?.run_id !== undefined && String(event.run_id) !== this.getAttribute("run")) return;
+    this.#timer ||= setTimeout(() => this.#read(), WAIT_MS);
+    if (/SUCCEEDED|FAILED|CANCELLED|LOST/.test(event?.state)) this.said.textContent = "The run has ended: this is the whole log.";
   }
 
   #press() {

@@ -24,17 +24,23 @@ ARGUMENTS = [
     "--disable-sync",
 ]
 FRAMES = "100"
-SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 2.0, 100.0
+SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 4.0, 100.0
 LOOKS = 4
 PURPOSES = ("calibration", "validation")
 
 
 @dataclass
 class Watched:
-    """A run that was watched while it computed: how many frames its convergence curve had, look by look."""
+    """A run that was watched while it computed: look by look how many frames its convergence curve had, what the page said,
+    and how often the figure had been fetched; what was drawn at the last look; its log, and what its page said at the end."""
 
     lengths: list[int] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
+    fetched: list[int] = field(default_factory=list)
+    drawn: list[dict] = field(default_factory=list)
+    fetched_anew: list[dict] = field(default_factory=list)
+    log: str = ""
+    at_the_end: str = ""
 
 
 @dataclass(frozen=True)
@@ -137,15 +143,31 @@ def watched(people, batch_run):
         window.page.get_by_role("link", name="Clone and edit").click()
         choose_filter(window, SLOW_FRAMES_PER_S)
         window.shoot("02-launch", wide=True)
-        queue(window, "To be watched")
-        seen = Watched()
+        run_id = queue(window, "To be watched")
+        seen, fetches = Watched(), []
+        window.page.on(
+            "request", lambda asked: fetches.append(asked.url) if "/figures/convergence" in asked.url else None
+        )
+        window.open(f"/runs/{run_id}?part=convergence")
         for _ in range(LOOKS):
             seen.lengths.append(window.grown("convergence", max(seen.lengths, default=0)))
             head, verdict = (window.page.locator(place) for place in ("#run-head", "#verdict header"))
             seen.said.append(head.inner_text() + verdict.inner_text())
+            seen.fetched.append(len(fetches))
+        seen.drawn = window.drawn("convergence")
         window.shoot("03-running", wide=True)
+        with window.page.expect_response("**/figures/convergence*"):
+            window.page.locator("plot-figure").dispatch_event("figure-refresh")
+        window.grown("convergence", len(seen.drawn[1]["x"]))
+        seen.fetched_anew = window.drawn("convergence")
+        window.open(f"/runs/{run_id}?part=log")
+        expect(window.page.locator("log-tail")).to_contain_text("%:")
+        seen.log = window.page.locator("log-tail").inner_text()
+        window.shoot("03-log")
+        window.page.get_by_label("Why stop it").fill("Seen enough.")
         window.page.get_by_role("button", name="Cancel run").click()
         ends_as(window, "CANCELLED")
+        seen.at_the_end = window.page.locator("#run-head").inner_text()
         return seen
 
 

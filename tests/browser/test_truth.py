@@ -14,7 +14,7 @@ from tests.browser.work import choose_filter, ends_as, queue, upload
 pytestmark = pytest.mark.browser
 
 STARS = 3
-ONE_A_SECOND, TEN_A_SECOND = 1.0, 10.0
+ONE_A_SECOND, TWENTY_A_SECOND = 1.0, 20.0
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +53,24 @@ def test_a_run_whose_data_are_lost_fails_with_its_cause_and_what_to_try(people, 
         ends_as(window, "FAILED")
         reason = window.read(f"/api/v1/runs/{run_id}")["reason"]
         assert reason
+        head = window.page.locator("#run-head")
         expect(window.page.get_by_role("alert")).to_have_text(reason)
-        expect(window.page.locator("#run-head")).to_contain_text("clone this run and edit it")
+        expect(head).to_contain_text("clone this run and edit it")
+        expect(head.get_by_role("list", name="Last lines of the log")).to_contain_text("RUNNING: attempt 1")
         expect(window.page.locator("#parameters")).to_contain_text(
             "No estimate: the run ended as FAILED before it had a result"
         )
         expect(window.page.get_by_role("button", name="Create parameter set")).to_have_count(0)
         expect(window.page.locator("plot-figure")).to_have_count(0)
-        window.shoot("41-failed")
+        window.shoot("41-failed", wide=True)
+        head.get_by_role("link", name="Whole log").click()
+        window.page.get_by_role("link", name=re.compile("^Errors")).click()
+        expect(window.page.get_by_role("listitem").filter(has_text=f"FAILED: {reason}")).to_be_visible()
+        assert window.page.url.endswith("part=log&level=error")
+        assert window.barriers() == []
+        window.shoot("41-failed-log")
+        head.get_by_role("link", name="Run it again").click()
+        expect(window.page.get_by_label("Label")).to_have_value(re.compile("Its data are gone"))
 
 
 def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_run):
@@ -82,24 +92,30 @@ def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_r
 def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, installation, sequential_run):
     with people.seat("analyst") as window:
         window.open(f"/runs/new?clone={sequential_run}")
-        choose_filter(window, TEN_A_SECOND)
+        choose_filter(window, TWENTY_A_SECOND)
         run_id = queue(window, "Survives its server")
-        link = window.page.locator("#link-state")
+        window.open(f"/runs/{run_id}?part=convergence")
+        link, age = window.page.locator("#link-state"), window.page.locator("[data-run-age]")
         expect(link).to_have_text("LIVE")
         expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
         installation.kill()
         try:
             expect(link).to_have_text("DISCONNECTED")
-            expect(window.page.locator("[data-run-age]")).to_contain_text(re.compile("cannot be reached|last event"))
+            expect(age).to_have_text(re.compile(r"^DISCONNECTED · last event \d+\Ws ago$"))
             window.shoot("43-disconnected")
         finally:
             installation.start()
         expect(link).to_have_text("LIVE")
+        expect(window.page.locator("#run-head")).to_contain_text("Attempt 1 ended without a result: its server")
+        expect(age).to_have_text(re.compile("^last event"))
+        window.shoot("44-returned")
         ends_as(window, "SUCCEEDED")
         run, first = (window.read(f"/api/v1/runs/{number}") for number in (run_id, sequential_run))
         assert run["attempt"] > 1
-        assert window.result(run_id)["parameters"] == window.result(sequential_run)["parameters"]
+        result = window.result(run_id)
+        assert result["parameters"] == window.result(sequential_run)["parameters"]
         assert run["summary"]["status"] == first["summary"]["status"]
         window.figures_drawn()
-        window.shoot("44-recovered")
+        assert window.drawn("convergence")[1]["x"] == result["history"]["frame"]
+        window.shoot("45-recovered")
         window.forgive("ERR_")
