@@ -11,7 +11,7 @@ import { send } from "./problem.js";
 
 const TERMINAL = new Set(["SUCCEEDED", "FAILED", "CANCELLED", "LOST"]);
 const DRAW_MS = 400;
-const WHOLE_MS = 15_000; // a curve that was drawn on is framed and thinned anew after this time
+const WHOLE_MS = 15_000; // a curve that was drawn on is framed and thinned anew after this time, at first sooner
 const FETCH_MS = 1000;
 const RENEW_MS = 5000;
 const SILENT_MS = 30_000;
@@ -19,6 +19,7 @@ const FOLLOWING = "plot-figure[data-follows]";
 
 class LiveRun extends HTMLElement {
   #heardAt = NaN;
+  #begunAt = Date.now();
   #wholeAt = Date.now();
   #drawTimer = 0;
   #fetchTimer = 0;
@@ -105,7 +106,8 @@ class LiveRun extends HTMLElement {
   async #draw() {
     const drawn = await Promise.all([...document.querySelectorAll(FOLLOWING)].map(grow));
     this.#drawTimer = 0;
-    if (!drawn.every(Boolean) || Date.now() - this.#wholeAt > WHOLE_MS) this.#fetchFigures();
+    const patience = Math.min(WHOLE_MS, 2 * FETCH_MS + this.#wholeAt - this.#begunAt);
+    if (!drawn.every(Boolean) || Date.now() - this.#wholeAt > patience) this.#fetchFigures();
   }
 
   #fetchFigures() {

@@ -98,6 +98,7 @@ def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, instal
         link, age = window.page.locator("#link-state"), window.page.locator("[data-run-age]")
         expect(link).to_have_text("LIVE")
         expect(window.page.locator("#run-head")).to_contain_text("RUNNING")
+        window.grown("convergence", 1)
         installation.kill()
         try:
             expect(link).to_have_text("DISCONNECTED")

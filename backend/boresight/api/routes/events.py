@@ -67,21 +67,25 @@ async def stream_events(
         newest = broadcast.progress
         place = await run_in_threadpool(_begin, request.app.state.engine, last_event_id, newest)
         yield ServerSentEvent(comment="connected", id=str(place), retry=RETRY_MS)
-        while events := await run_in_threadpool(_missed, request.app.state.engine, place):
-            for event in events:
-                place = event.move(place)
-                if wish.concerns(event):
-                    yield wish.sent(event, place)
-        kept = broadcast.progress_after(place.progress)
-        if kept is None:
-            place = replace(place, progress=newest)
-            yield ServerSentEvent(event="missed", data={"id": str(place)}, id=str(place))
-        for event in kept or ():
+        async for event in _past(request.app.state.engine, broadcast, place):
             place = event.move(place)
             if wish.concerns(event):
                 yield wish.sent(event, place)
+        if place.progress < newest or place.progress > broadcast.progress:
+            place = replace(place, progress=newest)
+            yield ServerSentEvent(event="missed", data={"id": str(place)}, id=str(place))
         async for told in _live(request, listener, place, wish):
             yield told
+
+
+async def _past(database: Engine, broadcast: Broadcast, place: Place) -> AsyncIterator[Event]:
+    """Return the rows after a place, page by page, and the progress after it, none where some is kept no more."""
+    while events := await run_in_threadpool(_missed, database, place):
+        for event in events:
+            place = event.move(place)
+            yield event
+    for event in broadcast.progress_after(place.progress) or ():
+        yield event
 
 
 def _begin(database: Engine, last_event_id: str | None, progress: int) -> Place:

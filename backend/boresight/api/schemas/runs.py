@@ -16,6 +16,8 @@ class RunProgress(Row):
 
     fraction: float | None = Field(None, description="0 to 1.")
     message: str | None = None
+    elapsed_s: float | None = Field(None, description="Since its worker began.")
+    at_utc: str | None = Field(None, description="When the worker last reported.")
 
 
 class Run(Row):

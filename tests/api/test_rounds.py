@@ -1,0 +1,55 @@
+"""Rounds: every step in each round whatever befalls another, at once when nudged, and none after the close."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from boresight.api.rounds import Rounds
+
+LONG_S = 1000.0
+
+
+def test_a_step_that_fails_is_logged_and_tried_again_and_the_others_are_taken(caplog: pytest.LogCaptureFixture) -> None:
+    taken: list[str] = []
+    twice = threading.Event()
+
+    def fail() -> None:
+        taken.append("failed")
+        raise OSError("no disk")
+
+    def go() -> None:
+        taken.append("went")
+        if len(taken) > 3:
+            twice.set()
+
+    rounds = Rounds("errand", [fail, go], lambda: 0.001)
+    rounds.start()
+    assert twice.wait(10)
+    rounds.close()
+    assert taken[:4] == ["failed", "went"] * 2
+    assert "The errand failed and is tried again" in caplog.text
+
+
+def test_a_nudge_begins_the_next_round_at_once_and_a_close_ends_the_thread() -> None:
+    taken = threading.Semaphore(0)
+    rounds = Rounds("errand", [taken.release], lambda: LONG_S)
+    rounds.start()
+    assert taken.acquire(timeout=10)
+    rounds.nudge()
+    assert taken.acquire(timeout=10)
+    rounds.close()
+    rounds.close()
+    assert rounds.closing
+    assert not any(thread.name == "boresight-errand" for thread in threading.enumerate())
+    assert not taken.acquire(blocking=False)
+
+
+def test_what_was_closed_can_start_again() -> None:
+    taken = threading.Semaphore(0)
+    rounds = Rounds("errand", [taken.release], lambda: LONG_S)
+    for _ in range(2):
+        rounds.start()
+        assert taken.acquire(timeout=10)
+        rounds.close()
