@@ -77,6 +77,92 @@ def residuals(rng, n_stars):
     }
 
 
+def residual_field(rng, edge_px=0.1):
+    """Make cells of 12 by 16 with noise of their sigmas; the first row of cells is off by `edge_px` after the fit."""
+    shape = (12, 16)
+    sigma = 0.1 / np.sqrt(40)
+
+    def side(wrong):
+        return {
+            "count": np.full(shape, 40).tolist(),
+            "mean_row_px": (sigma * rng.normal(size=shape) + wrong).tolist(),
+            "mean_col_px": (sigma * rng.normal(size=shape)).tolist(),
+            "sigma_row_px": np.full(shape, sigma).tolist(),
+            "sigma_col_px": np.full(shape, sigma).tolist(),
+            "rms_px": rng.uniform(0.09, 0.11, shape).tolist(),
+            "rms_in_all_px": float(np.hypot(0.1, np.std(wrong))),
+            "chi2": 380.0,
+            "dof": 384,
+            "p": 0.5,
+        }
+
+    after = np.zeros(shape)
+    after[0] = edge_px
+    return {
+        "row_edges_px": np.linspace(-0.5, 1943.5, 13).tolist(),
+        "col_edges_px": np.linspace(-0.5, 2591.5, 17).tolist(),
+        "frames_used": 200,
+        "even": True,
+        "sentence": "What is left has no pattern over the detector that the noise lets one see.",
+        "before": side(np.linspace(-3, 3, 12)[:, None] * np.ones(16)),
+        "after": side(after),
+    }
+
+
+def residual_distribution(rng, n=4000):
+    z, normal = rng.normal(size=n), np.linspace(-3, 3, 61)
+    edges = np.linspace(-6, 6, 49)
+    return {
+        "edges": edges.tolist(),
+        "before": {"counts": np.histogram(10 * z, edges)[0].tolist(), "below": 1000, "above": 1010},
+        "after": {"counts": np.histogram(z, edges)[0].tolist(), "below": 0, "above": 0},
+        "normal": normal.tolist(),
+        "quantile": (normal * 1.01).tolist(),
+        "sigma_of_quantile": (0.02 * np.exp(normal**2 / 5)).tolist(),
+        "count": n,
+        "mean": 0.01,
+        "sigma": 1.01,
+        "spread": 1.0,
+        "beyond_share": 0.0028,
+        "expected_share": 0.0027,
+        "p_tail": 0.8,
+        "normal_tails": True,
+        "sentence": "The tails are those of the normal curve.",
+    }
+
+
+def residual_outliers(rng, n=5):
+    return {
+        "frame": rng.integers(0, 200, n).tolist(),
+        "exposure": [0] * n,
+        "star_id": rng.integers(1, 100_000, n).tolist(),
+        "row_px": rng.uniform(0, 1943, n).tolist(),
+        "col_px": rng.uniform(0, 2591, n).tolist(),
+        "d_row_px": [0.5] * n,
+        "d_col_px": [0.0] * n,
+        "normalised": np.linspace(6, 4.1, n).tolist(),
+        "limit": 4.0,
+        "stars_in_all": 4466,
+        "in_all": n,
+        "expected": 0.6,
+        "sentence": f"{n} of 4466 matched stars lie beyond 4 sigmas of their residual; chance puts 0.6 there.",
+    }
+
+
+def worst_frames(n=200):
+    deviation = np.linspace(4.2, -2.0, n)
+    return {
+        "frame": [(7 * k) % n for k in range(n)],
+        "chi2_per_dof": (1 + deviation / 5).tolist(),
+        "dof": [38.9] * n,
+        "deviation": deviation.tolist(),
+        "frames_in_all": n,
+        "beyond": int(np.sum(deviation > 3)),
+        "expected_beyond": 0.27,
+        "sentence": "Some frames are explained worse than 3 sigmas allow.",
+    }
+
+
 def drop_one():
     worth = dict(zip(NAMES, (9.5e4, 3.0e3, 4.1e3, 55.0, 920.0, 310.0, 2.0, 260.0), strict=True))
     return [
@@ -141,6 +227,10 @@ def trust(sigma, n_frames=200, seed=6):
             "time": bins(rng, 0, 86_400, "s"),
         },
         "residuals": residuals(rng, min(2000, 10 * n_frames)),
+        "residual_field": residual_field(np.random.default_rng(9)),
+        "residual_distribution": residual_distribution(np.random.default_rng(10)),
+        "residual_outliers": residual_outliers(np.random.default_rng(11)),
+        "worst_frames": worst_frames(min(200, n_frames)),
         "unavailable": {"residual_against.temperature": "The telemetry has no temperatures."},
     }
 

@@ -16,8 +16,8 @@ from tests.figures.examined import frame_observability, matching, shadow, trust
 EVERY_FIGURE = pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())
 LIMIT_BYTES = 500_000
 DRAWN_WITHIN_S = 2.0
-MAPS = {"coverage", "arc-uncertainty"}  # one colour scale for all runs, each in a map of its own
-FIRST_RUN_ONLY = {"residual-map"}  # says so
+MAPS = {"coverage", "arc-uncertainty", "residual-rms"}  # one colour scale for all runs, each in a map of its own
+FIRST_RUN_ONLY = {"residual-map", "residual-quiver"}  # says so
 
 
 def words(drawn: go.Figure) -> str:

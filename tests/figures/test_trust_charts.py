@@ -9,6 +9,7 @@ from boresight.figures import CHAPTERS, FIGURES, Trace
 from boresight.figures.innovations import running_mean
 from boresight.figures.more_data import round_ticks
 from boresight.figures.residual_map import CLEAR_SIGMA, Field, cell_means
+from boresight.figures.rms_axes import running, spread_of
 
 PART_OF = {
     "two-halves": "two_halves",
@@ -20,6 +21,11 @@ PART_OF = {
     "whiteness": "whiteness",
     "residual-against": "residual_against",
     "residual-map": "residuals",
+    "rms-axes": "residuals",
+    "residual-quiver": "residual_field",
+    "residual-rms": "residual_field",
+    "residual-distribution": "residual_distribution",
+    "residual-outliers": "residual_outliers",
     "stars": "stars",
 }
 
@@ -167,3 +173,25 @@ def test_matching_draws_both_counts_of_every_cycle(sequential_result):
 def test_a_run_with_given_matches_says_so(sequential_result):
     given = sequential_result | {"matching": None, "inputs": {"settings": {"match": "given"}}}
     assert "matches it was given" in draw("matching", given).layout.annotations[0].text
+
+
+def test_residuals_are_turned_to_the_radius_without_changing_their_length(sequential_result):
+    found = spread_of(sequential_result)
+    rows, columns, along, across = found.by_axis.values()
+    assert np.hypot(rows, columns) == pytest.approx(np.hypot(along, across))
+    seen = sequential_result["trust"]["residuals"]
+    centre = [sequential_result["parameters"][name] for name in ("m0_px", "n0_px")]
+    outward = np.array([seen["row_px"], seen["col_px"]]).T - centre
+    expected = np.sum(outward * np.array([rows, columns]).T, axis=1) / np.linalg.norm(outward, axis=1)
+    assert along == pytest.approx(expected)
+
+
+def test_the_rms_of_an_axis_stands_with_its_sigma_and_bins_of_frames_hold_equal_numbers(sequential_result):
+    columns = FIGURES["rms-axes"].table(sequential_result)
+    rows = np.array(sequential_result["trust"]["residuals"]["d_row_px"])
+    assert columns["rms_px"][0] == pytest.approx(np.sqrt(np.mean(rows**2)))
+    assert columns["sigma_of_rms_px"][0] == pytest.approx(columns["rms_px"][0] / np.sqrt(2 * len(rows)))
+    frame, level, sigma = running(spread_of(sequential_result), "across the radius")
+    assert len(frame) == 40
+    assert (np.diff(frame) > 0).all()
+    assert sigma == pytest.approx(level / np.sqrt(2 * len(rows) / 40), rel=0.02)

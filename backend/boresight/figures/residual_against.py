@@ -60,7 +60,7 @@ def _why(result: Result, cause: str) -> str:
 
 def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
     """Write a sentence into an empty panel, folded to its width."""
-    words = "<br>".join(_folded(theme.escape(sentence)))
+    words = "<br>".join(folded(theme.escape(sentence), REASON_LETTERS))
     number = 2 * (where["row"] - 1) + where["col"]
     figure.add_trace(
         go.Scatter(x=[None], y=[None], showlegend=False, hoverinfo="skip"), **where
@@ -72,10 +72,11 @@ def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
     figure.update_yaxes(title_text=None, **bare, **where)
 
 
-def _folded(sentence: str) -> list[str]:
+def folded(sentence: str, letters: int) -> list[str]:
+    """Break a sentence into lines of about so many letters."""
     lines = [""]
     for word in sentence.split():
-        if len(lines[-1]) + len(word) > REASON_LETTERS:
+        if len(lines[-1]) + len(word) > letters:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".strip()
     return lines

@@ -53,13 +53,13 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     _arrows(figure, means, style, 2, style.colour)
     n_clear = int(np.sum(means.clear))
     counted = f"{n_clear} of {len(means.row)} cell means are clear of their noise"
-    title = f"Residuals: {counted}{_others([style.label for _, style, _ in drawn])}"
+    title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
     theme.dress(figure, title=title, height_px=470, legend=False, hovermode="closest")
     _frame(figure)
     return figure
 
 
-def _others(labels: Sequence[str]) -> str:
+def others(labels: Sequence[str]) -> str:
     """Say which runs are compared with but not drawn: arrows over arrows could not be read."""
     if len(labels) <= 1:
         return ""
