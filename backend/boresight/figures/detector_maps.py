@@ -31,7 +31,7 @@ def detector_map(part: Any, key: str, label: str, **scale: Any) -> go.Heatmap:
 def beside(drawn: Sequence[Part], key: str, **scale: Any) -> go.Figure:
     """Lay the maps of several runs out in one row; only the last shows the scale, which is common."""
     shown = drawn[:MAX_MAPS]
-    titles = [_short(style.label) for _, style, _ in shown] if len(shown) > 1 else None
+    titles = [short_label(style.label) for _, style, _ in shown] if len(shown) > 1 else None
     figure = make_subplots(1, len(shown), subplot_titles=titles, horizontal_spacing=0.4 / max(4, len(shown)))
     for place, (_, style, part) in enumerate(shown, start=1):
         drawing = detector_map(part, key, style.label, showscale=place == len(shown), **scale)
@@ -61,7 +61,7 @@ def cells(part: Any, key: str) -> dict[str, list[Any]]:
     }
 
 
-def _short(label: str) -> str:
+def short_label(label: str) -> str:
     """Keep of a label what stands over a narrow map: its first part; the hover has the whole."""
     first = label.split(" · ", maxsplit=1)[0]
     return first if len(first) <= TITLE_LENGTH else f"{first[: TITLE_LENGTH - 1]}…"
