@@ -1,0 +1,186 @@
+"""Alarms come and go by themselves, and leave only by a person: every step allowed or refused, on record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+
+from boresight.errors import (
+    ConflictError,
+    ForbiddenError,
+    NotFoundError,
+    PreconditionRequiredError,
+    RefusedInputError,
+    StaleError,
+)
+from boresight.services import alarms, audit, watch
+from boresight.services.actors import Actor
+from boresight.services.conditions import chain_condition
+from boresight.store.sessions import Session, utc_after
+from boresight.store.tables import Alarm, AuditRecord, ParameterSet
+from tests.missions import add_run, add_set, make_baseline
+
+BROKEN = chain_condition("broken", "Record 7 is not as it was written.")
+
+
+@pytest.fixture
+def alarm(session: Session) -> Alarm:
+    """An alarm that was just raised."""
+    assert watch.watch_chain(session, BROKEN) == 1
+    (row,) = alarms.list_alarms(session)
+    return row
+
+
+def _events(session: Session, row: Alarm) -> list[str]:
+    return [event.event for event in alarms.events_of(session, row.id)]
+
+
+def test_a_condition_raises_one_alarm_and_looking_again_writes_nothing(session: Session, alarm: Alarm) -> None:
+    assert alarms.state_of(alarm) == "unacknowledged, active"
+    before = session.scalar(sa.select(sa.func.count()).select_from(AuditRecord))
+    assert not watch.differs(session, BROKEN)
+    assert watch.watch_chain(session, BROKEN) + watch.watch(session) == 0
+    assert session.scalar(sa.select(sa.func.count()).select_from(AuditRecord)) == before
+    assert alarms.unacknowledged(session) == 1
+
+
+def test_it_returns_by_itself_and_stays_until_a_person_has_seen_it(
+    session: Session, alarm: Alarm, people: Mapping[str, Actor]
+) -> None:
+    assert watch.differs(session, None)
+    watch.watch_chain(session, None)
+    assert alarms.state_of(alarm) == "unacknowledged, returned to normal"
+    assert alarms.unacknowledged(session) == 1
+    alarms.acknowledge(session, people["dee"], alarm.id, "Seen.", alarm.version)
+    assert alarms.state_of(alarm) == "closed"
+    assert _events(session, alarm) == ["RAISED", "RETURNED", "ACKNOWLEDGED", "CLOSED"]
+    watch.watch_chain(session, BROKEN)
+    assert [row.id for row in alarms.list_alarms(session)] == [alarm.id + 1]
+
+
+def test_acknowledged_first_it_closes_when_it_is_over_and_its_return_wants_to_be_seen(
+    session: Session, alarm: Alarm, people: Mapping[str, Actor]
+) -> None:
+    alarms.acknowledge(session, people["ana"], alarm.id, "", alarm.version)
+    assert (alarms.state_of(alarm), alarms.unacknowledged(session)) == ("acknowledged, active", 0)
+    worse = chain_condition("broken", "Record 5 is not as it was written.")
+    watch.watch_chain(session, worse)
+    assert (alarm.sentence, alarm.acknowledged) == ("Record 5 is not as it was written.", 1)
+    watch.watch_chain(session, None)
+    assert alarms.state_of(alarm) == "closed"
+
+
+def test_one_that_comes_back_before_it_was_seen_is_the_same_alarm_again(session: Session, alarm: Alarm) -> None:
+    watch.watch_chain(session, None)
+    watch.watch_chain(session, BROKEN)
+    assert alarms.state_of(alarm) == "unacknowledged, active"
+    assert _events(session, alarm) == ["RAISED", "RETURNED", "RAISED AGAIN"]
+
+
+def test_a_shelved_alarm_counts_for_nobody_until_its_time(
+    session: Session, alarm: Alarm, people: Mapping[str, Actor]
+) -> None:
+    alarms.shelve(session, people["ana"], alarm.id, utc_after(3600), "The pass is in an hour.", alarm.version)
+    assert alarms.state_of(alarm).startswith("unacknowledged, active, shelved until")
+    assert alarms.unacknowledged(session) == 0
+    assert [row.id for row in alarms.list_alarms(session, alarms.Sought(state="shelved"))] == [alarm.id]
+    alarm.shelved_until_utc = utc_after(-1)
+    assert alarms.unacknowledged(session) == 1
+    assert watch.watch(session) == 1
+    assert (_events(session, alarm)[-1], alarm.shelved_until_utc) == ("UNSHELVED", None)
+
+
+def test_a_shelf_can_be_left_before_its_time(session: Session, alarm: Alarm, people: Mapping[str, Actor]) -> None:
+    with pytest.raises(ConflictError, match="not shelved"):
+        alarms.unshelve(session, people["ana"], alarm.id, alarm.version)
+    alarms.shelve(session, people["ana"], alarm.id, utc_after(3600), "Later.", alarm.version)
+    alarms.unshelve(session, people["ana"], alarm.id, alarm.version)
+    assert alarms.unacknowledged(session) == 1
+
+
+@pytest.mark.parametrize("until", ["tomorrow", "", "2020-01-01", "2099-01-01T00:00:00Z"])
+def test_a_shelf_without_an_end_that_is_near_is_refused(
+    session: Session, alarm: Alarm, people: Mapping[str, Actor], until: str
+) -> None:
+    with pytest.raises(RefusedInputError):
+        alarms.shelve(session, people["ana"], alarm.id, until, "Later.", alarm.version)
+
+
+def test_a_person_is_asked_and_asked_no_more(session: Session, alarm: Alarm, people: Mapping[str, Actor]) -> None:
+    alarms.assign(session, people["ana"], alarm.id, people["dee"].user_id, alarm.version)
+    assert alarm.assigned_to == people["dee"].user_id
+    alarms.assign(session, people["ana"], alarm.id, None, alarm.version)
+    assert [event.text for event in alarms.events_of(session, alarm.id)][1:] == ["to Dee", "to nobody"]
+    with pytest.raises(NotFoundError, match="no user 99"):
+        alarms.assign(session, people["ana"], alarm.id, 99, alarm.version)
+
+
+STEPS: dict[str, Any] = {
+    "acknowledge": lambda session, actor, number, seen: alarms.acknowledge(session, actor, number, "x", seen),
+    "shelve": lambda session, actor, number, seen: alarms.shelve(session, actor, number, utc_after(60), "x", seen),
+    "unshelve": alarms.unshelve,
+    "assign": lambda session, actor, number, seen: alarms.assign(session, actor, number, None, seen),
+    "comment": lambda session, actor, number, seen: alarms.comment(session, actor, number, "x", seen),
+}
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_every_step_asks_who_acts_what_was_seen_and_whether_it_is_open(
+    session: Session, alarm: Alarm, people: Mapping[str, Actor], step: str
+) -> None:
+    act, seen = STEPS[step], alarm.version
+    key = Actor(people["ana"].user_id, "ana", "Ana", frozenset({"analyst"}), "key:abc")
+    for nobody in (people["eve"], key):
+        with pytest.raises(ForbiddenError):
+            act(session, nobody, alarm.id, seen)
+    with pytest.raises(PreconditionRequiredError):
+        act(session, people["ana"], alarm.id, None)
+    with pytest.raises(StaleError, match="has changed since"):
+        act(session, people["ana"], alarm.id, seen - 1)
+    with pytest.raises(NotFoundError):
+        act(session, people["ana"], 99, seen)
+    watch.watch_chain(session, None)
+    alarms.acknowledge(session, people["dee"], alarm.id, "", alarm.version)
+    with pytest.raises(ConflictError, match="closed"):
+        act(session, people["ana"], alarm.id, alarm.version)
+
+
+def test_every_step_is_on_record_with_who_took_it(session: Session, alarm: Alarm, people: Mapping[str, Actor]) -> None:
+    alarms.comment(session, people["dee"], alarm.id, "A pass is asked for.", alarm.version)
+    with pytest.raises(RefusedInputError):
+        alarms.comment(session, people["dee"], alarm.id, "  ", alarm.version)
+    record = audit.last_change(session, f"alarms/{alarm.id}")
+    assert record is not None
+    assert (record.action, record.actor, record.reason) == ("alarm commented", "Dee", "A pass is asked for.")
+
+
+def test_an_old_baseline_and_a_failed_read_back_raise_alarms(session: Session) -> None:
+    row = session.get_one(ParameterSet, 1)
+    row.baseline_from_utc, row.onboard_state = utc_after(-200 * 86400), "MISMATCH"
+    audit.append(session, Actor(None, "x", "X", frozenset(), "system"), "aged", "parameter-sets/1")
+    assert watch.watch(session, [2]) == 0
+    assert watch.watch(session, [1]) == 2
+    found = {alarm.kind: alarm.level for alarm in alarms.list_alarms(session)}
+    assert found == {"MISMATCH": "critical", "AGE": "caution"}
+    assert not watch.differs(session, None)
+
+
+def test_a_drift_raises_an_alarm_and_a_promotion_lets_it_return(session: Session) -> None:
+    rng = np.random.default_rng(1)
+    make_baseline(session, add_run(session, add_set(session, 1, 0), rng))
+    moved = add_run(session, add_set(session, 1, 90), rng, np.eye(8)[0])
+    watch.watch(session, [1])
+    (row,) = alarms.list_alarms(session, alarms.Sought(kind="DRIFT", sensor_id=1))
+    assert (row.level, row.evidence["run_id"]) == ("serious", moved.id)
+    make_baseline(session, moved)
+    watch.watch(session, [1])
+    assert alarms.state_of(row) == "unacknowledged, returned to normal"
+
+
+def test_a_state_that_does_not_exist_is_refused(session: Session) -> None:
+    with pytest.raises(RefusedInputError, match="choose from unacknowledged"):
+        alarms.list_alarms(session, alarms.Sought(state="loud"))

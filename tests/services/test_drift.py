@@ -1,0 +1,183 @@
+"""What counts as a calibration of its own, when a sensor drifts, and what is advised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from boresight.services import drift
+from boresight.services.advice import advise
+from boresight.services.trend import Trend, trend_of
+from boresight.services.trend_views import trend_document
+from boresight.store.sessions import Session
+from tests.missions import add_run, add_set, make_baseline
+
+FIRST = np.eye(8)[0]  # a1: the store keeps keys sorted
+
+
+def _mission(
+    session: Session, rng: np.random.Generator, days: list[float], slope: float = 0.0, **kept: Any
+) -> list[int]:
+    """Calibrate the sensor on these days, a1 moving by `slope` typical sigmas a day."""
+    return [add_run(session, add_set(session, 1, day), rng, slope * day * FIRST, **kept).id for day in days]
+
+
+def _baselined(session: Session, rng: np.random.Generator) -> int:
+    run = add_run(session, add_set(session, 1, 0), rng)
+    make_baseline(session, run)
+    return run.id
+
+
+def _left_out(trend: Trend) -> dict[int, str]:
+    return {point.run_id: point.left_out for point in trend.points if point.left_out}
+
+
+def test_a_calibration_stands_at_the_middle_of_its_data(session: Session) -> None:
+    _mission(session, np.random.default_rng(1), [10.0])
+    (point,) = trend_of(session, 1).points
+    assert point.at_utc.startswith("2026-01-11T01:00:00")
+    assert point.timed
+
+
+def test_of_calibrations_of_the_same_stars_one_counts_and_of_unequal_methods_the_batch(session: Session) -> None:
+    rng, data = np.random.default_rng(1), add_set(session, 1, 5)
+    batch = add_run(session, data, rng)
+    sqrf = add_run(session, data, rng, method="sqrf")
+    half_over = add_run(session, add_set(session, 1, 5 + 1 / 24), rng)  # an hour later, two hours long
+    trend = trend_of(session, 1)
+    assert [point.run_id for point in trend.independent] == [half_over.id]
+    assert all(str(half_over.id) in why for why in _left_out(trend).values())
+    assert set(_left_out(trend)) == {batch.id, sqrf.id}
+
+
+def test_what_cannot_be_compared_is_left_out_with_its_reason(session: Session) -> None:
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    over = add_run(session, add_set(session, 1, 3), rng, left_out="it forgets")
+    names = list(over.summary["trend"]["names"])
+    fewer = add_run(
+        session, add_set(session, 1, 6), rng, names=names[:5], covariance=np.eye(5).tolist()
+    )  # the other three are held at what the ground calibration has, the baseline has others
+    other = add_run(session, add_set(session, 1, 9), rng, camera_model="pinhole_radial")
+    older = add_run(session, add_set(session, 1, 12), rng)
+    older.summary = {"status": "converged"}
+    trend = trend_of(session, 1)
+    assert set(_left_out(trend)) == {over.id, fewer.id} | set()
+    assert "held otherwise" in _left_out(trend)[fewer.id]
+    assert [point.run_id for point in trend.others] == [other.id]
+    assert drift.judge(trend).verdict == "NOT TESTED"
+
+
+def test_a_sensor_that_holds_raises_no_alarm_and_one_that_moves_does(session: Session) -> None:
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    _mission(session, rng, [30, 60, 90])
+    holds = drift.judge(trend_of(session, 1))
+    assert (holds.verdict, holds.counted) == ("HOLDS", 4)
+    _mission(session, rng, [120], slope=0.01)
+    moved = drift.judge(trend_of(session, 1))
+    assert moved.verdict == "DRIFT"
+    assert moved.largest is not None
+    assert "a1 moved most" in moved.sentence
+
+
+def test_a_slow_drift_is_seen_by_the_line_before_any_single_calibration_shows_it(session: Session) -> None:
+    rng = np.random.default_rng(3)
+    _baselined(session, rng)
+    _mission(session, rng, list(range(10, 130, 6)), slope=0.0025)
+    found = drift.judge(trend_of(session, 1))
+    assert found.slope is not None
+    assert found.slope.rejects
+    assert found.line is not None
+    assert found.line.slope_per_d[0] == pytest.approx(0.0025 * 0.01, rel=0.5)
+
+
+def test_after_a_promotion_the_drift_that_led_to_it_is_history(session: Session) -> None:
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    _mission(session, rng, [30, 60, 90], slope=0.01)
+    run = add_run(session, add_set(session, 1, 120), rng, 1.2 * FIRST)
+    assert drift.judge(trend_of(session, 1)).verdict == "DRIFT"
+    make_baseline(session, run)
+    assert drift.judge(trend_of(session, 1)).verdict == "NOT TESTED"
+    add_run(session, add_set(session, 1, 150), rng, 1.2 * FIRST)
+    assert drift.judge(trend_of(session, 1)).verdict == "HOLDS"
+
+
+def test_looks_at_a_sensor_that_holds_alarm_as_seldom_as_is_said(session: Session) -> None:
+    """The whole path, from the store on: 400 missions of five calibrations, at an alpha that can be counted."""
+    rng = np.random.default_rng(12)
+    _baselined(session, rng)
+    _mission(session, rng, [30, 60, 90, 120, 150])
+    trend, alpha, trials = trend_of(session, 1), 0.05, 400
+    truth = np.array(list(trend.sensor.document["initial"].values()))
+    alarms = 0
+    for _ in range(trials):
+        points = []
+        for point in trend.points:
+            scale = np.sqrt(np.diag(point.covariance))
+            L = np.linalg.cholesky(point.covariance / np.outer(scale, scale))
+            drawn = dict(zip(point.names, truth + scale * (L @ rng.standard_normal(8)), strict=True))
+            points.append(replace(point, parameters=drawn))
+        assert trend.baseline is not None
+        trend.baseline.document = {**trend.baseline.document, "parameters": dict(points[0].parameters)}
+        alarms += drift.judge(replace(trend, points=points), alpha).verdict == "DRIFT"
+    session.rollback()
+    assert alarms / trials < alpha + 3 * (alpha * (1 - alpha) / trials) ** 0.5
+    assert alarms > 0  # and it is not asleep
+
+
+def test_telemetry_without_times_is_on_no_line(session: Session) -> None:
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    for _ in range(4):
+        add_run(session, add_set(session, 1, 0, timed=False), rng)
+    found = drift.judge(trend_of(session, 1))
+    assert found.line is None
+    assert found.verdict == "HOLDS"
+
+
+@pytest.mark.parametrize(
+    ("days", "slope", "answer"),
+    [((), 0.0, "MORE DATA NEEDED"), ((30,), 0.0, "NOT YET"), ((30, 60, 90), 0.02, "YES")],
+)
+def test_the_advice_follows_drift_and_data(
+    session: Session, days: tuple[float, ...], slope: float, answer: str
+) -> None:
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    _mission(session, rng, list(days), slope)
+    advice = advise(trend_of(session, 1))
+    assert advice.answer == answer
+    assert advice.sentence.endswith(".")
+    assert advice.reasons
+
+
+def test_data_that_nobody_looked_at_yet_or_that_would_halve_the_sigmas_ask_for_a_calibration(session: Session) -> None:
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    add_set(session, 1, 40)
+    assert "nothing newer" in advise(trend_of(session, 1)).sentence
+    add_set(session, 1, 50, stars=40_000)
+    sharper = advise(trend_of(session, 1))
+    assert (sharper.answer, "every sigma would be" in sharper.sentence) == ("YES", True)
+
+
+def test_a_handful_of_stars_is_too_coarse(session: Session) -> None:
+    _baselined(session, np.random.default_rng(1))
+    add_set(session, 1, 40, stars=100)
+    assert advise(trend_of(session, 1)).answer == "MORE DATA NEEDED"
+
+
+def test_the_document_is_json_with_a_sigma_beside_every_number(session: Session) -> None:
+    rng = np.random.default_rng(1)
+    _baselined(session, rng)
+    _mission(session, rng, [30, 60, 90])
+    document = trend_document(session, 1)
+    assert document["drift"]["false_alarm_rate"] == 0.001
+    for point in document["points"]:
+        assert point["parameters"].keys() == point["sigma"].keys()
+    assert document["drift"]["difference"].keys() == document["drift"]["sigma"].keys()
