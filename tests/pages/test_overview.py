@@ -39,10 +39,11 @@ def test_a_sensor_shows_its_status_baseline_and_rms_before_and_after(house, read
 
 def test_names_of_sensors_and_sets_may_wrap(house):
     page = house.visitor("victor").get("/")
-    assert '<th scope="row" class="name"><a href="/sensors/1">' in page
-    assert '<td class="name"><a href="/parameter-sets/1">' in page
-    sheet = (folder("frontend") / "static" / "pages.css").read_text()
-    assert re.search(r"table\.fleet \.name {[^}]*overflow-wrap: anywhere", sheet)
+    assert '<h3 class="name"><a href="/sensors/1">' in page
+    assert '<dd class="name"><a href="/parameter-sets/1">' in page
+    sheets = folder("frontend") / "static"
+    assert re.search(r"\.tile \.name {[^}]*overflow-wrap: anywhere", (sheets / "style-fleet.css").read_text())
+    sheet = (sheets / "pages.css").read_text()
     assert re.search(r"\.todo li {[^}]*overflow-wrap: anywhere", sheet)
 
 

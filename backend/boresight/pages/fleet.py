@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from boresight.pages.states import LEVELS
-from boresight.services import approvals, sensors
+from boresight.services import alarms, approvals, sensors
 from boresight.services.sensors import SensorTile
 from boresight.store.sessions import Session
 
@@ -32,6 +32,7 @@ def worst_standing(tiles: Sequence[SensorTile]) -> Standing:
     return Standing(worst.status, WORD_OF_LEVEL[worst.status], f"{worst.sensor.name}: {worst.sentence}{more}")
 
 
-def fleet_standing(session: Session) -> tuple[Standing, int]:
-    """Return how the fleet stands and how many requests wait for a signature."""
-    return worst_standing(sensors.fleet_overview(session)), len(approvals.list_approvals(session, state="OPEN"))
+def fleet_standing(session: Session) -> tuple[Standing, int, int]:
+    """Return how the fleet stands, how many requests wait for a signature, and how many alarms to be acknowledged."""
+    waiting = len(approvals.list_approvals(session, state="OPEN"))
+    return worst_standing(sensors.fleet_overview(session)), waiting, alarms.unacknowledged(session)

@@ -48,10 +48,12 @@ NAVIGATION = (
     Destination("/sensors", "Sensors", "s"),
     Destination("/telemetry", "Telemetry", "t"),
     Destination("/runs", "Runs", "r"),
+    Destination("/campaigns", "Campaigns", "n"),
     Destination("/compare", "Compare", "c"),
     Destination("/parameter-sets", "Parameter sets", "p"),
     Destination("/approvals", "Approvals", "a"),
     Destination("/uplink", "Uplink", "u"),
+    Destination("/alarms", "Alarms", "l"),
     Destination("/audit", "Audit", "h"),
     Destination("/webhooks", "Webhooks", "w"),
     Destination("/users", "Users and keys", "k"),
@@ -86,6 +88,7 @@ class Frame:
     now: str
     fleet: Standing
     approvals_waiting: int | None
+    alarms_unacknowledged: int | None
     light: Light
     four_eyes: bool
     flash: tuple[str, str] | None
@@ -102,11 +105,11 @@ def _read_flash(request: Request) -> tuple[str, str] | None:
     return (level, str(sentence)) if level in LEVELS else None
 
 
-def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None]:
-    """Read the fleet's standing and how many requests wait for a signature; nobody logged in learns neither."""
+def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None, int | None]:
+    """Read the fleet's standing, how many requests wait and how many alarms; nobody logged in learns any of it."""
     if actor is None:
-        return UNREAD, None
-    known: tuple[Standing, int] | None = getattr(request.state, "fleet", None)
+        return UNREAD, None, None
+    known: tuple[Standing, int, int] | None = getattr(request.state, "fleet", None)
     if known is not None:
         return known
     try:
@@ -114,7 +117,7 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None]
             return fleet_standing(session)
     except Exception:
         log.exception("The frame could not read the store")
-        return UNREAD, None
+        return UNREAD, None, None
 
 
 def know_fleet(request: Request) -> None:
@@ -126,7 +129,7 @@ def know_fleet(request: Request) -> None:
 def frame_of(request: Request) -> Frame:
     """Gather the frame's values for a request."""
     actor: Any = getattr(request.state, "actor", None)
-    fleet, waiting = _fleet(request, actor)
+    fleet, waiting, alarms = _fleet(request, actor)
     return Frame(
         mode=request.app.state.settings.mode,
         actor=actor,
@@ -135,6 +138,7 @@ def frame_of(request: Request) -> Frame:
         now=day_of_year(datetime.now(UTC)),
         fleet=fleet,
         approvals_waiting=waiting,
+        alarms_unacknowledged=alarms,
         light=request.app.state.upkeep.light(),
         four_eyes=request.app.state.policy.four_eyes,
         flash=_read_flash(request),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
@@ -11,15 +12,17 @@ from fastapi.responses import HTMLResponse
 from boresight.api.dependencies import Reading, Who
 from boresight.pages.audit import line_of
 from boresight.pages.rendering import render
+from boresight.pages.sparkline import Sparkline, sparkline
 from boresight.pages.states import LEVELS
-from boresight.services import approvals, audit, parameter_sets, runs, sensors
+from boresight.services import alarms, approvals, audit, fleet, parameter_sets, runs, sensors
 from boresight.services.actors import Actor, Policy
 from boresight.services.sensors import SensorTile
 from boresight.store.sessions import Session
-from boresight.store.tables import TERMINAL_RUN_STATES, Approval, ParameterSet
+from boresight.store.tables import TERMINAL_RUN_STATES, Alarm, Approval, ParameterSet
 
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
+RUNS_IN_A_SPARKLINE = 16
 
 router = APIRouter()
 
@@ -40,6 +43,14 @@ def _signatures(session: Session, actor: Actor, names: Mapping[int, str], policy
         if approvals.why_not_sign(session, actor, request.id, policy=policy) is None:
             name = names.get(request.parameter_set_id, "A set")
             yield Action("standby", f"{name} waits for your signature.", f"/approvals/{request.id}", "Review")
+
+
+def _alarms(session: Session, actor: Actor) -> Iterator[Action]:
+    """Yield the alarms that wait for whoever may handle them."""
+    if not actor.roles.intersection(alarms.HANDLERS):
+        return
+    for alarm in alarms.list_alarms(session, alarms.Sought(state="unacknowledged")):
+        yield Action(alarm.level, f"Alarm {alarm.id}: {alarm.sentence}", f"/alarms/{alarm.id}", "Handle")
 
 
 def _promotions(session: Session, actor: Actor) -> Iterator[Action]:
@@ -86,13 +97,46 @@ def _converged(tile: SensorTile) -> bool:
 
 
 @dataclass(frozen=True)
+class Course:
+    """How a sensor's calibrations went lately.
+
+    Parameters
+    ----------
+    rms
+        Arc RMS of the newest runs, oldest first: of the tail where a run has one, else of all frames.
+    availability
+        Of the newest run with a validation set; None where there is none.
+    drift
+        The open alarm of its drift; None where there is none.
+    """
+
+    rms: Sparkline | None
+    availability: float | None
+    drift: Alarm | None
+
+
+@dataclass(frozen=True)
 class Desk:
     """Everything that the overview shows of the fleet's work."""
 
     tiles: Sequence[SensorTile]
+    courses: Mapping[int, Course]
     waiting: Mapping[int, Approval]
     actions: Sequence[Action]
     queue: Mapping[str, int]
+
+
+def _courses(session: Session, tiles: Sequence[SensorTile]) -> dict[int, Course]:
+    """Return how each sensor's calibrations went lately."""
+    summaries = fleet.recent_summaries(session, RUNS_IN_A_SPARKLINE)
+    drifting = {alarm.sensor_id: alarm for alarm in alarms.list_alarms(session, alarms.Sought(kind="DRIFT"), limit=500)}
+    return {tile.sensor.id: _course(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id)) for tile in tiles}
+
+
+def _course(summaries: Sequence[Mapping[str, Any]], drift: Alarm | None) -> Course:
+    rms = [it.get("tail_rms_rad") or it.get("rms_final_arc_rad") for it in summaries]
+    seen = [it["availability"] for it in summaries if it.get("availability") is not None]
+    return Course(sparkline([value for value in rms if value]), seen[-1] if seen else None, drift)
 
 
 def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
@@ -102,13 +146,14 @@ def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
     sensor_of = {row.id: row.sensor_id for row in sets}
     opened = approvals.list_approvals(session, state="OPEN")
     actions = [
+        *_alarms(session, actor),
         *_signatures(session, actor, names, policy),
         *_promotions(session, actor),
         *_own_requests(session, actor, names),
         *_calibrations(tiles, sets, actor),
     ]
     waiting = {sensor_of[it.parameter_set_id]: it for it in opened if it.parameter_set_id in sensor_of}
-    return Desk(tiles, waiting, actions, runs.count_by_state(session))
+    return Desk(tiles, _courses(session, tiles), waiting, actions, runs.count_by_state(session))
 
 
 @dataclass(frozen=True)
@@ -163,6 +208,7 @@ def overview_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
         counts=_counts(desk.tiles),
         actions=desk.actions[:MOST_ACTIONS],
         more_actions=max(len(desk.actions) - MOST_ACTIONS, 0),
+        waiting_for_me=sum(action.label == "Review" for action in desk.actions),
         events=_events(session, desk.tiles),
         workers=request.app.state.workers.state() if request.app.state.workers else None,
         may_register=bool({"analyst", "administrator"} & actor.roles),

@@ -25,8 +25,11 @@ from boresight.pages.before_after import before_after
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import line_of, read_names
 from boresight.pages.sensors import read_document
-from boresight.services import gates, parameter_sets, runs, sensors, telemetry_sets, uplinks
+from boresight.pages.trend import LEVEL_OF_ANSWER
+from boresight.services import alarms, gates, notes, parameter_sets, runs, sensors, telemetry_sets, uplinks
 from boresight.services.actors import Actor
+from boresight.services.advice import advise
+from boresight.services.trend import trend_of
 from boresight.store.sessions import Session, reading, utc_now
 from boresight.store.tables import ParameterSet, Sensor, Uplink
 
@@ -144,6 +147,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
         names = read_names(session, newest)
         sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id)
         values = baseline_values(sensor, baseline)
+        advice = advise(trend_of(session, sensor_id))
         return render(
             request,
             "sensor.html",
@@ -159,6 +163,10 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
             optics=optics_of(sensor.document["detector"], {it.name: it.value for it in values}),
             sets=sets,
             set_names={row.id: row.name for row in sets},
+            advice=advice,
+            answer_level=LEVEL_OF_ANSWER[advice.answer],
+            open_alarms=alarms.list_alarms(session, alarms.Sought(sensor_id=sensor_id)),
+            notes=notes.list_notes(session, actor, "sensors", sensor_id),
             promotions=uplinks.promotions_of(session, sensor_id),
             telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id),
             runs=[line_of(run, names) for run in newest],

@@ -13,6 +13,7 @@ from typing import Any
 
 from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
 from boresight.store import sensors as rows
+from boresight.store import trends
 from boresight.store.sessions import Session
 from boresight.store.tables import ParameterSet, Run, Sensor
 
@@ -77,6 +78,11 @@ def fleet_overview(session: Session) -> list[SensorTile]:
         )
         tiles.append(_tile(sensor, known))
     return tiles
+
+
+def recent_summaries(session: Session, limit: int) -> dict[int, list[dict[str, Any]]]:
+    """Return of each sensor the summaries of its newest runs that succeeded, oldest first."""
+    return trends.recent_summaries(session, limit)
 
 
 def _tile(sensor: Sensor, known: Known) -> SensorTile:

@@ -1,0 +1,128 @@
+"""Alarms: the list, unacknowledged first, and one alarm with its figures, its life and what can be done about it.
+
+The address holds the filters: `/alarms?state=shelved&sensor=3&kind=DRIFT`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.api.dependencies import Reading, Who, csrf
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.forms import read_texts, seen_version
+from boresight.pages.rendering import redirect, render
+from boresight.pages.runs import read_names
+from boresight.services import alarms, sensors, users
+from boresight.services.actors import Actor
+from boresight.store.sessions import Session, reading, utc_after
+from boresight.store.tables import ALARM_KINDS, Alarm
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+A_PAGE = 200  # an installation has at most three open alarms a sensor
+A_SHIFT_S = 8 * 3600.0
+DONE = {
+    "acknowledge": "is acknowledged",
+    "shelve": "is shelved",
+    "unshelve": "is taken from the shelf",
+    "assign": "is assigned",
+    "comment": "has your comment",
+}
+
+
+@router.get("/alarms", response_class=HTMLResponse)
+def alarms_page(
+    request: Request, session: Reading, actor: Who, state: str = "", sensor: str = "", kind: str = "", before: str = ""
+) -> HTMLResponse:  # fmt: skip
+    """Show the alarms that are open, those to be acknowledged first; or those sought."""
+    sought = alarms.Sought(
+        sensor_id=int(sensor) if sensor.isdecimal() else None,
+        kind=kind if kind in ALARM_KINDS else None,
+        state=state if state in alarms.STATES else None,
+    )
+    before_id = int(before) if before.isdecimal() else None
+    found = alarms.list_alarms(session, sought, before_id=before_id, limit=A_PAGE + 1)
+    return render(
+        request,
+        "alarms.html",
+        alarms=sorted(found[:A_PAGE], key=lambda row: (bool(row.acknowledged) or alarms.is_shelved(row), -row.id)),
+        older=found[A_PAGE - 1].id if len(found) > A_PAGE else None,
+        sought=sought,
+        states=alarms.STATES,
+        kinds=ALARM_KINDS,
+        sensors=sensors.list_sensors(session),
+        names=read_names(session),
+        state_of=alarms.state_of,
+        may_handle=bool(actor.roles.intersection(alarms.HANDLERS)),
+    )
+
+
+@router.get("/alarms/{alarm_id:int}", response_class=HTMLResponse)
+def alarm_page(request: Request, actor: Who, alarm_id: int) -> HTMLResponse:
+    """Show an alarm."""
+    return _page(request, actor, alarm_id, {}, None)
+
+
+def _page(
+    request: Request, actor: Actor, alarm_id: int, typed: Mapping[str, str], refusal: Refusal | None
+) -> HTMLResponse:
+    """Render an alarm, with what a refused form left behind."""
+    with reading(request.app.state.engine) as session:
+        row = alarms.get_alarm(session, alarm_id)
+        return render(
+            request,
+            "alarm.html",
+            status_code=refusal.status if refusal else 200,
+            alarm=row,
+            sensor=None if row.sensor_id is None else sensors.get_sensor(session, row.sensor_id),
+            state=alarms.state_of(row),
+            shelved=alarms.is_shelved(row),
+            events=alarms.events_of(session, alarm_id),
+            people=[user for user in users.list_users(session) if user.disabled_utc is None],
+            names=read_names(session),
+            may_handle=bool(actor.roles.intersection(alarms.HANDLERS)) and row.closed_utc is None,
+            until=typed.get("until") or utc_after(A_SHIFT_S)[:16] + "Z",
+            typed=typed,
+            refusal=refusal,
+        )
+
+
+@router.post("/alarms/{alarm_id:int}/{step}", response_class=HTMLResponse)
+async def handle(request: Request, actor: Who, alarm_id: int, step: str) -> Response:
+    """Acknowledge, shelve, unshelve, assign or comment on an alarm."""
+    if step not in DONE:
+        raise NotFoundError(f"There is no step {step} of an alarm; choose from {', '.join(DONE)}.")
+    typed = await read_texts(request)
+    outcome = await attempt(request, partial(_handle, actor, alarm_id, step, typed))
+    if outcome.value is not None:
+        return redirect(f"/alarms/{alarm_id}", flash=f"Alarm {alarm_id} {DONE[step]}.")
+    return await run_in_threadpool(_page, request, actor, alarm_id, typed, outcome.refusal)
+
+
+def _handle(actor: Actor, alarm_id: int, step: str, typed: Mapping[str, str], session: Session) -> Alarm:
+    """Hand a form to the service of its step."""
+    seen, text = seen_version(typed), typed.get("text", "")
+    if step == "acknowledge":
+        return alarms.acknowledge(session, actor, alarm_id, text, seen)
+    if step == "shelve":
+        return alarms.shelve(session, actor, alarm_id, typed.get("until", ""), text, seen)
+    if step == "unshelve":
+        return alarms.unshelve(session, actor, alarm_id, seen)
+    if step == "assign":
+        return alarms.assign(session, actor, alarm_id, _person(typed.get("user_id", "")), seen)
+    return alarms.comment(session, actor, alarm_id, text, seen)
+
+
+def _person(number: str) -> int | None:
+    """Read who is asked; nothing is nobody in particular."""
+    if not number:
+        return None
+    if not number.isdecimal():
+        raise RefusedInputError("Choose a person from the list.")
+    return int(number)
