@@ -10,10 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import orjson
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
 from boresight import __version__
 from boresight.errors import RefusedInputError
@@ -31,8 +28,8 @@ from boresight.figures.matching_table import (
     side_by_side,
 )
 from boresight.figures.printed_table import HEADINGS, printed_rows
+from boresight.figures.standing import standing
 from boresight.figures.star_table import star_rows, to_flag
-from boresight.figures.theme import LIGHT_TEMPLATE
 from boresight.figures.trust_marks import prospects, trust_marks
 from boresight.figures.trust_parts import why_absent
 from boresight.resources import folder
@@ -82,13 +79,12 @@ def render_report(result: Result, *, four_eyes: bool = True) -> str:
         headings=HEADINGS,
         rows=printed_rows(result),
         chapters=CHAPTERS,
-        figures_json=_inline({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
+        **standing({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
         **_examined(result),
         **_matched(result),
         provenance=list(flattened(result.get("inputs") or {})),
         timing=list(flattened(result.get("timing_s") or {})),
         command=command(result),
-        plotly=Markup(get_plotlyjs()),  # noqa: S704 - the library's own file, as its writer inlines it
         version=__version__,
     )
 
@@ -120,16 +116,6 @@ def _matched(result: Result) -> dict[str, Any]:
 
 def _trace(result: Result) -> Trace:
     return Trace(str(result.get("method") or "run"), result)
-
-
-def _inline(figures: Mapping[str, Any]) -> Markup:
-    """Encode the figures, in the light template, so that no text in them can end the script element."""
-    documents = {}
-    for name, figure in figures.items():
-        figure.update_layout(template=LIGHT_TEMPLATE, meta=None)
-        documents[name] = figure.to_plotly_json()
-    text = orjson.dumps(documents, option=orjson.OPT_SERIALIZE_NUMPY).decode()
-    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped here
 
 
 def _summary(result: Result) -> Iterator[tuple[str, str]]:

@@ -12,13 +12,10 @@ from typing import Any
 import orjson
 import plotly.graph_objects as go
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
 from boresight import __version__
 from boresight.errors import RefusedInputError
-from boresight.figures.chart import figure_json
-from boresight.figures.theme import LIGHT_TEMPLATE
+from boresight.figures.standing import standing
 from boresight.resources import folder
 
 Document = Mapping[str, Any]
@@ -65,8 +62,7 @@ def rendered(template: str, document: Document, draw: Draw, **more: Any) -> str:
     return environment.get_template(template).render(
         document=document,
         plan=document["plan"],
-        figures_json=_inline(document["figures"], draw),
-        plotly=Markup(get_plotlyjs()),  # noqa: S704 - the library's own file, as its writer inlines it
+        **standing({one["number"]: draw[one["number"]](one) for one in document["figures"]}),
         version=__version__,
         **more,
     )
@@ -83,17 +79,6 @@ def number(value: float | None, digits: int = 4) -> str:
 def printed_digits(value: float | None, resolution: float) -> str:
     """Write a number with as many decimals as the paper prints; nought has no sign."""
     return "–" if value is None else f"{value:z.{round(-log10(resolution))}f}".replace("-", "−")
-
-
-def _inline(drawings: Sequence[Mapping[str, Any]], draw: Draw) -> Markup:
-    """Encode the figures, in the light template, so that no text in them can end the script element."""
-    parts = []
-    for drawing in drawings:
-        figure = draw[drawing["number"]](drawing)
-        figure.update_layout(template=LIGHT_TEMPLATE, meta=None)
-        parts.append(f'"{drawing["number"]}":{figure_json(figure).decode()}')
-    text = "{" + ",".join(parts) + "}"
-    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))  # noqa: S704 - escaped here
 
 
 def json_bytes(document: Document) -> bytes:
