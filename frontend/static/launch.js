@@ -2,7 +2,8 @@
  * The launch form: keeps the choices consistent and shows what would run before it is queued.
  *
  * After each change the form is sent to the server as a dry run (`intent=check`), the same checks as queueing, and the
- * answer's summary replaces the one shown. Sets of another sensor are hidden, and options of another method disabled.
+ * answer's summary replaces the one shown. Sets of another sensor are hidden, and options of another method disabled. Sensor,
+ * set and method are kept in the address, beside the preset or the run that the form began from.
  */
 import { send } from "./problem.js";
 
@@ -10,7 +11,7 @@ const QUIET_MS = 400;
 const form = document.querySelector("[data-launch]");
 let timer = 0;
 let flight = null;
-let lastSensor = form?.elements.sensor_id.value;
+let lastSensor = form?.elements.sensor_id?.value;
 
 function showSetsOfSensor() {
   const sensor = form.elements.sensor_id.value;
@@ -55,6 +56,22 @@ function showOverconfidence() {
   if (warning) warning.hidden = form.elements.linearisations?.value !== "1" || form.elements.method.value === "batch";
 }
 
+/** Let the address, the form and the presets say what is chosen. */
+function keepInAddress() {
+  const url = new URL(location.href);
+  const { sensor_id: sensor, telemetry_set_id: set, method } = form.elements;
+  for (const [name, control] of [["sensor", sensor], ["set", set], ["method", method]]) {
+    if (control?.value) url.searchParams.set(name, control.value);
+  }
+  history.replaceState(history.state, "", url);
+  form.action = url;
+  for (const button of form.querySelectorAll("[data-preset]")) {
+    url.searchParams.delete("method");
+    url.searchParams.set("preset", button.dataset.preset);
+    button.formAction = url;
+  }
+}
+
 async function check() {
   flight?.abort();
   flight = new AbortController();
@@ -65,8 +82,11 @@ async function check() {
   try {
     const answer = await fetch(form.action, { method: "POST", body, signal: flight.signal });
     if (answer.status >= 500) return await send(form.action);
-    const fresh = new DOMParser().parseFromString(await answer.text(), "text/html").querySelector("[data-dry-run]");
-    if (fresh) place.replaceChildren(...fresh.childNodes);
+    const page = new DOMParser().parseFromString(await answer.text(), "text/html");
+    for (const part of ["[data-dry-run]", "[data-changes]"]) {
+      const fresh = page.querySelector(part);
+      if (fresh) document.querySelector(part)?.replaceChildren(...fresh.childNodes);
+    }
     place.removeAttribute("aria-busy");
   } catch (error) {
     if (error.name !== "AbortError") place.textContent = `The check could not be made: ${error.message}`;
@@ -74,9 +94,11 @@ async function check() {
 }
 
 function changed() {
-  showSetsOfSensor();
-  lastSensor = form.elements.sensor_id.value;
-  showParametersOfSensor();
+  if (form.elements.sensor_id) {
+    showSetsOfSensor();
+    lastSensor = form.elements.sensor_id.value;
+    showParametersOfSensor();
+  }
   showOptionsOfMethod();
   showOverconfidence();
   clearTimeout(timer);
@@ -84,6 +106,9 @@ function changed() {
 }
 
 if (form) {
-  form.addEventListener("input", changed);
+  form.addEventListener("input", () => {
+    changed();
+    keepInAddress();
+  });
   changed();
 }

@@ -26,12 +26,6 @@ FORM = {
 }
 
 
-def test_the_form_promises_weak_directions_of_the_run_and_not_of_the_check(house, read):
-    text = read(house.visitor("ada").get("/runs/new"))
-    assert "the run's advice names the directions" in text
-    assert "the check says" not in text
-
-
 def test_the_form_begins_with_the_newest_set_of_either_purpose_and_the_sensor_s_free_parameters(house):
     page = house.visitor("ada").get("/runs/new")
     for number in ("1", "2"):

@@ -6,7 +6,7 @@ Only the choices that the method has go into the document, so that a form withou
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from starlette.datastructures import FormData
@@ -72,6 +72,13 @@ class Typed:
     label: str = ""
     free: Mapping[int, Sequence[str]] = field(default_factory=dict)
 
+    def under(self, settings: Mapping[str, Any]) -> Typed:
+        """Return the form with other settings, data and label as typed; free parameters too where the settings name none."""
+        free = dict(self.free)
+        if settings.get("free") and self.sensor_id.isdecimal():
+            free[int(self.sensor_id)] = list(settings["free"])
+        return replace(self, **typed_settings(settings), free=free)
+
     @property
     def advanced(self) -> bool:
         """Whether a choice behind "More options" differs from the usual."""
@@ -85,14 +92,18 @@ class Typed:
         RefusedInputError
             When a number cannot be read; says which.
         """
+        free = list(self.free.get(whole(self.sensor_id, "sensor"), ()))
+        if not free:
+            raise RefusedInputError("No parameter is free: tick at least one to estimate.")
+        return {**self.settings_of_any(), "free": free}
+
+    def settings_of_any(self) -> dict[str, Any]:
+        """Return the settings document for whatever sensor, whose own parameters are free; refuses as `settings`."""
         document: dict[str, Any] = {
             "method": self.method,
-            "free": list(self.free.get(whole(self.sensor_id, "sensor"), ())),
             "minimum_stars": whole(self.minimum_stars, "smallest number of stars"),
             **self._matching(),
         }
-        if not document["free"]:
-            raise RefusedInputError("No parameter is free: tick at least one to estimate.")
         return document | (self._of_filter() if is_sequential(self.method) else self._of_batch())
 
     def _matching(self) -> dict[str, Any]:

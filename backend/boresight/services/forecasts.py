@@ -66,10 +66,9 @@ class Sight:
     ) -> dict[str, Any]:
         """Read the sample and foretell, or say why not."""
         try:
-            catalogue = self.catalogue()
-            if catalogue is None:
-                return unseen("this server has no star catalogue")
             sample = read_sample(self.blobs.path(table_sha256), MOST_FRAMES, MOST_STARS)
+            if (catalogue := self.catalogue()) is None:
+                return unseen("this server has no star catalogue")
             return forecast(sample, parse_sensor(sensor_document), catalogue, settings, self.catalogue_folder)
         except BoresightError as error:
             return unseen(str(error).rstrip("."))
