@@ -1,0 +1,88 @@
+"""Figures in a notebook: one call from a calibration to the drawing that the pages show.
+
+>>> from boresight.figures.notebook import draw
+>>> draw("result.json", "radial")                                        # doctest: +SKIP
+>>> draw({"batch": "batch.json", "filter": result}, "convergence", theme="dark")  # doctest: +SKIP
+
+What comes back is a `plotly.graph_objects.Figure`: a notebook shows it by itself, `.write_html` keeps it as a file, and
+`table` gives the numbers behind it, in SI and never thinned, as columns for `pandas.DataFrame` or NumPy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import orjson
+import plotly.graph_objects as go
+
+from boresight.errors import RefusedInputError
+from boresight.figures import FIGURES
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.theme import CONTRAST_TEMPLATE, DARK_TEMPLATE, LIGHT_TEMPLATE
+from boresight.figures.tokens import TOKENS
+
+SCHEMA = "boresight.calibration/1"
+TEMPLATES = {"light": LIGHT_TEMPLATE, "dark": DARK_TEMPLATE, "contrast": CONTRAST_TEMPLATE}
+Source = Result | str | Path
+
+
+def draw(source: Source | Mapping[str, Source], name: str, *, theme: str = "light") -> go.Figure:
+    """Draw a figure of a calibration, or of several over one another.
+
+    Parameters
+    ----------
+    source
+        A calibration, as `boresight.calibration.calibrate` returns it or as the path of the file that
+        `boresight calibrate --json` wrote; several as {label: calibration}.
+    name
+        One of `boresight.figures.FIGURES`.
+    theme
+        `light` is white paper, `dark` and `contrast` are the console's.
+
+    Raises
+    ------
+    RefusedInputError
+        When a file cannot be read, is no calibration, or there is no such figure or theme.
+    """
+    if theme not in TEMPLATES:
+        raise RefusedInputError(f"There is no theme {theme}; choose from {', '.join(TEMPLATES)}.")
+    figure = _figure(name).draw(_traces(source))
+    surface = TOKENS[theme]["surface-1"]
+    figure.update_layout(template=TEMPLATES[theme], paper_bgcolor=surface, plot_bgcolor=surface, meta=None)
+    return figure
+
+
+def table(source: Source, name: str) -> Table:
+    """Return the numbers behind a figure as columns of one length, {column: values}; arguments and refusals as `draw`."""
+    return _figure(name).table(_read(source))
+
+
+def _figure(name: str) -> Figure:
+    """Find a figure of the registry."""
+    if name not in FIGURES:
+        raise RefusedInputError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
+    return FIGURES[name]
+
+
+def _traces(source: Source | Mapping[str, Source]) -> list[Trace]:
+    """Name each calibration; a single one by its method."""
+    if isinstance(source, Mapping) and source and "schema" not in source:
+        return [Trace(label, _read(one)) for label, one in source.items()]
+    result = _read(source)
+    return [Trace(str(result.get("method") or "run"), result)]
+
+
+def _read(source: Any) -> Result:
+    """Read a calibration from a file, or take the one that is given."""
+    if isinstance(source, str | Path):
+        try:
+            source = orjson.loads(Path(source).read_bytes())
+        except OSError as error:
+            raise RefusedInputError(f"{source} cannot be read: {error.strerror}.") from error
+        except orjson.JSONDecodeError as error:
+            raise RefusedInputError(f"{source} is no JSON: give what `boresight calibrate --json` wrote.") from error
+    if not isinstance(source, Mapping) or source.get("schema") != SCHEMA:
+        raise RefusedInputError(f"This is no calibration result: its `schema` must be {SCHEMA!r}.")
+    return source
