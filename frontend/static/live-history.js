@@ -3,8 +3,7 @@
  *
  * A curve that can grow says in its `meta.follow` which column of the course it shows and how that becomes its y:
  * `(value - origin) * factor`; `band` n is the outline of ±n sigma, a `level` only grows longer. Points are kept until the
- * figure that was fetched has them, so a figure may come later than its points. Where points between are missing the
- * figure must be fetched whole: `grow` says so by false.
+ * figure that was fetched has them, so a figure may come later than its points.
  */
 const KEPT = 600;
 const COLUMNS = ["frame", "parameters", "sigma", "tail_rms_rad", "aggregate_rms_rad", "nis_per_dof"];
@@ -50,13 +49,13 @@ function stretched(layout, last) {
   return Object.fromEntries(axes.map(([name, { range: [start] }]) => [`${name}.range`, [start, newest + 0.02 * (newest - start)]]));
 }
 
-/** Bring a drawn figure up to the newest point; false when it must be fetched whole. */
+/** Bring a drawn figure up to the newest point; false when points between are missing, null when it cannot be drawn on. */
 export async function grow(figure) {
   const { canvas } = figure;
   const drawn = canvas?._fullLayout ? canvas._fullData : []; // its arrays are decoded
   const followed = drawn.flatMap(({ meta }, k) => (meta?.follow ? [k] : []));
   const curve = followed.find((k) => !drawn[k].meta.follow.level && !drawn[k].meta.follow.band);
-  if (curve === undefined) return false;
+  if (curve === undefined) return null;
   const last = drawn[curve].x.at(-1);
   if (!course.frame.length || course.after > last) return false;
   const first = course.frame.findIndex((frame) => frame > last);

@@ -23,6 +23,7 @@ class LiveRun extends HTMLElement {
   #wholeAt = Date.now();
   #drawTimer = 0;
   #fetchTimer = 0;
+  #wanted = new Set();
   #timers = [];
   #listening = null;
 
@@ -65,6 +66,7 @@ class LiveRun extends HTMLElement {
     this.#heardAt = Date.now();
     if (event.attempt !== this.attempt) forget();
     this.attempt = event.attempt;
+    this.isBatch = !event.history && !document.querySelector(".run-live")?.dataset.frames;
     keep(event.history);
     const bar = document.querySelector("[data-run-progress]");
     if (bar && Number.isFinite(event.fraction)) {
@@ -92,7 +94,7 @@ class LiveRun extends HTMLElement {
   #missed() {
     forget();
     this.#renew();
-    this.#fetchFigures();
+    this.#fetch(document.querySelectorAll(FOLLOWING));
   }
 
   #linkChanged() {
@@ -102,19 +104,24 @@ class LiveRun extends HTMLElement {
     this.#showAge();
   }
 
-  /** Draw the figures on; fetch them when one cannot be, or when they were drawn on for long. */
+  /** Draw the figures on; fetch those that lack points, and now and then those that cannot be drawn on. */
   async #draw() {
-    const drawn = await Promise.all([...document.querySelectorAll(FOLLOWING)].map(grow));
+    const figures = [...document.querySelectorAll(FOLLOWING)];
+    const drawn = await Promise.all(figures.map(grow));
     this.#drawTimer = 0;
-    const patience = Math.min(WHOLE_MS, 2 * FETCH_MS + this.#wholeAt - this.#begunAt);
-    if (!drawn.every(Boolean) || Date.now() - this.#wholeAt > patience) this.#fetchFigures();
+    const patience = this.isBatch ? FETCH_MS : Math.min(WHOLE_MS, 2 * FETCH_MS + this.#wholeAt - this.#begunAt);
+    if (Date.now() - this.#wholeAt > patience) this.#fetch(figures);
+    else this.#fetch(figures.filter((_, k) => drawn[k] === false));
   }
 
-  #fetchFigures() {
+  #fetch(figures) {
+    for (const figure of figures) this.#wanted.add(figure);
+    if (!this.#wanted.size) return;
     this.#fetchTimer ||= setTimeout(() => {
       this.#fetchTimer = 0;
-      this.#wholeAt = Date.now();
-      refresh(FOLLOWING);
+      if (this.#wanted.size === document.querySelectorAll(FOLLOWING).length) this.#wholeAt = Date.now();
+      refresh(this.#wanted);
+      this.#wanted.clear();
     }, FETCH_MS);
   }
 
@@ -157,7 +164,7 @@ class LiveRun extends HTMLElement {
     this.state = state;
     this.setAttribute("state", state);
     document.querySelector("main > .notice[role=status]")?.remove(); // it told of the state before
-    refresh("plot-figure");
+    refresh(document.querySelectorAll("plot-figure"));
     if (!TERMINAL.has(state)) return;
     this.#rest();
     if (state !== "SUCCEEDED" && document.querySelector("plot-figure")) location.reload(); // its figures are void
@@ -175,8 +182,8 @@ function write(name, text) {
   if (place) place.textContent = text;
 }
 
-function refresh(selector) {
-  for (const figure of document.querySelectorAll(selector)) figure.dispatchEvent(new CustomEvent("figure-refresh"));
+function refresh(figures) {
+  for (const figure of figures) figure.dispatchEvent(new CustomEvent("figure-refresh"));
 }
 
 customElements.define("live-run", LiveRun);

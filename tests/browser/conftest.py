@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from dataclasses import dataclass, field
 
@@ -24,15 +25,20 @@ ARGUMENTS = [
     "--disable-sync",
 ]
 FRAMES = "100"
-SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 4.0, 100.0
+SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 2.5, 100.0
 LOOKS = 4
+AFTER_ANOTHER_LINE = """list => new Promise(done => document.addEventListener(
+    "boresight:log", () => setTimeout(() => done(list.children.length), 900), { once: true }
+))"""
 PURPOSES = ("calibration", "validation")
 
 
 @dataclass
 class Watched:
     """A run that was watched while it computed: look by look how many frames its convergence curve had, what the page said,
-    and how often the figure had been fetched; what was drawn at the last look; its log, and what its page said at the end."""
+    and how often the figure had been fetched; what was drawn at the last look; its log, how far that was scrolled when lines came
+    while its end was not in sight, how many it had before and after a pause; and what its page said at the end.
+    """
 
     lengths: list[int] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
@@ -40,6 +46,8 @@ class Watched:
     drawn: list[dict] = field(default_factory=list)
     fetched_anew: list[dict] = field(default_factory=list)
     log: str = ""
+    scrolled_px: float = -1.0
+    paused_lines: list[int] = field(default_factory=list)
     at_the_end: str = ""
 
 
@@ -157,18 +165,32 @@ def watched(people, batch_run):
         seen.drawn = window.drawn("convergence")
         window.shoot("03-running", wide=True)
         with window.page.expect_response("**/figures/convergence*"):
-            window.page.locator("plot-figure").dispatch_event("figure-refresh")
+            window.figure("convergence").locator("plot-figure").dispatch_event("figure-refresh")
         window.grown("convergence", len(seen.drawn[1]["x"]))
         seen.fetched_anew = window.drawn("convergence")
         window.open(f"/runs/{run_id}?part=log")
         expect(window.page.locator("log-tail")).to_contain_text("%:")
         seen.log = window.page.locator("log-tail").inner_text()
         window.shoot("03-log")
+        _read_log(window, seen)
         window.page.get_by_label("Why stop it").fill("Seen enough.")
         window.page.get_by_role("button", name="Cancel run").click()
         ends_as(window, "CANCELLED")
         seen.at_the_end = window.page.locator("#run-head").inner_text()
         return seen
+
+
+def _read_log(window, seen):
+    """Scroll away from the end of the log while lines come, and pause it."""
+    lines, newer = window.page.locator("log-tail .log"), window.page.locator("[data-newer]")
+    lines.evaluate("list => { list.style.maxHeight = '40px'; list.scrollTop = 0; }")
+    expect(newer).to_have_text(re.compile("newer line"))
+    seen.scrolled_px = lines.evaluate("list => list.scrollTop")
+    newer.click()
+    window.page.get_by_role("button", name="Pause").click()
+    seen.paused_lines = [lines.locator("li").count(), lines.evaluate(AFTER_ANOTHER_LINE)]
+    window.page.get_by_role("button", name="Pause").click()
+    expect(lines.locator("li").nth(seen.paused_lines[0])).to_be_visible()
 
 
 @pytest.fixture(scope="package")

@@ -90,13 +90,13 @@ def test_another_attempt_is_told_from_its_start() -> None:
     assert reports.news(held, newest)["history"]["frame"] == [1, 2]
 
 
-def test_the_log_gets_a_line_a_tenth_and_never_two_within_two_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_log_gets_a_line_a_twentieth_and_never_two_within_two_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     reports, now_s, lines = Reports(), 100.0, []
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
     for step in range(1, 101):
         now_s += LINE_EVERY_S / 4
         lines += reports.lines({HELD: report([step], step / 100)}).values()
     assert lines[0] == "1 %: frame [1]"
-    assert [line.partition(" ")[0] for line in lines[1:]] == [str(percent) for percent in range(10, 101, 10)]
+    assert [line.partition(" ")[0] for line in lines[1:]] == [str(percent) for percent in range(5, 101, 5)]
     now_s += 1.0
     assert reports.lines({HELD: report([100], 1.0)}) == {}

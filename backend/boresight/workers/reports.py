@@ -21,6 +21,7 @@ from boresight.store.runs import Held
 
 RECORD_EVERY_S = 0.5
 LINE_EVERY_S = 2.0
+LINES = 20
 POINTS_AN_EVENT = 60
 TOLD = ("run_id", "attempt", "fraction", "message", "elapsed_s")
 COLUMNS = ("parameters", "sigma", "tail_rms_rad", "aggregate_rms_rad")
@@ -67,14 +68,14 @@ class Reports:
         return due
 
     def lines(self, reports: Mapping[Held, Mapping[str, Any]]) -> dict[Held, str]:
-        """Return a line for the log of each attempt that came to another tenth of its way, one in two seconds at most."""
+        """Return a line for the log of each attempt that came to another twentieth of its way, one in two seconds at most."""
         now_s = time.monotonic()
         lines = {}
         for held, report in reports.items():
-            tenth = int(10 * report["fraction"])
+            part = int(LINES * report["fraction"])
             last, at_s = self._lines.get(held, (-1, -LINE_EVERY_S))
-            if tenth > last and now_s - at_s >= LINE_EVERY_S:
-                self._lines[held] = tenth, now_s
+            if part > last and now_s - at_s >= LINE_EVERY_S:
+                self._lines[held] = part, now_s
                 lines[held] = f"{100 * report['fraction']:.0f} %: {report['message']}"
         return lines
 
