@@ -9,6 +9,7 @@ from boresight.figures import FIGURES
 from boresight.figures.evidence import verdict
 from boresight.figures.printed_table import digits, printed_rows
 from boresight.figures.report import command, render_report, write_report
+from boresight.figures.trust_marks import trust_doubts
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 
@@ -37,7 +38,8 @@ def test_the_report_has_every_figure_with_its_guide(report):
 
 
 def test_the_report_has_verdict_advice_parameters_provenance_and_the_command(report, sequential_result):
-    assert "NORMAL · converged and consistent" in report
+    assert "CAUTION · converged, with reservations" in report
+    assert sequential_result["trust"]["drop_one_sentence"] in report
     assert sequential_result["advice"][0] in report
     assert "ab" * 32 in report
     assert "boresight calibrate TELEMETRY --sensor SENSOR.json --method sqrf --match " in report
@@ -93,9 +95,15 @@ def test_what_is_no_calibration_is_refused(document, tmp_path):
     ],
 )
 def test_the_verdict_is_as_good_as_its_worst_answer(change, level, sequential_result):
-    judged = verdict(sequential_result | change)
+    judged = verdict(sequential_result | {"trust": None} | change)
     assert judged.level == level
     assert all(reason.endswith(".") for reason in judged.reasons)
+
+
+def test_a_doubt_of_the_examination_is_a_reservation_of_the_verdict(sequential_result):
+    judged = verdict(sequential_result)
+    assert (judged.level, judged.word) == ("caution", "converged, with reservations")
+    assert set(judged.reasons) == set(trust_doubts(sequential_result))
 
 
 def test_a_value_stops_at_the_second_digit_of_its_sigma():

@@ -18,8 +18,13 @@ from boresight.figures.parameters import PARAMETERS
 from boresight.figures.radial import RADIAL
 from boresight.figures.reference_information import REFERENCE_INFORMATION
 from boresight.figures.residual_against import RESIDUAL_AGAINST
+from boresight.figures.residual_distribution import RESIDUAL_DISTRIBUTION
 from boresight.figures.residual_map import RESIDUAL_MAP
+from boresight.figures.residual_outliers import RESIDUAL_OUTLIERS
+from boresight.figures.residual_quiver import RESIDUAL_QUIVER
+from boresight.figures.residual_rms import RESIDUAL_RMS
 from boresight.figures.rms import RMS
+from boresight.figures.rms_axes import RMS_AXES
 from boresight.figures.shadow import SHADOW
 from boresight.figures.stars import STARS
 from boresight.figures.two_halves import TWO_HALVES
@@ -28,19 +33,23 @@ from boresight.figures.whiteness import WHITENESS
 __all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Result", "Table", "Trace", "figure_json"]
 
 CHAPTERS: dict[str, tuple[Figure, ...]] = {
-    "summary": (PARAMETERS, CORRELATION, METHODS),
-    "convergence": (CONVERGENCE,),
-    "rms": (RMS,),
+    "summary": (PARAMETERS, CORRELATION),
+    "convergence": (CONVERGENCE, METHODS),
+    "rms": (RMS, RMS_AXES),
     "distortion": (DISTORTION, RADIAL, COVERAGE),
     "observability": (OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION),
-    "residuals": (RESIDUAL_AGAINST, RESIDUAL_MAP, INNOVATIONS, WHITENESS),
+    "residuals": (
+        RESIDUAL_QUIVER, RESIDUAL_DISTRIBUTION, RESIDUAL_AGAINST, INNOVATIONS, WHITENESS, RESIDUAL_OUTLIERS, RESIDUAL_RMS,
+        RESIDUAL_MAP,
+    ),
     "trust": (TWO_HALVES, ARC_UNCERTAINTY, EFFICIENCY, MORE_DATA, DROP_ONE, STARS),
     "matching": (MATCHING, SHADOW),
 }
 FIGURES: dict[str, Figure] = {figure.name: figure for chapter in CHAPTERS.values() for figure in chapter}
 WIDE = frozenset(
     {
-        "convergence", "rms", "distortion", "radial", "observability", "frame-observability", "two-halves", "more-data",
-        "residual-map", "stars", "matching", "shadow",
+        "convergence", "methods", "rms", "rms-axes", "distortion", "radial", "observability", "frame-observability",
+        "two-halves", "more-data", "residual-map", "residual-quiver", "residual-distribution", "residual-outliers",
+        "stars", "matching", "shadow",
     }
 )  # fmt: skip

@@ -32,7 +32,7 @@ from boresight.figures.thinning import keep_extremes
 FloatArray = NDArray[np.float64]
 
 TITLE = "Convergence"
-COLUMNS = 3
+FEW_PANELS = 9  # up to so many stand in three columns, more in four
 PANEL_HEIGHT_PX = 190
 TRANSIENT_SHARE = 0.05  # of the steps, which the window need not hold
 POINT_BUDGET = 7000  # estimates of all panels and runs together
@@ -68,8 +68,11 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
     panels = _panels(traces, found)
     n_panels = len(panels) + PANELS
-    n_rows = -(-n_panels // COLUMNS)
-    figure = make_subplots(n_rows, COLUMNS, shared_xaxes="all", horizontal_spacing=0.09, vertical_spacing=0.16 / n_rows)
+    columns = _columns(n_panels)
+    n_rows = -(-n_panels // columns)
+    figure = make_subplots(
+        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
+    )
     span = _span([course for course in found if course.axis == axis])
     limit = POINT_BUDGET // (len(panels) * len(found))
     for course, style in zip(courses, theme.run_styles(traces), strict=True):
@@ -80,28 +83,33 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         _frame_panel(figure, panel)
     _dress(figure, traces, axis, n_rows, n_panels)
     along = [course if course and course.axis == axis else None for course in courses]
-    draw_judges(figure, (_place(len(panels)), _place(len(panels) + 1)), along, traces)
+    draw_judges(figure, (_place(n_panels - 2, columns), _place(n_panels - 1, columns)), along, traces)
     follow_parameters(figure, panels, traces)
-    follow_column(figure, _place(len(panels)), "nis_per_dof", traces)
+    follow_column(figure, _place(len(panels), columns), "nis_per_dof", traces)
     mark_settled(figure, along, traces, n_panels)
     return share_cursor(figure, axis)
 
 
-def _place(number: int) -> tuple[int, int]:
+def _columns(n_panels: int) -> int:
+    return 3 if n_panels <= FEW_PANELS else 4
+
+
+def _place(number: int, columns: int) -> tuple[int, int]:
     """Return row and column, from 1, of a panel."""
-    return number // COLUMNS + 1, number % COLUMNS + 1
+    return number // columns + 1, number % columns + 1
 
 
 def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_rows: int, n_panels: int) -> go.Figure:
     """Name the axis on the lowest panel of each column and hide the empty places of the grid."""
     theme.dress(figure, title=_headline(traces), height_px=110 + n_rows * PANEL_HEIGHT_PX)
     figure.update_xaxes(showticklabels=True)
-    for place in range(n_rows * COLUMNS):
-        row, column = divmod(place, COLUMNS)
+    columns = _columns(n_panels)
+    for place in range(n_rows * columns):
+        row, column = divmod(place, columns)
         if place >= n_panels:
             figure.update_xaxes(visible=False, row=row + 1, col=column + 1)
             figure.update_yaxes(visible=False, row=row + 1, col=column + 1)
-        elif place + COLUMNS >= n_panels:
+        elif place + columns >= n_panels:
             figure.update_xaxes(title_text=axis, row=row + 1, col=column + 1)
     return figure
 
@@ -119,7 +127,13 @@ def _panels(traces: Sequence[Trace], courses: Sequence[Course]) -> list[Panel]:
     names = list(dict.fromkeys(name for trace in traces for name in free_names(trace.result)))
     names = [name for name in names if any(name in course.names for course in courses)]
     return [
-        Panel(name, quantity(name, traces[0].result), _origin(name, traces, courses), *divmod(i, COLUMNS), [])
+        Panel(
+            name,
+            quantity(name, traces[0].result),
+            _origin(name, traces, courses),
+            *divmod(i, _columns(len(names) + PANELS)),
+            [],
+        )
         for i, name in enumerate(names)
     ]
 

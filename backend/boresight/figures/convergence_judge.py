@@ -41,13 +41,13 @@ def draw_judges(
             _draw(figure, places[0], course, judged, style, POINT_BUDGET // len(traces))
             _draw(figure, places[1], course, step_norm(course), style, POINT_BUDGET // len(traces))
     cost, step = ({"row": row, "col": col} for row, col in places)
-    figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", **step)
+    figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", **step)
     names = [_axis_name(figure, *places[1])]
     if any(course is not None and course.axis == "frame" for course in courses):
         figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, **cost)
         figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **cost)
     else:
-        figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", **cost)
+        figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", exponentformat="power", **cost)
         names.append(_axis_name(figure, *places[0]))
     offer_log(figure, names)
 

@@ -88,7 +88,7 @@ def _dress(figure: go.Figure, radials: Sequence[Result], window: list[float]) ->
         return
     figure.add_trace(go.Scatter(x=[0], y=[0], opacity=0, showlegend=False, hoverinfo="skip"), 1, 1, secondary_y=True)
     right = {"title_text": "arcsec, on axis", "range": [edge * scale for edge in window], "showgrid": False}
-    figure.update_yaxes(**right, zeroline=False, fixedrange=True, secondary_y=True)
+    figure.update_yaxes(**right, tickmode="auto", zeroline=False, fixedrange=True, secondary_y=True)
 
 
 def _headline(radial: Result) -> str:

@@ -1,7 +1,8 @@
 """What a calibration's numbers say about its own trustworthiness: one mark a question, each with a level and a word.
 
 No mark is weighed against another and no score is made: the strip as a whole is as good as its worst mark, which is the
-verdict. Where a question cannot be answered the mark says NO DATA; it never passes for an answer.
+verdict; the examination of trust (`trust_marks`) counts alike. Where a question cannot be answered the mark says NO DATA;
+it never passes for an answer.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.estimation.filters import FILTERS
+from boresight.figures.mark import LEVELS, Mark
 from boresight.figures.numbers import count, number, percent, urad
+from boresight.figures.trust_marks import trust_marks
 
-LEVELS = ("off", "standby", "normal", "caution", "serious", "critical")  # of the Astro UX status system, worst last
+__all__ = ["LEVELS", "LEVEL_OF_STATUS", "Mark", "Verdict", "marks", "verdict"]
+
 LEVEL_OF_STATUS = {
     "running": "standby",
     "converged": "normal",
@@ -30,30 +34,6 @@ WHY = {
     "too_few_stars": "No exposure has enough stars: nothing was estimated.",
 }
 UNSEEN_TYPICAL_SIGMAS = 1.0  # a direction known no better than unit-to-unit spread was not calibrated
-
-
-@dataclass(frozen=True)
-class Mark:
-    """One answer on the verdict strip.
-
-    Parameters
-    ----------
-    question
-        What is asked: two or three words.
-    level, word
-        Colour and shape, and the answer in a word.
-    value, detail
-        The number, and the limits it is held against or what it means.
-    reason
-        What speaks against trusting the result, a sentence; empty where nothing does.
-    """
-
-    question: str
-    level: str
-    word: str
-    value: str
-    detail: str
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -159,8 +139,8 @@ def marks(result: Mapping[str, Any]) -> list[Mark]:
 
 
 def verdict(result: Mapping[str, Any]) -> Verdict:
-    """Judge a result by the worst of its marks; one whose fit did not converge by that alone."""
-    answers = marks(result)
+    """Judge a result by the worst of its marks and its examination's; one whose fit did not converge by that alone."""
+    answers = [*marks(result), *trust_marks(result)]
     fit = answers[0]
     if fit.reason:
         return Verdict(fit.level, fit.word, (fit.reason,))

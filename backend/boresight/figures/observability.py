@@ -16,13 +16,16 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.estimation.observability import WEAK
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.numbers import number
 from boresight.figures.quantities import quantity
 
 FloatArray = NDArray[np.float64]
 
 TITLE = "Observability"
+THRESHOLD = 1.0 / WEAK
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
@@ -56,7 +59,7 @@ def _bars(seen: Result, style: theme.RunStyle, *, labelled: bool) -> go.Bar:
         marker={"color": style.colour},
         name=style.label,
         customdata=theme.short(spread),
-        text=[f"{value:.3g}" for value in values] if labelled else None,
+        text=[number(value, 3) for value in values] if labelled else None,
         textposition="outside",
         cliponaxis=False,
         hovertemplate=f"s = %{{y:.4g}}<br>σ = %{{customdata:.3g}} typical σ<extra>{style.label}</extra>",
@@ -105,14 +108,14 @@ def _dress(figure: go.Figure, drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> 
     """Title with the condition number, and the weakest direction in words below."""
     result = drawn[0][0].result
     condition = result["observability"].get("condition_number")
-    number = f"{condition:.4g}" if condition is not None else "infinite: a direction is not determined at all"
+    size = f"{condition:.4g}" if condition is not None else "infinite: a direction is not determined at all"
     whose = f" ({drawn[0][1].label})" if len(drawn) > 1 else ""
     sentence = _sentence(result)
     layout: dict[str, Any] = {"hovermode": "closest", "barmode": "group", "legend": len(drawn) > 1}
-    theme.dress(figure, title=f"Condition number {number}{whose}", height_px=520, **layout)
+    theme.dress(figure, title=f"Condition number {size}{whose}", height_px=520, **layout)
     figure.update_layout(margin={"b": 84 + 18 * sentence.count("<br>")})
     figure.update_yaxes(title_text="singular value", type="log", dtick=1, range=_window(drawn), row=1, col=1)
-    figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, row=1, col=1)
+    _draw_threshold(figure)
     figure.update_yaxes(autorange="reversed", showgrid=False, row=2, col=1)
     figure.update_xaxes(showgrid=False, type="category")
     figure.update_xaxes(title_text="direction, best known to weakest", row=2, col=1)
@@ -122,11 +125,18 @@ def _dress(figure: go.Figure, drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> 
         )
 
 
+def _draw_threshold(figure: go.Figure) -> None:
+    """Draw the singular value below which a direction is weak, and say so."""
+    line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}
+    words = {"annotation_text": f"weak below {THRESHOLD:g}", "annotation_position": "bottom right"}
+    figure.add_hline(y=THRESHOLD, line=line, **words, row=1, col=1)
+
+
 def _window(drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> list[float]:
-    """Choose the decades of the log axis: every bar can be seen, and the level 1 too."""
+    """Choose the decades of the log axis: every bar can be seen, and the threshold too."""
     values = np.concatenate([trace.result["observability"]["singular_values"] for trace, _ in drawn])
     known = values[values > 0]
-    low, high = float(np.min(known, initial=1.0)), float(np.max(known, initial=1.0))
+    low, high = float(np.min(known, initial=THRESHOLD)), float(np.max(known, initial=THRESHOLD))
     return [float(np.log10(low)) - 0.5, float(np.log10(high)) + 0.5]
 
 
@@ -161,7 +171,7 @@ OBSERVABILITY = Figure(
     guide=(
         "Each column is one direction in parameter space: the bar is how strongly the stars determine it, the "
         "colours below are the parameters it mixes. Short bars on the right are what these data cannot separate; "
-        "a singular value below one leaves a direction no better known than the spread from unit to unit."
+        "a singular value below the dotted threshold leaves a direction hardly better known than the spread from unit to unit."
     ),
     draw=draw,
     table=table,

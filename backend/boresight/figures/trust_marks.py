@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from boresight.figures.chart import Result
-from boresight.figures.evidence import LEVELS, Mark
+from boresight.figures.mark import LEVELS, Mark
 from boresight.figures.numbers import count, number, percent
 from boresight.figures.trust_parts import part_of, why_absent
 
