@@ -18,7 +18,7 @@ from boresight.errors import NotFoundError, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.difference import SharedData
 from boresight.services import runs
-from boresight.store import parameter_sets
+from boresight.store import parameter_sets, run_lists
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 from boresight.store.tables import Run, TelemetrySet
@@ -133,6 +133,22 @@ def read_run_ids(asked: Sequence[str]) -> list[int]:
     return found
 
 
+def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
+    """Read the rows of several runs in one query, in the order asked for.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no run of one of the numbers.
+    """
+    found = {
+        run.id: run for run in run_lists.page_of_runs(session, where={"id": run_ids}, before_id=None, limit=MOST_RUNS)
+    }
+    if missing := [run_id for run_id in run_ids if run_id not in found]:
+        raise NotFoundError(f"There is no run {missing[0]}; choose one of the list.")
+    return [found[run_id] for run_id in run_ids]
+
+
 def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) -> list[Compared]:
     """Read the runs and their results.
 
@@ -143,7 +159,7 @@ def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) ->
     UnlikeModelsError
         When their camera models are unlike; names them, and says what to do instead.
     """
-    found = [Compared(runs.get_run(session, run_id), runs.result(session, blobs, run_id) or {}) for run_id in run_ids]
+    found = [Compared(run, runs.result(session, blobs, run.id) or {}) for run in read_runs(session, run_ids)]
     models = {one.camera_model: one.run.id for one in reversed(found)}
     if len(models) > 1:
         (first, first_id), (second, second_id) = sorted(models.items(), key=lambda item: run_ids.index(item[1]))[:2]

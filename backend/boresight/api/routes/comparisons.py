@@ -81,9 +81,8 @@ def draw_radial_contrast(
     reference: ReferenceRun = "",
 ) -> Response:
     """Draw how far each run places stars along the radius from where the reference places them, as Plotly JSON."""
-    run_ids = comparisons.read_run_ids([asked])
-    labels = [label_of(session, run_id) for run_id in run_ids]
-    sources = [source_of(session, run_id) for run_id in run_ids]
+    runs = comparisons.read_runs(session, comparisons.read_run_ids([asked]))
+    labels, sources = [label_of(session, run) for run in runs], [source_of(session, run) for run in runs]
 
     def draw() -> bytes:
         found = _compared(session, request, asked, reference)

@@ -28,11 +28,11 @@ from boresight.figures.envelope import as_band
 from boresight.figures.focus import focus
 from boresight.figures.rms_tail import tailed
 from boresight.figures.thinning import thinning
-from boresight.services import runs, sensors
+from boresight.services import comparisons, runs, sensors
 from boresight.services.incumbents import baseline_beside
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
-from boresight.store.tables import Sensor
+from boresight.store.tables import Run
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 
@@ -113,31 +113,30 @@ def get_figure(
     """Read a figure as Plotly JSON, of one run or of several over one another."""
     figure, blobs = _figure(name), request.app.state.blobs
     ids = [run_id, *_others(compare, run_id)]
-    labels = [label_of(session, number) for number in ids]
+    asked = comparisons.read_runs(session, ids)
+    labels, sources = [label_of(session, run) for run in asked], [source_of(session, run) for run in asked]
 
     def draw() -> bytes:
-        results = [_beside_baseline(session, blobs, number) for number in ids]
+        results = [_beside_baseline(session, blobs, run) for run in asked]
         return seen.draw(figure, [Trace(label, result) for label, result in zip(labels, results, strict=True)])
 
-    sources = [source_of(session, number) for number in ids]
     known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
     answer: Response = request.app.state.drawn.answer(request, known, draw)
     return answer
 
 
-def source_of(session: Session, run_id: Id) -> str | None:
+def source_of(session: Session, run: Run) -> str | None:
     """Return what a run's figures are drawn from, as text; None while it may change."""
-    run = runs.get_run(session, run_id)
     if run.result_sha256 is None:
         return None
-    moving = [session.get_one(Sensor, run.sensor_id).truth, baseline_beside(session, run)]
+    moving = [sensors.get_sensor(session, run.sensor_id).truth, baseline_beside(session, run)]
     return run.result_sha256 + orjson.dumps(moving, option=orjson.OPT_SORT_KEYS).decode()
 
 
-def _beside_baseline(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:
+def _beside_baseline(session: Session, blobs: BlobStore, run: Run) -> dict[str, Any]:
     """Read a result, with the parameters that are in force now where the run did not start from them."""
-    baseline = baseline_beside(session, runs.get_run(session, run_id))
-    return {**result_so_far(session, blobs, run_id), **({"baseline": baseline} if baseline else {})}
+    baseline = baseline_beside(session, run)
+    return {**result_so_far(session, blobs, run.id), **({"baseline": baseline} if baseline else {})}
 
 
 @router.get(
@@ -177,10 +176,9 @@ def _others(text: str, run_id: Id) -> list[int]:
     return [number for number in dict.fromkeys(map(int, words)) if number != run_id]
 
 
-def label_of(session: Session, run_id: Id) -> str:
+def label_of(session: Session, run: Run) -> str:
     """Name a run in a legend."""
-    run = runs.get_run(session, run_id)
-    return f"Run {run_id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
+    return f"Run {run.id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
 
 
 def _stacked(tables: Mapping[int, Table]) -> Table:
