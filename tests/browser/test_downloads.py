@@ -14,7 +14,16 @@ pytestmark = pytest.mark.browser
 SINGLE = 1e-6  # figures are sent in single precision
 UNITS = {"f_m": 1e6, "a1_rad": 1e3, "a2_rad": 1e3, "g_y": 1e6}
 SMALLEST_BAR = 0.1
-NAMES = ("convergence", "rms", "radial", "observability", "coverage", "parameters")
+PARTS = {
+    "parameters": "summary",
+    "correlation": "summary",
+    "convergence": "convergence",
+    "rms": "rms",
+    "distortion": "distortion",
+    "radial": "distortion",
+    "coverage": "distortion",
+    "observability": "observability",
+}
 PIXELS = """async ([address]) => {
     const image = new Image();
     image.src = address;
@@ -31,18 +40,40 @@ PIXELS = """async ([address]) => {
 }"""
 
 
+class Desk:
+    """The page of the sequential run: a figure's part is opened when the figure is asked for."""
+
+    def __init__(self, window, run_id):
+        self.window, self.run_id, self.part = window, run_id, None
+
+    def figure(self, name):
+        """Return a figure's panel, its part open and drawn."""
+        if self.part != PARTS[name]:
+            self.part = PARTS[name]
+            self.window.open(f"/runs/{self.run_id}?part={self.part}")
+            self.window.figures_drawn()
+        return self.window.figure(name)
+
+    def csv(self, name):
+        """Press a figure's CSV; return its columns."""
+        return columns(download(self.window, self.figure(name), "CSV"))
+
+    def drawn(self, name):
+        """Return a figure's traces."""
+        self.figure(name)
+        return self.window.drawn(name)
+
+
 @pytest.fixture(scope="module")
 def desk(people, sequential_run):
-    """The page of the sequential run, its figures drawn."""
+    """The page of the sequential run."""
     with people.seat("analyst") as window:
-        window.open(f"/runs/{sequential_run}")
-        window.figures_drawn()
-        yield window
+        yield Desk(window, sequential_run)
 
 
 @pytest.fixture(scope="module")
 def initial(desk, sequential_run):
-    return desk.result(sequential_run)["initial"]
+    return desk.window.result(sequential_run)["initial"]
 
 
 def download(window, panel, kind: str) -> Path:
@@ -71,7 +102,7 @@ def close(drawn, expected):
 
 
 def test_the_csv_of_convergence_has_the_curves_and_their_bands(desk, initial):
-    table = columns(download(desk, desk.figure("convergence"), "CSV"))
+    table = desk.csv("convergence")
     drawn = desk.drawn("convergence")
     for place, (name, start) in enumerate(initial.items()):
         band, line = drawn[2 * place : 2 * place + 2]
@@ -83,7 +114,7 @@ def test_the_csv_of_convergence_has_the_curves_and_their_bands(desk, initial):
 
 
 def test_the_csv_of_rms_has_tail_and_aggregate(desk):
-    table = columns(download(desk, desk.figure("rms"), "CSV"))
+    table = desk.csv("rms")
     curves = {one["name"].rpartition(" · ")[2]: one for one in reversed(desk.drawn("rms"))}
     for word in ("tail", "aggregate"):
         assert curves[word]["x"] == floats(table["frame"]).tolist()
@@ -91,7 +122,7 @@ def test_the_csv_of_rms_has_tail_and_aggregate(desk):
 
 
 def test_the_csv_of_the_radial_difference_has_the_curve_and_its_band(desk):
-    table = columns(download(desk, desk.figure("radial"), "CSV"))
+    table = desk.csv("radial")
     band, line = desk.drawn("radial")[:2]
     value, reach = floats(table["difference_px"]), 3 * floats(table["sigma_px"])
     close(line["x"], floats(table["radius_px"]))
@@ -100,7 +131,7 @@ def test_the_csv_of_the_radial_difference_has_the_curve_and_its_band(desk):
 
 
 def test_the_csv_of_observability_has_the_bars_and_the_directions(desk, initial):
-    table = columns(download(desk, desk.figure("observability"), "CSV"))
+    table = desk.csv("observability")
     bars, directions = desk.drawn("observability")
     close(bars["y"], floats(table["singular_value"]))
     close(bars["customdata"], floats(table["sigma_of_direction"]))
@@ -108,22 +139,37 @@ def test_the_csv_of_observability_has_the_bars_and_the_directions(desk, initial)
 
 
 def test_the_csv_of_coverage_has_every_cell(desk):
-    table = columns(download(desk, desk.figure("coverage"), "CSV"))
+    table = desk.csv("coverage")
     (cells,) = desk.drawn("coverage")
     assert [count or 0 for row in cells["z"] for count in row] == floats(table["stars"]).tolist()
 
 
 def test_the_csv_of_parameter_changes_has_bars_and_points(desk, initial):
-    table = columns(download(desk, desk.figure("parameters"), "CSV"))
+    table = desk.csv("parameters")
     bars, points = desk.drawn("parameters")
     assert list(table["parameter"]) == list(initial)
     close(bars["x"], np.maximum(np.abs(floats(table["delta_over_sigma"])), SMALLEST_BAR))
     close(points["x"], floats(table["delta_in_typical_sigma"]))
 
 
-@pytest.mark.parametrize("name", NAMES)
+def test_the_csv_of_the_distortion_has_both_curves(desk):
+    table = desk.csv("distortion")
+    _, new, old = desk.drawn("distortion")[:3]
+    close(new["y"], floats(table["new_px"]))
+    close(old["y"], floats(table["old_px"]))
+
+
+def test_the_csv_of_correlations_has_every_pair_once(desk, initial):
+    table = desk.csv("correlation")
+    (cells,) = desk.drawn("correlation")
+    drawn = np.array(cells["z"], float)[np.triu_indices(len(initial), 1)]
+    apart = np.array(table["parameter"]) != np.array(table["with"])
+    close(drawn, floats(table["correlation"])[apart])
+
+
+@pytest.mark.parametrize("name", PARTS)
 def test_the_png_of_a_figure_is_the_chart_on_white(desk, name):
-    on_white(desk, download(desk, desk.figure(name), "PNG"))
+    on_white(desk.window, download(desk.window, desk.figure(name), "PNG"))
 
 
 def test_the_drawings_of_a_telemetry_set_are_saved_alike(people, telemetry):

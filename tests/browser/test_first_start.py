@@ -35,7 +35,7 @@ def change(result, history, name):
 
 @pytest.fixture(scope="module")
 def batch_page(people, batch_run):
-    """The page of the batch run, for tests that only look at it."""
+    """A window for the batch run's page, for tests that only look at its parts."""
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}")
         yield window
@@ -94,6 +94,7 @@ def test_the_launch_form_says_what_would_run_before_it_is_queued(people, batch_r
 
 def test_a_batch_run_shows_its_parameters_with_sigmas_and_a_verdict(batch_page, batch_run):
     result = batch_page.result(batch_run)
+    batch_page.open(f"/runs/{batch_run}")
     expect(batch_page.page.locator("#verdict")).to_contain_text("converged")
     rows = batch_page.page.locator("#parameters tbody tr")
     scales = {"f_m": 1e3, "a1_rad": 1e3, "a2_rad": 1e3}
@@ -124,6 +125,7 @@ def test_convergence_shows_every_parameter_with_its_three_sigma_bounds(
         (filter_page, sequential_run, "history", "frame"),
     ):
         result = window.result(run_id)
+        window.open(f"/runs/{run_id}?part=convergence")
         drawn = window.drawn("convergence")
         for place, name in enumerate(result["parameters"]):
             band, line = drawn[2 * place : 2 * place + 2]
@@ -137,6 +139,7 @@ def test_convergence_shows_every_parameter_with_its_three_sigma_bounds(
 
 def test_tail_and_aggregate_rms_are_those_of_the_result(filter_page, sequential_run):
     history = filter_page.result(sequential_run)["history"]
+    filter_page.open(f"/runs/{sequential_run}?part=rms")
     by_word = {one["name"].rpartition(" · ")[2]: one for one in reversed(filter_page.drawn("rms"))}
     for word in ("tail", "aggregate"):
         assert by_word[word]["x"] == history["frame"]
@@ -145,6 +148,7 @@ def test_tail_and_aggregate_rms_are_those_of_the_result(filter_page, sequential_
 
 def test_the_radial_difference_is_that_of_the_result_with_its_band(batch_page, batch_run):
     radial = batch_page.result(batch_run)["radial"]
+    batch_page.open(f"/runs/{batch_run}?part=distortion")
     band, line, counts = batch_page.drawn("radial")[:3]
     difference, sigma = np.array(radial["difference_px"]), np.array(radial["sigma_px"])
     assert line["x"] == pytest.approx(radial["radius_px"], rel=SINGLE)
@@ -155,6 +159,7 @@ def test_the_radial_difference_is_that_of_the_result_with_its_band(batch_page, b
 
 def test_observability_shows_the_singular_values_and_their_directions(batch_page, batch_run):
     seen = batch_page.result(batch_run)["observability"]
+    batch_page.open(f"/runs/{batch_run}?part=observability")
     bars, directions = batch_page.drawn("observability")
     assert bars["y"] == pytest.approx(seen["singular_values"], rel=SINGLE)
     shares = np.abs(np.array(seen["right_singular_vectors"]).T)

@@ -69,7 +69,7 @@ def test_a_run_by_singular_values_says_what_was_chosen_and_shows_what_a_frame_de
             [2, 3],
             "information",
         )
-        window.open(f"/runs/{svd_run}")
+        window.open(f"/runs/{svd_run}?part=observability")
         expect(window.page.locator(".subtitle").first).to_contain_text("Singular values")
         names = {trace["name"] for trace in window.drawn("frame-observability")}
         assert {"Model 1", "Model 2", "Model 3", "Model 4"} <= names, names

@@ -80,8 +80,14 @@ def test_the_charts_hold_the_numbers_of_the_result(trust_page, result):
     )
     (ratios,) = trust_page.drawn("efficiency")
     assert ratios["y"] == pytest.approx(list(trust["efficiency"]["ratio"].values()), rel=SINGLE)
-    (correlations,) = trust_page.drawn("whiteness")
-    assert correlations["y"] == pytest.approx(trust["whiteness"]["autocorrelation"], rel=SINGLE, abs=SINGLE)
+
+
+def test_the_whiteness_of_the_residuals_part_is_that_of_the_examination(people, batch_run, result):
+    with people.seat("analyst") as window:
+        open_part(window, batch_run, "Residuals")
+        (correlations,) = window.drawn("whiteness")
+        expected = result["trust"]["whiteness"]["autocorrelation"]
+        assert correlations["y"] == pytest.approx(expected, rel=SINGLE, abs=SINGLE)
 
 
 def test_a_heading_sorts_the_stars_and_a_second_press_turns_them_round(trust_page, result):
