@@ -23,7 +23,7 @@ from boresight.store.tables import Run
 
 SHOWN = {"new": "New parameters", "old": "Old parameters", "both": "Both"}
 UNDER = {"new": ("new",), "old": ("old",), "both": ("old", "new")}
-WORST_SHOWN = 12
+WORST_SHOWN = 8
 CLEAR_SIGMA = 3.0
 ATTITUDE = (
     "Right ascension of the boresight (°)",
@@ -161,16 +161,17 @@ def _written(attitude: Mapping[str, Any]) -> Iterator[str]:
     yield fixed(attitude["ra_deg"], 6)
     yield fixed(attitude["dec_deg"], 6)
     yield fixed(attitude["roll_deg"], 5)
-    yield _triple(attitude["sigma_arcsec"], 3)
-    yield ", ".join(fixed(value, 9) for value in attitude["quaternion"])
+    yield _lines(attitude["sigma_arcsec"])
+    yield "\n".join(fixed(value, 9) for value in attitude["quaternion"])
     yield str(attitude["stars"])
     yield number(attitude["rms_px"], 3)
     yield f"{number(attitude['chi2'], 3)} of {attitude['dof']}"
-    yield _triple(attitude["from_telemetry_arcsec"], 3)
+    yield _lines(attitude["from_telemetry_arcsec"])
 
 
-def _triple(values: Sequence[float] | None, digits: int) -> str:
-    return MISSING if values is None else ", ".join(number(value, digits) for value in values)
+def _lines(values: Sequence[float] | None) -> str:
+    """Numbers below one another."""
+    return MISSING if values is None else "\n".join(number(value, 3) for value in values)
 
 
 def star_row(star: Mapping[str, Any]) -> dict[str, Any]:
@@ -189,7 +190,7 @@ def star_row(star: Mapping[str, Any]) -> dict[str, Any]:
         "apart": MISSING if new is None else fixed(new["apart_arcsec"], 2),
         "normalised": _pair(new, "normalised", 1),
         "worst": None if worst is None else abs(worst),
-        "clear": worst is not None and abs(worst) > CLEAR_SIGMA,
+        "beyond": worst is not None and abs(worst) > CLEAR_SIGMA,
         "old_residual": _residual(old),
         "old_normalised": _pair(old, "normalised", 1),
     }
