@@ -19,8 +19,8 @@ const FOLLOWING = "plot-figure[data-follows]";
 
 class LiveRun extends HTMLElement {
   #heardAt = NaN;
-  #begunAt = Date.now();
-  #wholeAt = Date.now();
+  #begunAt = 0;
+  #wholeAt = 0;
   #drawTimer = 0;
   #fetchTimer = 0;
   #wanted = new Set();
@@ -64,8 +64,7 @@ class LiveRun extends HTMLElement {
 
   #progressed(event) {
     this.#heardAt = Date.now();
-    if (event.attempt !== this.attempt) forget();
-    this.attempt = event.attempt;
+    if (event.attempt !== this.attempt) this.#begin(event.attempt);
     this.isBatch = !event.history && !document.querySelector(".run-live")?.dataset.frames;
     keep(event.history);
     const bar = document.querySelector("[data-run-progress]");
@@ -78,6 +77,14 @@ class LiveRun extends HTMLElement {
     this.#showAge();
     if (!document.hidden) this.#drawTimer ||= setTimeout(() => this.#draw(), DRAW_MS);
     if (this.state === "QUEUED" || document.querySelector("#verdict .empty")) this.#renew();
+  }
+
+  /** Another attempt computes: nothing of the one before is drawn on. */
+  #begin(attempt) {
+    this.attempt = attempt;
+    this.#begunAt = Date.now();
+    forget();
+    this.#fetch(document.querySelectorAll(FOLLOWING));
   }
 
   #pace({ fraction, elapsed_s: elapsed }) {
