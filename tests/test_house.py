@@ -50,7 +50,7 @@ def _name(path: Path) -> str:
 def _texts() -> Iterator[tuple[str, str]]:
     """Every text file of the project, except the licence."""
     for path in _files():
-        if path.suffix not in {".png", ".parquet", ".npz"}:
+        if path.suffix not in {".png", ".webp", ".parquet", ".npz"}:
             yield _name(path), path.read_text()
 
 
