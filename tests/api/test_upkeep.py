@@ -10,7 +10,7 @@ import pytest
 
 from boresight.api import upkeep as upkeep_module
 from boresight.api.upkeep import Upkeep
-from boresight.services import api_keys, audit, users
+from boresight.services import alarms, api_keys, audit, users
 from boresight.services.actors import COMMAND_LINE
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
 
@@ -100,3 +100,25 @@ def test_what_fails_is_tried_again(store: Engine, monkeypatch: pytest.MonkeyPatc
     upkeep.close()
     assert len(walks) > 1
     assert upkeep.light().state == "not yet"
+
+
+def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_return(store: Engine) -> None:
+    upkeep = Upkeep(store)
+    upkeep.verify()
+    with store.begin() as connection:
+        before = connection.exec_driver_sql("SELECT roles FROM users").scalar()
+        connection.exec_driver_sql("UPDATE users SET roles = '[\"administrator\"]'")
+    upkeep.verify()
+    for _ in range(2):
+        upkeep.watch()
+    with reading(store) as session:
+        (raised,) = alarms.list_alarms(session)
+    assert (raised.kind, raised.level, raised.version) == ("CHAIN", "critical", 1)
+    assert "users/1 was changed outside Boresight" in raised.sentence
+    with store.begin() as connection:
+        connection.exec_driver_sql("UPDATE users SET roles = ?", (before,))
+    upkeep.verify()
+    upkeep.watch()
+    with reading(store) as session:
+        (over,) = alarms.list_alarms(session)
+        assert alarms.state_of(over) == "unacknowledged, returned to normal"

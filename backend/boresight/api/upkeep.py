@@ -70,7 +70,7 @@ class Upkeep:
         self._found = NOT_YET
         self._looked_s = 0.0
         self._pause_s = ROUND_S
-        self._rounds = Rounds("upkeep", [self.write_uses, self._verify_when_due], lambda: ROUND_S)
+        self._rounds = Rounds("upkeep", [self.write_uses, self._verify_when_due, self.watch], lambda: ROUND_S)
 
     def start(self) -> None:
         """Begin; the first walk is at once."""

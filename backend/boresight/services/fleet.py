@@ -12,10 +12,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
+from boresight.store import alarms, trends
 from boresight.store import sensors as rows
-from boresight.store import trends
-from boresight.store.sessions import Session
-from boresight.store.tables import ParameterSet, Run, Sensor
+from boresight.store.sessions import Session, utc_now
+from boresight.store.tables import Alarm, ParameterSet, Run, Sensor
 
 STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
@@ -60,12 +60,14 @@ class Known:
     waiting: str | None
     telemetry_sets: int
     days: float | None
+    drift: Alarm | None = None
 
 
 def fleet_overview(session: Session) -> list[SensorTile]:
     """Return a tile for every sensor, by name."""
     baselines, runs, counts = rows.baselines(session), rows.last_runs(session), rows.set_counts(session)
     waiting, onboard = rows.waiting_approvals(session), rows.onboard_sets(session)
+    drifting = _drifting(session)
     tiles = []
     for sensor in rows.sensors(session):
         known = Known(
@@ -75,9 +77,16 @@ def fleet_overview(session: Session) -> list[SensorTile]:
             waiting=waiting.get(sensor.id),
             telemetry_sets=counts.get(sensor.id, 0),
             days=days_since(baselines.get(sensor.id)),
+            drift=drifting.get(sensor.id),
         )
         tiles.append(_tile(sensor, known))
     return tiles
+
+
+def _drifting(session: Session) -> dict[int | None, Alarm]:
+    """Return the alarms of sensors that drift now, by sensor; one on the shelf waits for its time."""
+    found = [row for row in alarms.open_alarms(session).values() if row.kind == "DRIFT" and row.active]
+    return {row.sensor_id: row for row in found if not (row.shelved_until_utc or "") > utc_now()}
 
 
 def recent_summaries(session: Session, limit: int) -> dict[int, list[dict[str, Any]]]:
@@ -106,6 +115,8 @@ def findings(known: Known) -> Iterator[tuple[str, str]]:
     """Yield every finding on a sensor as a status word and its sentence; there is always one."""
     yield from _onboard_findings(known)
     yield from _run_findings(known.last_run)
+    if known.drift is not None:
+        yield known.drift.level, f"It drifts: alarm {known.drift.id}."
     if known.waiting is not None:
         yield "caution", f"{known.waiting} waits for a signature."
     if known.baseline is None:
