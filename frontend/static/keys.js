@@ -55,8 +55,12 @@ function openRelated(relation) {
 }
 
 async function copyAddress() {
-  await navigator.clipboard?.writeText(location.href);
-  say(navigator.clipboard ? "The address of this view is copied." : "Copy the address from the browser: this page may not write to the clipboard.");
+  try {
+    await navigator.clipboard.writeText(location.href);
+    say("The address of this view is copied.");
+  } catch {
+    say("Copy the address from the browser: this page may not write to the clipboard.");
+  }
 }
 
 function leave(event) {

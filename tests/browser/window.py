@@ -6,11 +6,18 @@ import re
 from pathlib import Path
 from typing import Any
 
-from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import APIResponse, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
+from axe_playwright_python.base import AXE_SCRIPT
+from playwright.sync_api import APIResponse, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, Route, expect
 
 SCREENSHOTS = Path(__file__).parents[2] / "artefacts" / "screenshots"
 NARROW, WIDE = {"width": 1280, "height": 800}, {"width": 1920, "height": 1080}
+TABLET, TABLET_ASIDE = {"width": 820, "height": 1180}, {"width": 1024, "height": 768}
+LOOKS = (  # theme and width, and what axe is asked there: everything once, then what each theme and width can break
+    ("dark", NARROW, {}),
+    ("light", WIDE, {"runOnly": ["color-contrast"]}),
+    ("contrast", TABLET, {"runOnly": ["color-contrast", "target-size", "scrollable-region-focusable", "list"]}),
+    ("dark", TABLET_ASIDE, None),
+)
 PATIENCE_MS = 240_000  # nothing here is a claim about speed, and a machine may be slow and busy
 
 TRACES = """figure => figure._fullData.map(t => Object.fromEntries(
@@ -27,6 +34,30 @@ PUT_ASIDE = """() => {
     for (const [drawing, place] of aside) drawing.replaceWith(place);
 }"""
 PUT_BACK = "() => { for (const [drawing, place] of aside) place.replaceWith(drawing); }"
+AXE = """options => axe.run(document, {resultTypes: ["violations"], ...options}).then(found =>
+    found.violations.flatMap(one => one.nodes.map(node => `${one.id}: ${one.help} at ${node.target}`)))"""
+CHOOSE_THEME = """theme => {
+    const button = document.getElementById("theme");
+    for (let k = 0; k < 4 && document.documentElement.dataset.theme !== theme; k++) button.click();
+    return document.documentElement.dataset.theme;
+}"""
+PRESS_EVERYTHING = """keys => {
+    const press = key => document.activeElement.dispatchEvent(
+        new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true, shiftKey: key !== key.toLowerCase()}));
+    const leave = () => {
+        for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close();
+        document.activeElement.blur();
+    };
+    for (const row of [false, true]) for (const key of keys) {
+        if (row) press("j");
+        press(key);
+        leave();
+        press("g");
+        press(key);
+        leave();
+    }
+}"""
+KEYS = [chr(code) for code in range(33, 127)] + ["Escape", "Delete", "Backspace", "F2", "ArrowDown", "ArrowRight"]
 PLAIN = """const plain = value =>
     ArrayBuffer.isView(value) || Array.isArray(value) ? Array.from(value, plain) : value;"""
 
@@ -108,9 +139,8 @@ class Window:
         return points.json_value()
 
     def use_theme(self, theme: str) -> None:
-        """Change to dark, light or contrast by the button of the top bar."""
-        while self.page.evaluate("document.documentElement.dataset.theme") != theme:
-            self.page.get_by_role("button", name="Theme: ").click()
+        """Change to a theme by the button of the top bar."""
+        assert self.page.evaluate(CHOOSE_THEME, theme) == theme
 
     def shoot(self, name: str, *, wide: bool = False) -> None:
         """Keep a screenshot of the whole page, and of the wide one if it is asked for."""
@@ -133,26 +163,52 @@ class Window:
         """Hold that the page does not scroll sideways, its figures having been fitted to the window."""
         self.page.wait_for_function(FITS)
 
-    def barriers(self, *, drawings: bool = True) -> list[str]:
-        """What axe finds that keeps people out, a line each.
+    def barriers(self, options: dict[str, Any] | None = None, *, drawings: bool = True) -> list[str]:
+        """What axe finds that keeps people out, a line each; `options` are axe's own.
 
         Without the drawings it is many times faster on a page of charts, and enough where only colours have changed: to
         people who listen a chart is one image with a name, and axe judges letters by `color`, not by the `fill` of a drawing.
         """
         if not drawings:
             self.page.evaluate(PUT_ASIDE)
-        found = Axe().run(self.page).response["violations"]
+        if not self.page.evaluate("'axe' in window"):
+            self.page.evaluate(AXE_SCRIPT)
+        found = self.page.evaluate(AXE, options or {})
         if not drawings:
             self.page.evaluate(PUT_BACK)
-        return [f"{one['id']}: {one['help']} at {node['target']}" for one in found for node in one["nodes"]]
+        return found
 
     def holds_in_every_theme_and_width(self, name: str) -> None:
-        """Hold that the page fits and keeps nobody out, dark and light, narrow and wide; keep its looks under a name."""
-        for theme, sizes in (("dark", (NARROW, WIDE)), ("light", (WIDE, NARROW))):
+        """Hold that the page fits and keeps nobody out in every theme and width, opened once; keep its looks under a name.
+
+        Axe looks around the drawings: the gallery's test has it look at every figure there is, drawn, in every theme.
+        """
+        charts = self.page.locator(".main-svg").count()
+        for place, (theme, size, asked) in enumerate(LOOKS):
             self.use_theme(theme)
-            for size in sizes:
-                self.page.set_viewport_size(size)
-                self.fits()
-                self.keep(f"page-{name}-{theme}-{size['width']}", whole=(theme, size) == ("dark", NARROW))
-            assert self.barriers(drawings=theme == "dark") == [], f"{name}, {theme}"
-        self.use_theme("dark")
+            self.page.set_viewport_size(size)
+            self.fits()
+            self.keep(f"page-{name}-{theme}-{size['width']}", whole=not place and not charts)
+            if asked is not None:
+                assert self.barriers(asked, drawings=False) == [], f"{name}, {theme}, {size['width']} px"
+        self.page.set_viewport_size(NARROW)
+
+    def sends_nothing_by_keys(self) -> None:
+        """Hold that no key, alone, after `g` or on a row, sends anything but a question; where it leads is not gone to."""
+        sent: list[str] = []
+        self.page.on(
+            "request", lambda asked: asked.method in {"GET", "HEAD"} or sent.append(f"{asked.method} {asked.url}")
+        )
+        self.page.route("**/*", _stay)
+        self.page.evaluate(PRESS_EVERYTHING, KEYS)
+        self.settle()
+        self.page.unroute("**/*", _stay)
+        assert sent == []
+
+
+def _stay(route: Route) -> None:
+    """Answer a navigation with nothing, upon which the browser stays where it is."""
+    if route.request.is_navigation_request():
+        route.fulfill(status=204)
+    else:
+        route.continue_()
