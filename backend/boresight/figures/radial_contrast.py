@@ -46,7 +46,9 @@ def draw(labels: Sequence[str], reference: int, curves: Sequence[Mapping[str, An
     figure = go.Figure()
     for style, curve in shown:
         _draw_run(figure, style, curve, banded=len(shown) <= CROWDED)
-    theme.dress(figure, title=f"Against {theme.escape(labels[reference])}, ±3σ of the difference", height_px=420)
+    told = any(np.isfinite(column(curve["sigma_px"])).any() for _, curve in shown)
+    words = "±3σ of the difference" if told else "the same data and equal sigmas: what differs is not noise"
+    theme.dress(figure, title=f"Against {theme.escape(labels[reference])}, {words}", height_px=420)
     figure.update_xaxes(title_text="radius from the principal point (px)")
     figure.update_yaxes(title_text="run − reference (px)", zeroline=True)
     figure.layout.meta = {**(figure.layout.meta or {}), "axis": "radius_px"}
