@@ -141,6 +141,8 @@ def residual_outliers(rng, n=5):
         "d_row_px": [0.5] * n,
         "d_col_px": [0.0] * n,
         "normalised": np.linspace(6, 4.1, n).tolist(),
+        "rows": 1944,
+        "columns": 2592,
         "limit": 4.0,
         "stars_in_all": 4466,
         "in_all": n,

@@ -103,6 +103,13 @@ def test_outliers_name_their_frame_and_star(sequential_result):
     assert FIGURES["residual-outliers"].table(sequential_result)["frame"] == part["frame"]
 
 
+def test_one_outlier_is_drawn_on_the_whole_detector(sequential_result):
+    drawn = draw("residual-outliers", sequential_result)
+
+    assert drawn.layout.xaxis.range == (-0.5, 2591.5)
+    assert drawn.layout.yaxis.range == (1943.5, -0.5)
+
+
 def test_the_rms_map_leaves_cells_without_stars_open(sequential_result):
     trust = sequential_result["trust"]
     field = trust["residual_field"]

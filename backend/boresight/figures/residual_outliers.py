@@ -35,18 +35,12 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     theme.dress(
         figure, title=_headline(drawn), height_px=440, legend=len(drawn) > 1, hovermode="closest", barmode="group"
     )
+    rows, columns = (max(part[name] for _, _, part in drawn) for name in ("rows", "columns"))
     quiet = {"showgrid": False, "zeroline": False}
-    figure.update_xaxes(title_text="column (px)", constrain="domain", nticks=6, **quiet, row=1, col=1)
-    figure.update_yaxes(
-        title_text="row (px)",
-        scaleanchor="x",
-        scaleratio=1,
-        autorange="reversed",
-        constrain="domain",
-        **quiet,
-        row=1,
-        col=1,
-    )
+    across = {"title_text": "column (px)", "range": [-0.5, columns - 0.5], "constrain": "domain", "nticks": 6, **quiet}
+    down = {"title_text": "row (px)", "range": [rows - 0.5, -0.5], "constrain": "domain", **quiet}
+    figure.update_xaxes(tickangle=0, **across, row=1, col=1)
+    figure.update_yaxes(scaleanchor="x", scaleratio=1, **down, row=1, col=1)
     figure.update_xaxes(title_text="left out", rangemode="tozero", row=1, col=2)
     figure.update_yaxes(autorange="reversed", showgrid=False, row=1, col=2)
     return figure

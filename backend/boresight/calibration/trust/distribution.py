@@ -113,6 +113,8 @@ def residual_outliers(ground: Ground, found: Sightings) -> dict[str, Any]:
         "d_row_px": nested(found.r[shown, 0]),
         "d_col_px": nested(found.r[shown, 1]),
         "normalised": nested(size[shown]),
+        "rows": ground.problem.sensor.rows,
+        "columns": ground.problem.sensor.columns,
         "limit": OUTLIER,
         "stars_in_all": int(found.known.sum()),
         "in_all": len(out),
