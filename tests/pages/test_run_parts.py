@@ -76,6 +76,26 @@ def test_the_tabs_say_how_trust_and_matching_stand(house, read, examined):
     assert "Observability seen" in text
 
 
+def test_the_view_of_a_part_is_in_its_address_and_goes_to_its_figures(house, read):
+    page = house.visitor("victor").get("/runs/2?part=rms&tail_from=20")
+    assert "/figures/rms?tail_from=20" in page
+    assert "frame 20 to 39" in read(page)
+    assert 'scale="linear"' in house.visitor("victor").get("/runs/2?part=convergence&scale=linear")
+
+
+def test_the_observability_part_says_which_data_would_help(house, read):
+    text = read(house.visitor("victor").get("/runs/2?part=observability"))
+    assert "Which data would help" in text
+    assert "Weakest direction" in text
+
+
+def test_a_note_is_counted_on_its_tab_and_read_in_its_part(house, read):
+    ada = house.visitor("ada")
+    ada.post("/notes/runs/2", text="The sun was near.")
+    assert "Notes 1" in read(ada.get("/runs/2"))
+    assert "The sun was near." in read(ada.get("/runs/2?part=notes"))
+
+
 def test_every_sentence_of_the_examination_is_on_the_page(house, read, examined):
     result, run_id = examined
     text = read(house.visitor("victor").get(f"/runs/{run_id}?part=trust"))
