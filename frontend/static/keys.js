@@ -80,7 +80,7 @@ const ACTIONS = {
   "[": () => openRelated("prev"),
   "]": () => openRelated("next"),
   d: () => press(first("[data-hotkey=d]")),
-  e: () => press(first("[data-hotkey=e]")),
+  e: () => press(first("[data-hotkey=e]") ?? first("a[download]")),
   y: copyAddress,
 };
 
