@@ -72,3 +72,13 @@ def to_second_digit(value: float, sigma: float, large: float = LARGE) -> str:
     if abs(rounded) < large:
         return f"{rounded:.{max(decimals, 0)}f}"
     return f"{rounded:.{max(math.floor(math.log10(abs(rounded))) + decimals, 0)}e}"
+
+
+def with_reach(value: float, reach: float, sigma: float, large: float = LARGE) -> str:
+    """Print `value ± reach`, both to the second digit of a sigma; one power of ten for both where either is large."""
+    if max(abs(value), abs(reach)) < large:
+        return " ± ".join(grouped(to_second_digit(one, sigma)) for one in (value, reach))
+    power = math.floor(math.log10(max(abs(value), abs(reach))))
+    decimals = max(power + 1 - math.floor(math.log10(sigma)), 0)
+    texts = (grouped(f"{one / 10**power:.{decimals}f}") for one in (value, reach))
+    return f"({' ± '.join(texts)})·10{str(power).translate(RAISED)}"

@@ -22,6 +22,7 @@ from boresight.figures.numbers import (
     percent,
     to_second_digit,
     urad,
+    with_reach,
 )
 from boresight.figures.quantities import quantity
 
@@ -56,7 +57,10 @@ def plus_minus(value: Any, name: str, sigma_si: Any = None, times: float = 1.0) 
     """Print `value ± times sigma` in the page unit, without the unit (its column has it)."""
     if not is_number(sigma_si) or sigma_si <= 0:
         return parameter(value, name)
-    return f"{parameter(value, name, sigma_si)} ± {parameter(times * sigma_si, name, sigma_si)}"
+    if not is_number(value):
+        return MISSING
+    factor = quantity(name).factor
+    return with_reach(value * factor, times * sigma_si * factor, sigma_si * factor)
 
 
 def sigmas(value: Any) -> str:
