@@ -50,7 +50,8 @@ def _alarms(session: Session, actor: Actor) -> Iterator[Action]:
     if not actor.roles.intersection(alarms.HANDLERS):
         return
     for alarm in alarms.list_alarms(session, alarms.Sought(state="unacknowledged")):
-        yield Action(alarm.level, f"Alarm {alarm.id}: {alarm.sentence}", f"/alarms/{alarm.id}", "Handle")
+        gist = alarm.sentence.split(". ", maxsplit=1)[0].rstrip(".")
+        yield Action(alarm.level, f"Alarm {alarm.id}: {gist}.", f"/alarms/{alarm.id}", "Handle")
 
 
 def _promotions(session: Session, actor: Actor) -> Iterator[Action]:
