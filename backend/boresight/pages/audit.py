@@ -68,6 +68,7 @@ PAGE_OF_NOUN = {
     "runs": "runs",
     "parameter-sets": "parameter-sets",
     "approvals": "approvals",
+    "alarms": "alarms",
 }
 
 router = APIRouter()
