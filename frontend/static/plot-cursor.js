@@ -8,16 +8,27 @@ export function linkCursor(canvas, axis) {
   const known = charts.has(canvas);
   charts.set(canvas, axis);
   if (known) return hide(canvas);
-  canvas.on("plotly_hover", ({ points }) => show(charts.get(canvas), points[0]?.x));
-  canvas.on("plotly_unhover", () => charts.forEach((_, one) => hide(one)));
+  canvas.addEventListener("pointermove", (event) => requestAnimationFrame(() => show(charts.get(canvas), placeOf(canvas, event))));
+  canvas.addEventListener("pointerleave", () => requestAnimationFrame(() => charts.forEach((_, one) => hide(one))));
   canvas.on("plotly_relayout", () => hide(canvas));
+}
+
+const panelsOf = (canvas) => Object.values(canvas._fullLayout?._plots ?? {}).filter(({ mainplot }) => !mainplot); // a second y axis lies over its first
+
+/** Where on the axis of its panel a pointer is; nothing where it is over none. */
+function placeOf(canvas, { clientX, clientY }) {
+  const { left, top } = canvas.getBoundingClientRect();
+  const [x, y] = [clientX - left, clientY - top];
+  const isIn = (axis, at) => at >= axis._offset && at <= axis._offset + axis._length;
+  const panel = panelsOf(canvas).find(({ xaxis, yaxis }) => isIn(xaxis, x) && isIn(yaxis, y));
+  return panel?.xaxis.p2d(x - panel.xaxis._offset);
 }
 
 /** Forget a chart that leaves the page. */
 export const unlinkCursor = (canvas) => charts.delete(canvas);
 
 function show(axis, x) {
-  if (!axis || typeof x !== "number") return;
+  if (!axis || typeof x !== "number") return charts.forEach((_, one) => hide(one));
   for (const [canvas, its] of charts) its === axis && canvas._fullLayout ? mark(canvas, x) : hide(canvas);
 }
 
@@ -28,7 +39,7 @@ function hide(canvas) {
 const lines = (canvas) => canvas.querySelectorAll(":scope > .cursor-line");
 
 function mark(canvas, x) {
-  const panels = Object.values(canvas._fullLayout._plots).filter(({ mainplot }) => !mainplot); // a second y axis lies over its first
+  const panels = panelsOf(canvas);
   while (lines(canvas).length < panels.length) canvas.append(Object.assign(document.createElement("div"), { className: "cursor-line" }));
   for (const [place, line] of lines(canvas).entries()) {
     const { xaxis, yaxis } = panels[place] ?? {};
