@@ -108,6 +108,10 @@ def test_one_outlier_is_drawn_on_the_whole_detector(sequential_result):
 
     assert drawn.layout.xaxis.range == (-0.5, 2591.5)
     assert drawn.layout.yaxis.range == (1943.5, -0.5)
+    trust = sequential_result["trust"]
+    part = {name: value for name, value in trust["residual_outliers"].items() if name not in {"rows", "columns"}}
+    former = draw("residual-outliers", sequential_result | {"trust": trust | {"residual_outliers": part}})
+    assert former.layout.xaxis.range[1] == pytest.approx(max(part["col_px"]) + 0.5)
 
 
 def test_the_rms_map_leaves_cells_without_stars_open(sequential_result):

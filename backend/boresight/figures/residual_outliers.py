@@ -35,7 +35,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     theme.dress(
         figure, title=_headline(drawn), height_px=440, legend=len(drawn) > 1, hovermode="closest", barmode="group"
     )
-    rows, columns = (max(part[name] for _, _, part in drawn) for name in ("rows", "columns"))
+    rows, columns = (_extent(drawn, name, place) for name, place in (("rows", "row_px"), ("columns", "col_px")))
     quiet = {"showgrid": False, "zeroline": False}
     across = {"title_text": "column (px)", "range": [-0.5, columns - 0.5], "constrain": "domain", "nticks": 6, **quiet}
     down = {"title_text": "row (px)", "range": [rows - 0.5, -0.5], "constrain": "domain", **quiet}
@@ -44,6 +44,11 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure.update_xaxes(title_text="left out", rangemode="tozero", row=1, col=2)
     figure.update_yaxes(autorange="reversed", showgrid=False, row=1, col=2)
     return figure
+
+
+def _extent(drawn: Sequence[Part], name: str, place: str) -> float:
+    """Rows or columns of the detector; of a result that does not keep them, as far as its outliers reach."""
+    return max(float(part.get(name) or 1 + max(part[place], default=0.0)) for _, _, part in drawn)
 
 
 def reasons(result: Result) -> dict[str, int]:
