@@ -111,7 +111,8 @@ def endpoints(server, options):
                 server.get(path, **{"If-None-Match": first.headers["etag"]})[1] for _ in range(REPEATS)
             )
             rows[f"{name} x {runs}"] = {
-                "first_ms": first_ms, "first_cpu_ms": cpu_ms, "again_ms": again, "not_modified_ms": kept, "bytes": len(first.content),
+                "first_ms": first_ms, "first_cpu_ms": cpu_ms, "again_ms": again, "not_modified_ms": kept,
+                "bytes": len(first.content),
             }  # fmt: skip
     return rows
 
