@@ -148,7 +148,7 @@ def get_frame(
         )
 
     states = states_of(document, sensor, CalibrationSettings.parse(run.settings))
-    around: Sequence[int | None] = [None, *index.frame.tolist()[max(place - 1, 0) : place + 2], None]
+    around: Sequence[int | None] = [None, *index.frame[max(place - 1, 0) : place + 2].tolist(), None]
     here = around.index(frame)
     return {
         "run": run.id,
