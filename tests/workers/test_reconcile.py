@@ -165,3 +165,26 @@ def test_progress_is_dropped_when_the_result_is_there(store, make_rows):
     assert "50 %: half" in store.log(run_id, "log")
     rows.settle([success(held)])
     assert store.run(run_id).progress is None
+
+
+def test_a_watch_that_fails_loses_no_result(store, make_rows, monkeypatch, caplog):
+    def broken(*_):
+        raise ArithmeticError("no drift can be told")
+
+    (run_id,) = store.launch("quick")
+    rows = make_rows()
+    (held,) = take_one(rows, run_id)
+    monkeypatch.setattr("boresight.workers.reconcile.watch", broken)
+    rows.settle([success(held)])
+    assert store.states([run_id]) == ["SUCCEEDED"]
+    assert "The watch failed after a run" in caplog.text
+
+
+def test_the_sensors_of_runs_that_succeeded_are_watched(store, make_rows, monkeypatch):
+    seen = []
+    (run_id,) = store.launch("quick")
+    rows = make_rows()
+    (held,) = take_one(rows, run_id)
+    monkeypatch.setattr("boresight.workers.reconcile.watch", lambda _, sensor_ids: seen.append(sensor_ids))
+    rows.settle([success(held)])
+    assert seen == [[store.run(run_id).sensor_id]]
