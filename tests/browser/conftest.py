@@ -25,11 +25,16 @@ ARGUMENTS = [
     "--disable-sync",
 ]
 FRAMES = "100"
-SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 2.5, 100.0
+SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 1.5, 100.0
 LOOKS = 4
-AFTER_ANOTHER_LINE = """list => new Promise(done => document.addEventListener(
-    "boresight:log", () => setTimeout(() => done(list.children.length), 900), { once: true }
-))"""
+MISS_A_LINE = """list => {
+    list.lastElementChild.remove();
+    list.style.maxHeight = "40px";
+    list.scrollTop = 0;
+    document.dispatchEvent(new CustomEvent("boresight:log", { detail: {} }));
+    return list.children.length;
+}"""
+COUNT_LATER = "list => new Promise(done => setTimeout(() => done(list.children.length), 900))"
 PURPOSES = ("calibration", "validation")
 
 
@@ -181,15 +186,16 @@ def watched(people, batch_run):
 
 
 def _read_log(window, seen):
-    """Scroll away from the end of the log while lines come, and pause it."""
+    """Scroll away from the end of the log while a line comes, and pause it while another does."""
     lines, newer = window.page.locator("log-tail .log"), window.page.locator("[data-newer]")
-    lines.evaluate("list => { list.style.maxHeight = '40px'; list.scrollTop = 0; }")
+    pause = window.page.get_by_role("button", name="Pause")
+    lines.evaluate(MISS_A_LINE)
     expect(newer).to_have_text(re.compile("newer line"))
     seen.scrolled_px = lines.evaluate("list => list.scrollTop")
     newer.click()
-    window.page.get_by_role("button", name="Pause").click()
-    seen.paused_lines = [lines.locator("li").count(), lines.evaluate(AFTER_ANOTHER_LINE)]
-    window.page.get_by_role("button", name="Pause").click()
+    pause.click()
+    seen.paused_lines = [lines.evaluate(MISS_A_LINE), lines.evaluate(COUNT_LATER)]
+    pause.click()
     expect(lines.locator("li").nth(seen.paused_lines[0])).to_be_visible()
 
 
