@@ -25,8 +25,8 @@ ARGUMENTS = [
     "--disable-sync",
 ]
 FRAMES = "100"
-SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 1.5, 100.0
-LOOKS = 4
+SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 1.0, 100.0
+LOOKS = 3
 MISS_A_LINE = """list => {
     list.lastElementChild.remove();
     list.style.maxHeight = "40px";
