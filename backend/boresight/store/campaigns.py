@@ -40,7 +40,7 @@ class Counted:
     newest_id: int
 
 
-def _newest() -> sa.Select[tuple[int]]:
+def _newest() -> sa.Select[Any]:
     """Select the row that counts of each sensor of each campaign."""
     return sa.select(sa.func.max(CampaignRun.id)).group_by(CampaignRun.campaign_id, CampaignRun.sensor_id)
 
