@@ -42,7 +42,7 @@ from long_runs import PASSWORD, drawn_out, furnish
 
 ENDPOINT_MS, PAYLOAD_BYTES, INTERACTIVE_MS = 100.0, 500_000, 1000.0
 PEERS = ("convergence", "rms", "innovations", "methods")
-REPEATS, LOOKED_AT_S = 5, 8
+REPEATS, LOOKED_AT_S, READY_POLL_S = 5, 8, 0.1
 WATCH = """() => {
     window.watched = { free: null, blocked: 0 };
     new PerformanceObserver(list => { for (const task of list.getEntries()) if (watched.free !== null)
@@ -64,12 +64,12 @@ class Server:
         self.address = f"http://127.0.0.1:{port}"
         self.process = subprocess.Popen([sys.executable, "-m", "boresight", "serve"], env=environment)
         self.client = httpx.Client(base_url=self.address, timeout=120, headers={"Accept-Encoding": "gzip"})
-        for _ in range(600):
+        for _ in range(3000):
             try:
                 if self.client.get("/healthz").status_code == httpx.codes.OK:
                     break
             except httpx.TransportError:
-                time.sleep(0.1)
+                time.sleep(READY_POLL_S)
         self.client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).raise_for_status()
 
     def get(self, path, **headers):
