@@ -10,7 +10,7 @@ import pytest
 
 from boresight.services import drift
 from boresight.services.advice import advise
-from boresight.services.trend import Trend, trend_of
+from boresight.services.trend import Trend, _periods, trend_of
 from boresight.services.trend_views import trend_document
 from boresight.store.sessions import Session
 from tests.missions import add_run, add_set, make_baseline
@@ -40,6 +40,10 @@ def test_a_calibration_stands_at_the_middle_of_its_data(session: Session) -> Non
     (point,) = trend_of(session, 1).points
     assert point.at_utc.startswith("2026-01-11T01:00:00")
     assert point.timed
+
+
+def test_a_sensor_without_a_baseline_has_no_periods_and_no_fault() -> None:
+    assert list(_periods([])) == []
 
 
 def test_of_calibrations_of_the_same_stars_one_counts_and_of_unequal_methods_the_batch(session: Session) -> None:

@@ -250,8 +250,8 @@ def _counted_once(points: Sequence[Point]) -> Iterator[Point]:
 
 def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[Period]:
     """Yield the baselines with their times."""
-    ends = [at_utc for at_utc, _ in promoted[1:]]
-    for (at_utc, row), to_utc in zip(promoted, [*ends, None], strict=True):
+    ends = [*(at_utc for at_utc, _ in promoted[1:]), None] if promoted else []
+    for (at_utc, row), to_utc in zip(promoted, ends, strict=True):
         document = row.document
         yield Period(
             row.id,
