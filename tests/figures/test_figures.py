@@ -11,7 +11,8 @@ import pytest
 
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, UI_REVISION
-from tests.figures.examined import frame_observability, matching, shadow, trust
+from tests.figures.examined import frame_observability, trust
+from tests.figures.flown import matching, shadow
 
 EVERY_FIGURE = pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())
 LIMIT_BYTES = 500_000

@@ -9,7 +9,8 @@ import pytest
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.pages.run_tabs import TITLES
 from boresight.store.sessions import utc_now
-from tests.figures.examined import matching, shadow, trust
+from tests.figures.examined import trust
+from tests.figures.flown import matching, shadow
 
 
 @pytest.fixture

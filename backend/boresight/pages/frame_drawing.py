@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-SCALES = tuple(step * 10**power for power in range(5) for step in (1, 2, 5))
+SCALES: tuple[int, ...] = tuple(step * 10**power for power in range(5) for step in (1, 2, 5))
 TYPICAL_SHARE = 0.03  # of the detector's width: the length of the typical residual
 BAR_SHARE = 0.1  # of the detector's width: about the length of the scale bar
 CIRCLE_SIGMA = 3.0
@@ -105,11 +105,11 @@ def draw_frame(view: Mapping[str, Any], exposure: Mapping[str, Any], names: Sequ
 
 def usual_scale(stars: Sequence[Mapping[str, Any]], names: Sequence[str], columns: int) -> int:
     """Choose the scale at which the typical residual of the used stars is easy to see."""
-    lengths = [
+    lengths: list[float] = [
         math.hypot(*star[name]["d_px"]) for star in stars for name in names if star[name] and star["fate"] == "used"
     ]
     typical = median(lengths) if lengths else 0.0
-    wanted = TYPICAL_SHARE * columns / typical if typical > 0 else 1.0
+    wanted: float = TYPICAL_SHARE * columns / typical if typical > 0 else 1.0
     return max((scale for scale in SCALES if scale <= wanted), default=SCALES[0])
 
 
