@@ -1,7 +1,6 @@
 """Claims that hold for every figure of the registry, and so for every figure that joins it."""
 
 import re
-import time
 from functools import cache
 
 import numpy as np
@@ -16,7 +15,6 @@ from tests.figures.flown import matching, shadow
 
 EVERY_FIGURE = pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())
 LIMIT_BYTES = 500_000
-DRAWN_WITHIN_S = 2.0
 MAPS = {"coverage", "arc-uncertainty", "residual-rms"}  # one colour scale for all runs, each in a map of its own
 FIRST_RUN_ONLY = {"residual-map", "residual-quiver"}  # says so
 
@@ -70,10 +68,8 @@ def test_a_comparison_gives_each_run_its_own_colour_and_a_legend_entry(figure, s
 @EVERY_FIGURE
 def test_a_long_history_and_a_comparison_of_eight_stay_below_the_payload_limit(figure):
     long_run = long_result(6_000)
-    began_s = time.perf_counter()
     assert len(figure_json(figure.draw([Trace("long", long_run)]))) < LIMIT_BYTES
     assert len(figure_json(figure.draw([Trace(f"Run {i}", long_run) for i in range(8)]))) < LIMIT_BYTES
-    assert time.perf_counter() - began_s < DRAWN_WITHIN_S
 
 
 @cache

@@ -31,7 +31,18 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.services.conditions import chain_condition
 from boresight.store import seals
 from boresight.store.sessions import Engine, Session, open_engine, reading, utc_now, writing
-from boresight.store.tables import Base, GateProfile, GateReport, Package, ParameterSet, TableDefinition, Waiver
+from boresight.store.tables import (
+    Base,
+    Campaign,
+    CampaignRun,
+    GateProfile,
+    GateReport,
+    Package,
+    ParameterSet,
+    Preset,
+    TableDefinition,
+    Waiver,
+)
 
 NOW = "2026-11-21T00:00:00.000000Z"
 PLAIN: Mapping[type, Any] = {int: 7, str: "x", dict: {}, list: []}
@@ -76,7 +87,7 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
 
 def _fill_the_rest(session: Session) -> None:
     """Give each sealed table that the way did not touch a row, for what is tried here is the seal."""
-    for model in (TableDefinition, GateProfile, GateReport, Waiver, Package):
+    for model in (TableDefinition, GateProfile, GateReport, Waiver, Package, Preset, Campaign, CampaignRun):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
             session.add(_plain(model))
             session.flush()
