@@ -104,10 +104,10 @@ def test_without_stars_to_look_at_the_dry_run_still_tells_its_size(session, peop
     assert _asked(session, people, blind)["frames"] == 30
 
 
-def _run_of(session, people, seconds):
-    made = runs.launch(session, people["ana"], 1, 1, SETTINGS)
+def _run_of(session, people, seconds, **settings):
+    made = runs.launch(session, people["ana"], 1, 1, {**SETTINGS, **settings})
     row = session.get_one(Run, made.id)
-    row.state, row.summary = "SUCCEEDED", {"seconds": seconds, "stars": 1000}
+    row.state, row.summary = "SUCCEEDED", {"seconds": seconds, "stars": 1000, "frames": 100}
     session.flush()
     audit.append(session, people["ana"], "ended", f"runs/{row.id}")
 
@@ -133,3 +133,20 @@ def test_one_past_run_alone_is_taken_to_be_within_a_factor_of_two(session, peopl
     pace = pace_of(session, "batch")
 
     assert (pace.runs, pace.low, pace.high) == (1, 2e-3, 8e-3)
+
+
+def test_the_wait_of_a_replay_is_not_taken_for_computing(session, people):
+    replay = {"method": "sqrf", "replay_frames_per_s": 10.0}
+    _run_of(session, people, 10.5, **replay)
+    assert pace_of(session, "sqrf").s_per_star == pytest.approx(0.5e-3)
+    assert _asked(session, people, None, **replay)["predicted_s"] == pytest.approx(3.0 + 0.72 * 0.5 + 0.02, abs=0.01)
+    _run_of(session, people, 9.0, **replay)
+    assert pace_of(session, "sqrf").low > 0
+
+
+def test_replays_are_left_out_where_a_run_computed_as_fast_as_it_could(session, people):
+    _run_of(session, people, 2.0, method="sqrf")
+    for _ in range(3):
+        _run_of(session, people, 10.5, method="sqrf", replay_frames_per_s=10.0)
+    pace = pace_of(session, "sqrf")
+    assert (pace.runs, pace.s_per_star) == (1, 2e-3)

@@ -2,7 +2,8 @@
 
 An exposure of N stars gives 2N-3 arcs, so S stars in X exposures give 2S - 3X. The time is that of the newest runs of
 the same method, scaled by the number of stars: every estimator here is linear in it. Where no run has been made yet, a
-careful guess is used, and its spread is as wide as machines differ. A replayed run lasts as long as its frames take to come down.
+careful guess is used, and its spread is as wide as machines differ. A replayed run lasts as long as its frames take to come
+down; what it computes meanwhile is not seen, so its pace is used only where no other run has been made, less that wait.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from statistics import median, quantiles
 from typing import Any
 
-from boresight.store.run_lists import recent_summaries
+from boresight.store.run_lists import recent_runs
 from boresight.store.sessions import Session
 
 FIRST_GUESS_S_PER_STAR = 5e-5
@@ -43,11 +44,9 @@ class Pace:
 
 def pace_of(session: Session, method: str) -> Pace:
     """Return the pace of the newest runs of a method; a careful guess before there is one."""
-    paces = [
-        summary["seconds"] / summary["stars"]
-        for summary in recent_summaries(session, method)
-        if summary.get("seconds") and summary.get("stars")
-    ]
+    timed = [run for run in recent_runs(session, method) if run[1].get("seconds") and run[1].get("stars")]
+    unthrottled = [run for run in timed if not _downlink_s(run[0], frames=1)]
+    paces = [_computed_s(*run) / run[1]["stars"] for run in unthrottled or timed]
     if not paces:
         guess = FIRST_GUESS_S_PER_STAR
         return Pace(guess, guess / GUESS_SPREAD, guess * GUESS_SPREAD, 0)
@@ -64,8 +63,19 @@ def seconds_per_star(session: Session, method: str) -> float:
 
 def predicted_s(settings: Mapping[str, Any], frames: int, stars: int, pace_s_per_star: float) -> float:
     """Return how long a run will take, seconds."""
+    return START_S + stars * pace_s_per_star + _downlink_s(settings, frames)
+
+
+def _downlink_s(settings: Mapping[str, Any], frames: int) -> float:
+    """Return how long a replay waits for its frames, seconds; 0 where nothing is replayed."""
     replay = float(settings.get("replay_frames_per_s") or 0.0)
-    return START_S + stars * pace_s_per_star + (frames / replay if replay > 0 else 0.0)
+    return frames / replay if replay > 0 else 0.0
+
+
+def _computed_s(settings: Mapping[str, Any], summary: Mapping[str, Any]) -> float:
+    """Return the seconds of a past run without its wait for frames, at least `START_S` where it waited."""
+    waited = _downlink_s(settings, summary.get("frames") or 0)
+    return max(float(summary["seconds"]) - waited, START_S) if waited else float(summary["seconds"])
 
 
 def pairs_of(stars: int, exposures: int) -> int:

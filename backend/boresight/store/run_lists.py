@@ -32,10 +32,11 @@ def count_by_state(session: Session) -> dict[str, int]:
     return {row[0]: row[1] for row in rows}
 
 
-def recent_summaries(session: Session, method: str, limit: int = 20) -> list[dict[str, Any]]:
-    """Return the summaries of the newest runs of a method that succeeded."""
-    query = sa.select(Run.summary).where(Run.state == "SUCCEEDED", Run.method == method, Run.summary.is_not(None))
-    return [summary for summary in session.scalars(query.order_by(Run.id.desc()).limit(limit)) if summary]
+def recent_runs(session: Session, method: str, limit: int = 20) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Return settings and summary of the newest runs of a method that succeeded."""
+    query = sa.select(Run.settings, Run.summary).where(Run.state == "SUCCEEDED", Run.method == method)
+    newest = session.execute(query.where(Run.summary.is_not(None)).order_by(Run.id.desc()).limit(limit))
+    return [(settings, summary) for settings, summary in newest if summary]
 
 
 def sensors_of(session: Session, run_ids: Collection[int]) -> list[int]:
