@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from starlette.datastructures import QueryParams
 
+from boresight.figures.evidence import marks
 from boresight.pages.run_views import course_facts, sight_facts, tail_facts, view_of
 
 
@@ -45,8 +46,21 @@ def test_errors_stand_with_their_three_sigma_and_held_out_ones_by_themselves(res
     assert float(value) == pytest.approx(final, rel=1e-3)
     assert float(reach) == pytest.approx(3 * final / (2 * result["pairs"]) ** 0.5, rel=0.05)
     held_out = 1e6 * result["validation"]["rms_arc_rad"]["final"]
-    assert float(numbers["Held-out data, new parameters"]) == pytest.approx(held_out, rel=1e-3)
+    value, _, reach = numbers["Held-out data, new parameters"].partition(" ± ")
+    assert float(value) == pytest.approx(held_out, rel=1e-3)
+    assert float(reach) == pytest.approx(3 * held_out / (2 * result["validation"]["common_pairs"]) ** 0.5, rel=0.05)
     assert (tail.start, tail.chosen) == (30.0, True)
+
+
+def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_so(results):
+    result = results["batch"]
+    kept = {key: value for key, value in result["validation"].items() if key != "common_pairs"}
+    _, value, meaning = tail_facts({**result, "validation": kept}, view("", result))[1][-1]
+    assert float(value) == pytest.approx(1e6 * kept["rms_arc_rad"]["final"], rel=1e-3)
+    assert meaning.endswith("σ not kept.")
+    said = {mark.question: mark.detail for mark in marks({**result, "validation": kept})}
+    assert said["Validation RMS"].endswith("σ not kept")
+    assert "(3σ)" in next(mark.detail for mark in marks(result) if mark.question == "Validation RMS")
 
 
 def test_without_a_held_out_set_the_desk_says_how_to_have_one(results):

@@ -14,9 +14,10 @@ from typing import Any
 from boresight.estimation.filters import FILTERS
 from boresight.figures.mark import LEVELS, Mark
 from boresight.figures.numbers import count, number, percent, urad
+from boresight.figures.rms_tail import sigma_of_rms
 from boresight.figures.trust_marks import trust_marks
 
-__all__ = ["LEVELS", "LEVEL_OF_STATUS", "Mark", "Verdict", "marks", "verdict"]
+__all__ = ["LEVELS", "LEVEL_OF_STATUS", "WORD_OF_LEVEL", "Mark", "Verdict", "marks", "verdict"]
 
 LEVEL_OF_STATUS = {
     "running": "standby",
@@ -26,6 +27,10 @@ LEVEL_OF_STATUS = {
     "diverged": "critical",
     "too_few_stars": "critical",
 }
+WORD_OF_LEVEL = {
+    "serious": "converged, but no better",
+    "caution": "converged, with reservations",
+}  # of a fit that converged
 WHY = {
     "running": "The run is not over: everything below is provisional.",
     "max_iterations": "The fit stopped before it came to rest: raise the number of iterations, or start closer.",
@@ -64,6 +69,8 @@ def _not_yet(result: Mapping[str, Any], never: str) -> str:
 
 def _fit(result: Mapping[str, Any]) -> Mark:
     status = str(result.get("status", "unknown"))
+    if status == "running":
+        return Mark("Fit", LEVEL_OF_STATUS[status], status, *_so_far(result), WHY[status])
     used = (
         f"{count(result.get('frames'))} frames, {count(result.get('stars'))} stars, {count(result.get('pairs'))} pairs"
     )
@@ -71,6 +78,15 @@ def _fit(result: Mapping[str, Any]) -> Mark:
     level, reason = LEVEL_OF_STATUS.get(status, "serious"), WHY.get(status, f"The status is {status}.")
     value = f"{count(steps)} iteration{'s' * (steps != 1)}" if steps else ""
     return Mark("Fit", level, status.replace("_", " "), value, used, "" if level == "normal" else reason)
+
+
+def _so_far(result: Mapping[str, Any]) -> tuple[str, str]:
+    """Say as of which frame or iteration a run on its way is told, and how much of its set it has taken in."""
+    done, frames = result.get("frames_done"), count(result.get("frames"))
+    newest = ((result.get("history") or {}).get("frame") or [None])[-1]
+    steps = result.get("iterations")
+    value = f"as of frame {newest}" if newest is not None else f"as of iteration {steps}" if steps else ""
+    return value, f"{frames} frames in all" if done is None else f"{count(done)} of {frames} frames so far"
 
 
 def _chi_square(result: Mapping[str, Any]) -> Mark:
@@ -126,6 +142,8 @@ def _validation(result: Mapping[str, Any]) -> Mark:
         return _unknown(question, _not_yet(result, "Nothing outside the fitted frames was checked."))
     available = (validation.get("availability") or {}).get("final")
     detail = f"{count(validation.get('frames'))} held-out frames, {percent(available)} available"
+    sigma = sigma_of_rms(after, validation.get("common_pairs"))
+    detail += "; σ not kept" if sigma is None else f"; the new RMS is known to ± {urad(3 * sigma, 2)} µrad (3σ)"
     value = f"{urad(before)} → {urad(after)} µrad"
     if after < before:
         return Mark(question, "normal", "better", value, detail)
@@ -145,7 +163,6 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     if fit.reason:
         return Verdict(fit.level, fit.word, (fit.reason,))
     level = max((mark.level for mark in answers), key=LEVELS.index)
-    word = {"serious": "converged, but no better", "caution": "converged, with reservations"}
     against = tuple(mark.reason for mark in answers if mark.reason)
     agreement = "The statistics agree with the noise that was assumed."
-    return Verdict(level, word.get(level, "converged and consistent"), against or (agreement,))
+    return Verdict(level, WORD_OF_LEVEL.get(level, "converged and consistent"), against or (agreement,))

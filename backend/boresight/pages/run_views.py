@@ -112,14 +112,19 @@ def _held_out(result: Result) -> Rows:
     rms = held_out.get("rms_arc_rad") or {}
     if not rms:
         return [("Held-out data", MISSING, "No validation set was given: launch with one to have this answer.")]
-    share = percent((held_out.get("availability") or {}).get("final"))
+    arcs, share = held_out.get("common_pairs"), percent((held_out.get("availability") or {}).get("final"))
+    kept = f" {count(arcs)} arcs." if arcs is not None else " σ not kept."
     return [
         (
             "Held-out data, old parameters",
-            urad(rms.get("initial")),
-            f"{count(held_out.get('frames'))} frames never fitted.",
+            _with_reach(rms.get("initial"), arcs),
+            f"{count(held_out.get('frames'))} frames never fitted.{kept}",
         ),
-        ("Held-out data, new parameters", urad(rms.get("final")), f"{share} of these frames available."),
+        (
+            "Held-out data, new parameters",
+            _with_reach(rms.get("final"), arcs),
+            f"{share} of these frames available.{kept}",
+        ),
     ]
 
 
