@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from boresight.figures import FIGURES, Trace
+from boresight.figures import FIGURES, Trace, radial_contrast
+from boresight.figures.axes import EXTRAPOLATED
 from boresight.figures.course import settled_step
 from boresight.figures.rms_tail import sigma_of_rms, tail_of, tailed
 
@@ -164,3 +165,22 @@ def test_the_parameter_table_holds_si_values(sequential_result):
     columns = FIGURES["parameters"].table(sequential_result)
     assert columns["final"][0] == sequential_result["parameters"]["f_m"]
     assert columns["delta_over_sigma"][0] == pytest.approx(sequential_result["delta_over_sigma"]["f_m"])
+
+
+def test_radii_that_no_star_of_both_runs_reached_are_hatched_over_the_height_of_the_comparison():
+    curve = {
+        "radius_px": [0.0, 500.0, 1000.0],
+        "difference_px": [0.0, 1.0, 4.0],
+        "sigma_px": [0.0, 0.1, 0.5],
+        "difference_arcsec": [0.0, 28.0, 112.0],
+        "sigma_arcsec": [0.0, 2.8, 14.0],
+        "data_radius_px": 700.0,
+    }
+    drawn = radial_contrast.draw(["one", "other"], 0, [None, curve])
+    (hatched,) = named(drawn, EXTRAPOLATED)
+    assert hatched.fillpattern.shape == "/"
+    assert (min(hatched.x), max(hatched.x)) == (700.0, 1000.0)
+    assert min(hatched.y) < 0.0
+    assert max(hatched.y) > 4.0 + 3 * 0.5
+    whole = radial_contrast.draw(["one", "other"], 0, [None, {**curve, "data_radius_px": 1000.0}])
+    assert named(whole, EXTRAPOLATED) == []

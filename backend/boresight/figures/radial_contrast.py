@@ -13,14 +13,16 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.figures import theme
+from boresight.figures.axes import hatch
 from boresight.figures.chart import Table, Trace
 from boresight.figures.trust_parts import column
 
 TITLE = "Radial difference to the reference"
 GUIDE = (
     "Each curve is how far a run places a star along the radius from where the reference run places it, with the ±3σ band of"
-    " that difference. Runs that agree keep zero within their bands out to where stars reach, which is the shaded edge."
+    " that difference. Runs that agree keep zero within their bands out to where stars reach; beyond, where it is hatched, they are extrapolated."
 )
+MARGIN = 0.06  # of the height drawn, above and below
 CROWDED = 8  # above so many bands nothing is seen through them
 
 
@@ -52,7 +54,7 @@ def draw(labels: Sequence[str], reference: int, curves: Sequence[Mapping[str, An
     figure.update_xaxes(title_text="radius from the principal point (px)")
     figure.update_yaxes(title_text="run − reference (px)", zeroline=True)
     figure.layout.meta = {**(figure.layout.meta or {}), "axis": "radius_px"}
-    _shade(figure, [curve for _, curve in shown])
+    _hatch_extrapolation(figure, [curve for _, curve in shown])
     return figure
 
 
@@ -67,14 +69,18 @@ def _draw_run(figure: go.Figure, style: theme.RunStyle, curve: Mapping[str, Any]
     figure.add_trace(theme.line(style, radius, change, customdata=theme.short(angles), hovertemplate=hover))
 
 
-def _shade(figure: go.Figure, curves: Sequence[Mapping[str, Any]]) -> None:
-    """Shade the radii that no star of both runs reached."""
+def _hatch_extrapolation(figure: go.Figure, curves: Sequence[Mapping[str, Any]]) -> None:
+    """Hatch the radii that no star of both runs reached, over the height of what is drawn."""
     end = max(float(curve["radius_px"][-1]) for curve in curves)
     reached = [float(curve["data_radius_px"]) for curve in curves if curve["data_radius_px"] is not None]
     figure.update_xaxes(range=[0, end])
     if reached and min(reached) < end:
-        shade = theme.translucent(theme.REFERENCE_COLOUR, 0.16)
-        figure.add_vrect(x0=min(reached), x1=end, fillcolor=shade, line_width=0, layer="below")
+        drawn = np.concatenate([[0.0], *(np.asarray(trace.y, dtype=np.float64) for trace in figure.data)])
+        low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
+        margin = MARGIN * (high - low) or 1.0
+        window = (low - margin, high + margin)
+        hatch(figure, (min(reached), end), window, named=True)
+        figure.update_yaxes(range=window)
 
 
 def table(run_ids: Sequence[int], curves: Sequence[Mapping[str, Any] | None]) -> Table:
