@@ -16,6 +16,8 @@ FAR_SIGMAS = 3.0
 #: Correlations that differ by less look alike.
 ALIKE = 0.05
 UNLIKELY = 0.01
+#: Below this a p-value has left the range of floats.
+SMALLEST_P = 1e-300
 
 
 @dataclass(frozen=True)
@@ -96,5 +98,10 @@ def together(found: Comparison) -> list[Cell]:
         else:
             far = test["p"] < UNLIKELY
             words = "differ" if far else "may be the same"
-            cells.append(Cell(words, f"χ² {number(test['chi2'], 3)} of {test['dof']}, p = {number(test['p'], 2)}", far))
+            cells.append(Cell(words, f"χ² {number(test['chi2'], 3)} of {test['dof']}, {_chance(test['p'])}", far))
     return cells
+
+
+def _chance(p: float) -> str:
+    """Print a p-value; of one too small for a float, a bound, for no chance is nought."""
+    return f"p = {number(p, 2)}" if p >= SMALLEST_P else "p < 10⁻³⁰⁰"
