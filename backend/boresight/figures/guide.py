@@ -13,9 +13,9 @@ report and, by one call, in a notebook:
 ```python
 from boresight.figures.notebook import draw, table
 
-draw("result.json", "radial")                                    # white; theme="dark" for the console's surface
-draw({"batch": "batch.json", "filter": "filter.json"}, "rms")    # several over one another
-table("result.json", "radial")                                   # the numbers behind it, in SI, as columns
+draw("result.json", "radial")  # white; theme="dark" for the console's surface
+draw({"batch": "batch.json", "filter": "filter.json"}, "rms")  # several over one another
+table("result.json", "radial")  # the numbers behind it, in SI, as columns
 ```
 
 `result.json` is what `boresight calibrate --json` writes. The images show simulated frames of one sensor; the page
