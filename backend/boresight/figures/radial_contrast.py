@@ -20,7 +20,8 @@ from boresight.figures.trust_parts import column
 TITLE = "Radial difference to the reference"
 GUIDE = (
     "Each curve is how far a run places a star along the radius from where the reference run places it, with the ±3σ band of"
-    " that difference. Runs that agree keep zero within their bands out to where stars reach; beyond, where it is hatched, they are extrapolated."
+    " that difference. Runs that agree keep zero within their bands out to where stars reach; the hatched radii beyond are"
+    " extrapolated."
 )
 MARGIN = 0.06  # of the height drawn, above and below
 CROWDED = 8  # above so many bands nothing is seen through them
