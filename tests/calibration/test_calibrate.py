@@ -163,6 +163,17 @@ def test_progress_carries_a_document_from_which_figures_can_draw(method, sensor,
     json.dumps(heard[0].partial, allow_nan=False)
 
 
+def test_a_filter_on_its_way_says_how_many_frames_it_has_taken_in(sensor, catalogue, telemetry_of):
+    heard = []
+    settings = CalibrationSettings(method="sqrf", replay_frames_per_s=30.0)
+
+    calibrate(telemetry_of(13, frames=30), sensor, catalogue, settings, report=heard.append)
+
+    for told in (one for one in heard if one.partial):
+        if told.partial["status"] == "running":
+            assert told.partial["frames_done"] == round(told.fraction * told.partial["frames"])
+
+
 def test_a_replay_takes_frames_at_its_pace(sensor, catalogue, telemetry_of):
     document = calibrate(
         telemetry_of(14, frames=30), sensor, catalogue, CalibrationSettings(method="sqrf", replay_frames_per_s=100.0)

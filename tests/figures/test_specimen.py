@@ -33,6 +33,7 @@ def test_half_way_a_filter_has_half_a_history_and_no_judgement():
     whole, half = specimens()["filter"], specimens()["partial"]
     assert len(half["history"]["frame"]) == len(half["history"]["parameters"]) == len(whole["history"]["frame"]) // 2
     assert half["status"] == "running"
+    assert half["frames_done"] < half["frames"]
     assert half["trust"] is None
     assert whole["trust"] is not None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from boresight.figures.evidence import marks
@@ -58,6 +60,7 @@ def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the
     page = house.visitor("victor").get(f"/runs/{run_id}")
     assert "PARTIAL" in read(page)
     assert "frame 16 of 40" in read(page)
+    assert re.search(r"as of frame \d+ \d+ of \d+ frames so far", " ".join(read(page).split()))
     assert "live-run.js" in page
     assert "data-follows" in page
 
@@ -131,6 +134,15 @@ def test_a_filter_is_judged_by_its_innovations_and_a_batch_is_not(results):
     by_question = {mark.question: mark for mark in marks(results["sqrf"])}
     assert by_question["Innovations (NIS)"].word == "consistent"
     assert {mark.question: mark for mark in marks(results["batch"])}["Innovations (NIS)"].word == "not applicable"
+
+
+def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_to_come(results):
+    partial = results["sqrf-partial"]
+    fit = marks({**partial, "frames": 200, "frames_done": 12, "history": {**partial["history"], "frame": [7, 11]}})[0]
+    assert (fit.word, fit.value, fit.detail) == ("running", "as of frame 11", "12 of 200 frames so far")
+    batch = {**results["batch"], "status": "running", "frames_done": None, "frames": 200, "iterations": 3}
+    assert (marks(batch)[0].value, marks(batch)[0].detail) == ("as of iteration 3", "200 frames in all")
+    assert "stars" in marks(results["sqrf"])[0].detail
 
 
 def test_no_validation_is_no_data_and_never_passes(results):

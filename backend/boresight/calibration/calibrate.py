@@ -45,7 +45,8 @@ class Progress:
     message
         One line for a log.
     partial
-        The calibration JSON so far with status `running`, or None between two of them.
+        The calibration JSON so far with status `running` and `frames_done`, how many frames a filter has taken in, which is
+        None for a batch; or None between two of them.
     """
 
     fraction: float
@@ -189,6 +190,13 @@ class _Listener:
         began = time.perf_counter()
         if self._report is None or began < self._due:
             return
-        self._report(Progress(fraction, message, result.document(*self._of, estimate, self._sha256s)))
+        partial = result.document(*self._of, estimate, self._sha256s) | {"frames_done": self._frames_done(estimate)}
+        self._report(Progress(fraction, message, partial))
         ended = time.perf_counter()
         self._due = ended + max(REPORT_EVERY_S, (ended - began) / REPORT_SHARE)
+
+    def _frames_done(self, estimate: Estimate) -> int | None:
+        """Count the frames of the set up to the last that a filter took in; its first update may be of several."""
+        if estimate.updated is None or not len(estimate.updated):
+            return None
+        return int(np.searchsorted(self._of[0].arcs.frame, estimate.updated[-1], side="right"))

@@ -61,7 +61,9 @@ def _half_way(result: Result) -> Result:
     history = result["history"]
     half = len(history["frame"]) // 2
     halved = {key: value[:half] if isinstance(value, list) else value for key, value in history.items()}
-    return {**result, **dict.fromkeys(JUDGED_AT_THE_END), "status": "running", "history": halved}
+    done = result["frames"] - (len(history["frame"]) - half)
+    judged = dict.fromkeys(JUDGED_AT_THE_END)
+    return {**result, **judged, "status": "running", "history": halved, "frames_done": done}
 
 
 def _shortened(value: Any) -> Any:
