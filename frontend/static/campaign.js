@@ -4,6 +4,7 @@
  * The page is the server's own, so what is shown is what a reload would show. A form that is open is left alone.
  */
 import { send } from "./problem.js";
+import { sortByAddress } from "./sort-table.js";
 
 const EVERY_MS = 2000;
 const PARTS = ["[data-campaign]", "[data-campaign-moves]", "[data-campaign-results]"];
@@ -20,6 +21,7 @@ async function look() {
     const answer = await send(location.href);
     const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
     for (const part of PARTS) renew(fresh, part);
+    sortByAddress();
   } catch {
     // the top bar says that the server is not there; what is shown is the last that arrived
   }

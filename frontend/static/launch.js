@@ -2,12 +2,15 @@
  * The launch form: keeps the choices consistent and shows what would run before it is queued.
  *
  * After each change the form is sent to the server as a dry run (`intent=check`), the same checks as queueing, and the
- * answer's summary replaces the one shown. Sets of another sensor are hidden, and options of another method disabled. Sensor,
- * set and method are kept in the address, beside the preset or the run that the form began from.
+ * answer's summary replaces the one shown. Sets of another sensor are hidden, and options of another method disabled. Data
+ * and method are kept in the address, beside the preset or the run that the form began from, and so is every control that
+ * differs from how the form begins (`data-begun`): a reload shows the same form.
  */
 import { send } from "./problem.js";
 
 const QUIET_MS = 400;
+/** Controls that the address always names, and how; without all the data it would say only where to begin. */
+const ALWAYS = { sensor_id: "sensor", telemetry_set_id: "set", validation_set_id: "validation_set_id", method: "method" };
 const form = document.querySelector("[data-launch]");
 let timer = 0;
 let flight = null;
@@ -56,18 +59,33 @@ function showOverconfidence() {
   if (warning) warning.hidden = form.elements.linearisations?.value !== "1" || form.elements.method.value === "batch";
 }
 
-/** Let the address, the form and the presets say what is chosen. */
+/** What every control says, by its name; disabled ones too, never hidden ones such as the csrf token. */
+function said() {
+  const values = new Map();
+  for (const control of form.elements) {
+    if (!control.name || control.matches("button, [type=hidden]")) continue;
+    if (!values.has(control.name)) values.set(control.name, []);
+    if (control.value && (control.checked || !control.matches("[type=checkbox], [type=radio]"))) values.get(control.name).push(control.value);
+  }
+  return values;
+}
+
+/** Let the address, the form and the presets say what is chosen; a control that says nothing is named with nothing. */
 function keepInAddress() {
-  const url = new URL(location.href);
-  const { sensor_id: sensor, telemetry_set_id: set, method } = form.elements;
-  for (const [name, control] of [["sensor", sensor], ["set", set], ["method", method]]) {
-    if (control?.value) url.searchParams.set(name, control.value);
+  const [url, begun] = [new URL(location.href), new URLSearchParams(form.dataset.begun)];
+  for (const [name, values] of said()) {
+    const key = ALWAYS[name] ?? name;
+    const before = begun.getAll(name).filter(Boolean);
+    if (ALWAYS[name]) url.searchParams.set(key, values[0] ?? "");
+    else url.searchParams.delete(key);
+    if (ALWAYS[name] || `${before.sort()}` === `${values.toSorted()}`) continue;
+    for (const value of values.length ? values : [""]) url.searchParams.append(key, value);
   }
   history.replaceState(history.state, "", url);
   form.action = url;
+  const beginning = [...url.searchParams].filter(([name]) => ["sensor", "set", "clone"].includes(name));
   for (const button of form.querySelectorAll("[data-preset]")) {
-    url.searchParams.delete("method");
-    url.searchParams.set("preset", button.dataset.preset);
+    url.search = new URLSearchParams([...beginning, ["preset", button.dataset.preset]]);
     button.formAction = url;
   }
 }
@@ -111,4 +129,5 @@ if (form) {
     keepInAddress();
   });
   changed();
+  if ("answered" in form.dataset) keepInAddress();
 }

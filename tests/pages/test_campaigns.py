@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 
 import pytest
 
@@ -90,6 +91,30 @@ def test_a_refusal_keeps_what_was_typed(house, bare, read, typed, said):  # noqa
         assert 'value="many"' in answer.text
 
 
+def test_a_check_without_a_label_is_answered_with_the_sentence(house, read):
+    answer = house.visitor("ada").post("/campaigns/new", **{**FORM, "label": ""}, intent="check")
+
+    assert answer.status_code == 200
+    assert "Give the campaign a label" in read(answer.text)
+
+
+def test_what_was_changed_stands_in_the_address_and_fills_the_form_again(house, bare):
+    ada = house.visitor("ada")
+    page = ada.get(
+        f"/campaigns/new?sensors={bare}&calibration-1=1&validation-1=&label=x+y&method=ekf&forgetting_factor=.9"
+    )
+    begun = re.search('data-begun="([^"]*)"', page)[1]
+
+    assert re.findall(r'name="sensors" value="(\d+)" checked', page) == [str(bare)]
+    assert '<option value="1" selected>' in page
+    assert '<option value="" selected>none' in page
+    assert 'value="x y"' in page
+    assert 'value="ekf" checked' in page
+    assert 'name="forgetting_factor" inputmode="decimal" value=".9"' in page
+    assert "sensors=1&amp;calibration-1=newest&amp;validation-1=newest" in begun
+    assert 'name="sensors" value="1" checked' not in ada.get("/campaigns/new?sensors=")
+
+
 def test_a_preset_keeps_sensors_and_label(house):
     page = house.visitor("ada").post("/campaigns/new?preset=wu", **{**FORM, "sensors": ["1"]}, intent="preset").text
 
@@ -171,3 +196,11 @@ def test_presets_are_listed_with_what_they_change_and_archived_by_an_analyst(hou
     assert "Archived" not in read(ada.get("/presets"))
     ada.post(f"/presets/{row.id}/archive")
     assert "Archived" in read(ada.get("/presets"))
+
+
+def test_the_list_of_campaigns_can_be_had_as_csv(house, launched):
+    visitor = house.visitor("victor")
+    assert 'href="/campaigns.csv" download data-hotkey="e"' in visitor.get("/campaigns").text
+    (row,) = csv.DictReader(io.StringIO(visitor.get("/campaigns.csv").text))
+    assert (f"/campaigns/{row['campaign']}", row["label"], row["sensors"]) == (launched, "after eclipse", "2")
+    assert row["launched_by"] == "Ada Analyst"

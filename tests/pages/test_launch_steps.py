@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+from boresight.pages.launch_form import DEFAULTS
 from boresight.pages.launch_summary import differences
 from boresight.services import presets
 from boresight.services.presets import BUILT_IN
@@ -31,6 +32,41 @@ def test_the_address_alone_fills_the_form(house):
     assert 'name="variant" value="q" checked' in page
     assert 'aria-pressed="true">Drift tracking' in page
     assert 'name="method" value="ekf" checked' in house.visitor("victor").get("/runs/new?method=ekf&preset=enright")
+
+
+def test_what_was_changed_stands_in_the_address_and_fills_the_form_again(house):
+    page = house.visitor("ada").get(
+        "/runs/new?sensor=1&set=1&validation_set_id=&method=sqrf&preset=drift-tracking&free-1=f_m&free-1=b2_per_m2"
+        "&label=%22quoted%22+%3Cb%3E&replay_frames_per_s=5&linearisations=2&match_rule=flight"
+    )
+
+    assert 'name="method" value="sqrf" checked' in page
+    assert re.findall(r'name="free-1" value="(\w+)" checked', page) == ["f_m", "b2_per_m2"]
+    assert 'value="&#34;quoted&#34; &lt;b&gt;"' in page
+    assert 'id="replay_frames_per_s" name="replay_frames_per_s" inputmode="decimal" value="5"' in page
+    assert 'value="flight" selected' in page
+    assert "selected" not in page[page.index('id="validation_set_id"') : page.index('id="step-method"')]
+    assert "checked" not in "".join(
+        re.findall(r'<input[^>]*name="free-1"[^>]*>', house.visitor("ada").get("/runs/new?free-1="))
+    )
+
+
+def test_the_form_tells_how_it_begins_whatever_the_address_changes(house):
+    ada = house.visitor("ada")
+    begun = re.compile('data-begun="([^"]*)"')
+    plain, changed = (begun.search(ada.get(f"/runs/new{query}"))[1] for query in ("", "?label=x&linearisations=2"))
+
+    assert plain == changed
+    assert f"&amp;linearisations={DEFAULTS['linearisations']}&amp;" in plain
+    assert "csrf" not in plain
+    assert "variant=q&amp;" in begun.search(ada.get("/runs/new?preset=drift-tracking"))[1]
+
+
+def test_a_check_that_is_refused_is_an_answer(house, read):
+    answer = house.visitor("ada").post("/runs/new", **{**FORM, "free-1": []}, intent="check")
+
+    assert answer.status_code == 200
+    assert "No parameter is free" in read(answer.text)
 
 
 def test_a_preset_goes_over_the_settings_and_keeps_data_free_parameters_and_label(house):

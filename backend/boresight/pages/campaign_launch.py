@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
-from starlette.datastructures import FormData
+from starlette.datastructures import FormData, QueryParams
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import BoresightError, NotFoundError
@@ -46,16 +47,17 @@ def _sets(session: Session) -> dict[int, Sets]:
     return found
 
 
-def _chosen(form: FormData) -> list[Member]:
+def _chosen(form: FormData | QueryParams) -> list[Member]:
     """Read the sensors that are ticked, and their sets."""
-    return [
-        Member(int(number), _set(form, f"calibration-{number}") or "newest", _set(form, f"validation-{number}"))
-        for number in map(str, form.getlist("sensors"))
-        if number.isdecimal()
-    ]
+    return [_member(form, int(number)) for number in map(str, form.getlist("sensors")) if number.isdecimal()]
 
 
-def _set(form: FormData, name: str) -> Any:
+def _member(form: FormData | QueryParams, number: int) -> Member:
+    """Read the sets of a sensor, ticked or not."""
+    return Member(number, _set(form, f"calibration-{number}") or "newest", _set(form, f"validation-{number}"))
+
+
+def _set(form: FormData | QueryParams, name: str) -> Any:
     """Read a set's number, `newest`, or None for none."""
     value = form.get(name, "newest")
     return int(value) if isinstance(value, str) and value.isdecimal() else (value or None)
@@ -63,13 +65,36 @@ def _set(form: FormData, name: str) -> Any:
 
 @router.get("/campaigns/new", response_class=HTMLResponse)
 def campaign_form(request: Request, session: Reading, actor: Who) -> HTMLResponse:
-    """Show the form with the whole fleet chosen."""
-    origin = origin_of(request, session)
-    typed = Typed() if origin.preset is None else Typed().under(origin.preset.settings)
-    sets = _sets(session)
-    fleet = sensors.list_sensors(session)
-    members = [Member(sensor.id) for sensor in fleet if sensor.id in sets and sets[sensor.id].calibration]
-    return _page(request, session, actor, typed, origin, members)
+    """Show the form as the address says, else with the whole fleet chosen."""
+    origin, address = origin_of(request, session), request.query_params
+    typed = _begun(origin).amended(address)
+    members = (
+        _chosen(address) if "sensors" in address else [_member(address, number) for number in _able(_sets(session))]
+    )
+    return _page(
+        request, session, actor, replace(typed, method=origin.method or typed.method), origin, members, address
+    )
+
+
+def _begun(origin: Origin) -> Typed:
+    """Fill the settings anew, from the preset where there is one."""
+    return Typed() if origin.preset is None else Typed().under(origin.preset.settings)
+
+
+def _able(sets: Mapping[int, Sets]) -> list[int]:
+    """Return the sensors that have something to be calibrated on."""
+    return [number for number, of_sensor in sets.items() if of_sensor.calibration]
+
+
+def _beginning(origin: Origin, sets: Mapping[int, Sets]) -> str:
+    """Write the form as it begins, as an address's query."""
+    newest = [
+        (f"{purpose}-{number}", "newest")
+        for number, of_sensor in sets.items()
+        for purpose in ("calibration", "validation")
+        if getattr(of_sensor, purpose)
+    ]
+    return f"{_begun(origin).query}&{urlencode([*(('sensors', number) for number in _able(sets)), *newest])}"
 
 
 @router.post("/campaigns/new", response_class=HTMLResponse)
@@ -87,7 +112,7 @@ async def campaign_launch(request: Request, session: Reading, actor: Who) -> Res
             return redirect(f"/campaigns/{outcome.value.id}", flash="The campaign is queued.")
     else:
         outcome = await run_in_threadpool(_checked, partial(order, session, validate_only=True))
-    return await run_in_threadpool(_page, request, session, actor, typed, origin, members, outcome)
+    return await run_in_threadpool(_page, request, session, actor, typed, origin, members, form, outcome)
 
 
 def _launch(
@@ -131,23 +156,26 @@ def _page(
     typed: Typed,
     origin: Origin,
     members: Sequence[Member],
+    given: FormData | QueryParams,
     outcome: Outcome[Any] | None = None,
 ) -> HTMLResponse:
     """Render the form with what was typed and what the check said."""
     fleet: Sequence[Sensor] = sensors.list_sensors(session)
-    refusal = outcome.refusal if outcome else None
+    refusal, sets = outcome.refusal if outcome else None, _sets(session)
     return render(
         request,
         "campaign_launch.html",
-        status_code=422 if refusal else 200,
+        status_code=422 if refusal and given.get("intent") == "queue" else 200,
         sensors=fleet,
-        sets=_sets(session),
-        chosen={member.sensor_id: member for member in members},
+        sets=sets,
+        chosen={sensor.id: _member(given, sensor.id) for sensor in fleet},
+        ticked={member.sensor_id for member in members},
         nothing=Sets(),
         methods=METHODS,
         words={**WORDS, **NUMBERS},
         typed=typed,
         origin=origin,
+        begun=_beginning(origin, sets),
         offers=presets.offers(session),
         refusal=refusal,
         summary=outcome.value if outcome else None,

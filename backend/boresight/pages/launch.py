@@ -2,7 +2,7 @@
 
 The dry run is the service's own (`validate_only`), so that what it accepts is what queueing accepts. On a refusal the form
 comes back with everything that was typed. The address holds where the form begins: `?sensor=`, `?set=`, `?method=`,
-`?preset=`, and `?clone=` a run, whose settings the page then compares with what is chosen.
+`?preset=`, and `?clone=` a run, whose settings the page then compares with what is chosen; and every field that was changed since.
 """
 
 from __future__ import annotations
@@ -163,7 +163,8 @@ def _begun(session: Session, fleet: Sequence[Sensor], origin: Origin) -> Typed:
 def launch_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the form, empty or filled from a run, a telemetry set or a preset."""
     origin = origin_of(request, session)
-    return _page(request, session, actor, _begun(session, sensors.list_sensors(session), origin), origin)
+    typed = _begun(session, sensors.list_sensors(session), origin).amended(request.query_params)
+    return _page(request, session, actor, typed, origin)
 
 
 @router.post("/runs/new", response_class=HTMLResponse)
@@ -213,11 +214,12 @@ def _page(
     """Render the form with what was typed and what the check said."""
     fleet = sensors.list_sensors(session)
     refusal: Refusal | None = outcome.refusal if outcome else None
-    words = texts_of(form) if form is not None else {}
+    words = texts_of(form) if form is not None else request.query_params
+    moved = form is not None and form.get("intent") in {"queue", "save"}
     return render(
         request,
         "launch.html",
-        status_code=422 if refusal else 200,
+        status_code=422 if refusal and moved else 200,
         sensors=fleet,
         sensor_names={sensor.id: sensor.name for sensor in fleet},
         parameter_names={sensor.id: _names_of(sensor) for sensor in fleet},
@@ -226,6 +228,7 @@ def _page(
         words={**WORDS, **NUMBERS},
         typed=typed,
         origin=origin,
+        begun=_begun(session, fleet, origin).query,
         offers=presets.offers(session),
         changes=_changes(session, typed, origin),
         preset_name=words.get("preset_name", ""),

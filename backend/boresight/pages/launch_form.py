@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
+from urllib.parse import urlencode
 
-from starlette.datastructures import FormData
+from starlette.datastructures import FormData, QueryParams
 
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
@@ -35,6 +36,8 @@ def typed_settings(document: Mapping[str, Any]) -> dict[str, str]:
 
 _SETTINGS = frozenset(CalibrationSettings().document()) - {"free"}
 DEFAULTS = typed_settings(CalibrationSettings().document())
+#: Fields that the address says in other words: `sensor`, `set`, a `method` that there is, and `free-<sensor>`.
+_BEGINNINGS = frozenset({"sensor_id", "telemetry_set_id", "method", "free"})
 #: Fields behind "More options"; one that differs from the usual opens them.
 ADVANCED = (
     "match_parameters", "match_rule", "flight_tolerance_urad", "leave_out_doubles", "minimum_stars", "max_iterations", "error",
@@ -78,6 +81,32 @@ class Typed:
         if settings.get("free") and self.sensor_id.isdecimal():
             free[int(self.sensor_id)] = list(settings["free"])
         return replace(self, **typed_settings(settings), free=free)
+
+    def amended(self, address: QueryParams) -> Typed:
+        """Return the form with what an address says of it, by the names of its fields; an empty `free-<sensor>` frees none.
+
+        An address that says the validation set is the form's own, and says all the data; else its set is only a beginning.
+        """
+        said = {
+            name: address[name] for name in self.__dataclass_fields__ if name in address and name not in _BEGINNINGS
+        }
+        if "validation_set_id" in address:
+            named = {"sensor_id": address.get("sensor", ""), "telemetry_set_id": address.get("set", "")}
+            said |= {name: value for name, value in named.items() if value.isdecimal()}
+        free = {
+            sensor: [name for name in address.getlist(f"free-{sensor}") if name]
+            if f"free-{sensor}" in address
+            else names
+            for sensor, names in self.free.items()
+        }
+        return replace(self, **said, free=free)
+
+    @property
+    def query(self) -> str:
+        """The fields as an address's query, for the page to tell what was changed since."""
+        texts = [(name, getattr(self, name)) for name in self.__dataclass_fields__ if name not in _BEGINNINGS]
+        ticks = [(f"free-{sensor}", name) for sensor, names in self.free.items() for name in names]
+        return urlencode([*texts, *ticks])
 
     @property
     def advanced(self) -> bool:
