@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+
 import numpy as np
 import pytest
 
@@ -115,3 +118,13 @@ def test_a_note_is_escaped_kept_and_leads_back(house, read):
     assert "x" * 4001 in refused.text
     assert "has 1 to 4000 characters" in read(refused.text)
     assert "Add a note" not in house.visitor("victor").get("/notes/runs/1")
+
+
+def test_the_alarms_of_a_view_can_be_had_as_csv_and_their_table_sorted(drifting):
+    visitor = drifting.visitor("victor")
+    page = visitor.get("/alarms?kind=DRIFT")
+    assert 'href="/alarms.csv?state=&amp;sensor=&amp;kind=DRIFT" download data-hotkey="e"' in page
+    (row,) = csv.DictReader(io.StringIO(visitor.get("/alarms.csv?kind=DRIFT")))
+    assert (row["kind"], row["sensor"], row["state"]) == ("DRIFT", "ST16-1", "unacknowledged, active")
+    assert row["sentence"] == alarm(drifting).sentence
+    assert list(csv.DictReader(io.StringIO(visitor.get("/alarms.csv?state=shelved")))) == []

@@ -200,7 +200,7 @@ def test_presets_are_listed_with_what_they_change_and_archived_by_an_analyst(hou
 
 def test_the_list_of_campaigns_can_be_had_as_csv(house, launched):
     visitor = house.visitor("victor")
-    assert 'href="/campaigns.csv" download data-hotkey="e"' in visitor.get("/campaigns").text
-    (row,) = csv.DictReader(io.StringIO(visitor.get("/campaigns.csv").text))
+    assert 'href="/campaigns.csv" download data-hotkey="e"' in visitor.get("/campaigns")
+    (row,) = csv.DictReader(io.StringIO(visitor.get("/campaigns.csv")))
     assert (f"/campaigns/{row['campaign']}", row["label"], row["sensors"]) == (launched, "after eclipse", "2")
     assert row["launched_by"] == "Ada Analyst"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
@@ -14,10 +15,12 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import NotFoundError, RefusedInputError
+from boresight.figures.evidence import LEVELS
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.rendering import redirect, render
-from boresight.pages.runs import read_names
+from boresight.pages.runs import Names, read_names
+from boresight.pages.tables import csv_file
 from boresight.services import alarms, sensors, users
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session, reading, utc_after
@@ -26,6 +29,8 @@ from boresight.store.tables import ALARM_KINDS, Alarm
 router = APIRouter(dependencies=[Depends(csrf)])
 
 A_PAGE = 200  # an installation has at most three open alarms a sensor
+A_FILE = 100_000  # more than decades of alarms
+CSV_FIELDS = ("alarm", "kind", "severity", "state", "sentence", "sensor", "raised_utc", "closed_utc", "assigned_to")
 A_SHIFT_S = 8 * 3600.0
 DONE = {
     "acknowledge": "is acknowledged",
@@ -41,11 +46,7 @@ def alarms_page(
     request: Request, session: Reading, actor: Who, state: str = "", sensor: str = "", kind: str = "", before: str = ""
 ) -> HTMLResponse:  # fmt: skip
     """Show the alarms that are open, those to be acknowledged first; or those sought."""
-    sought = alarms.Sought(
-        sensor_id=int(sensor) if sensor.isdecimal() else None,
-        kind=kind if kind in ALARM_KINDS else None,
-        state=state if state in alarms.STATES else None,
-    )
+    sought = _sought(state, sensor, kind)
     before_id = int(before) if before.isdecimal() else None
     found = alarms.list_alarms(session, sought, before_id=before_id, limit=A_PAGE + 1)
     return render(
@@ -59,8 +60,41 @@ def alarms_page(
         sensors=sensors.list_sensors(session),
         names=read_names(session),
         state_of=alarms.state_of,
+        ranks={level: rank for rank, level in enumerate(LEVELS)},
         may_handle=bool(actor.roles.intersection(alarms.HANDLERS)),
     )
+
+
+def _sought(state: str, sensor: str, kind: str) -> alarms.Sought:
+    """Read the filters; one that does not exist is none."""
+    return alarms.Sought(
+        sensor_id=int(sensor) if sensor.isdecimal() else None,
+        kind=kind if kind in ALARM_KINDS else None,
+        state=state if state in alarms.STATES else None,
+    )
+
+
+@router.get("/alarms.csv")
+def alarms_csv(session: Reading, actor: Who, state: str = "", sensor: str = "", kind: str = "") -> Response:  # noqa: ARG001 - whoever is known may read
+    """Give every alarm of a view as CSV, newest first."""
+    names = read_names(session)
+    found = alarms.list_alarms(session, _sought(state, sensor, kind), limit=A_FILE)
+    return csv_file("alarms", CSV_FIELDS, (_csv_row(row, names) for row in found))
+
+
+def _csv_row(row: Alarm, names: Names) -> dict[str, Any]:
+    """Lay out an alarm for a program."""
+    return {
+        "alarm": row.id,
+        "kind": row.kind,
+        "severity": row.level,
+        "state": alarms.state_of(row),
+        "sentence": row.sentence,
+        "sensor": names.sensors[row.sensor_id] if row.sensor_id is not None else None,
+        "raised_utc": row.raised_utc,
+        "closed_utc": row.closed_utc,
+        "assigned_to": names.person(row.assigned_to) if row.assigned_to is not None else None,
+    }
 
 
 @router.get("/alarms/{alarm_id:int}", response_class=HTMLResponse)

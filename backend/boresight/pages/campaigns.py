@@ -17,13 +17,18 @@ from boresight.pages.attempts import attempt
 from boresight.pages.forms import read_texts
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
+from boresight.pages.tables import csv_file
 from boresight.services import campaigns
-from boresight.services.campaign_views import FAILED, result_of
+from boresight.services.campaign_views import FAILED, CampaignView, result_of
 from boresight.store.sessions import Session
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
 CAMPAIGNS_A_PAGE = 50
+A_FILE = 100_000  # more than anybody launches
+CSV_FIELDS = (
+    "campaign", "label", "sensors", "ended", "failed", "preset", "launched_by", "launched_utc", "cancelled_utc",
+)  # fmt: skip
 
 
 @router.get("/campaigns", response_class=HTMLResponse)
@@ -39,6 +44,29 @@ def campaigns_page(request: Request, session: Reading, actor: Who, before: str =
         people=read_names(session).people,
         next_before=shown[-1].id if len(found) > CAMPAIGNS_A_PAGE else None,
     )
+
+
+@router.get("/campaigns.csv")
+def campaigns_csv(session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Give every campaign as CSV, newest first."""
+    people, found = read_names(session).people, campaigns.list_campaigns(session, limit=A_FILE)
+    return csv_file("campaigns", CSV_FIELDS, (_csv_row(view, people) for view in found))
+
+
+def _csv_row(view: CampaignView, people: Mapping[int, str]) -> dict[str, Any]:
+    """Lay out a campaign for a program."""
+    row = view.row
+    return {
+        "campaign": view.id,
+        "label": row.label,
+        "sensors": view.sensors,
+        "ended": view.ended,
+        "failed": view.failed,
+        "preset": row.preset,
+        "launched_by": people.get(row.launched_by, "system") if row.launched_by is not None else "system",
+        "launched_utc": row.launched_utc,
+        "cancelled_utc": row.cancelled_utc,
+    }
 
 
 @router.get("/campaigns/{campaign_id:int}", response_class=HTMLResponse)

@@ -13,13 +13,15 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
 
-from boresight.api.dependencies import Who, csrf
+from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import Fault, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
+from boresight.pages.tables import csv_file
 from boresight.services import sensors
 from boresight.services.actors import Actor
+from boresight.services.fleet import SensorTile
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import Sensor
 
@@ -47,6 +49,9 @@ EXAMPLE = """{
 }
 """
 
+CSV_FIELDS = (
+    "number", "sensor", "simulated", "status", "sentence", "camera_model", "rows", "columns", "f_m", "baseline", "telemetry_sets",
+)  # fmt: skip
 FIELDS = (
     ("name", "Unique in the fleet; becomes part of PS-<sensor>-<n>."),
     ("detector", "rows, columns, and pixel_pitch_m in metres."),
@@ -105,6 +110,31 @@ class Shown:
 def sensors_page(request: Request, actor: Who, example: str = "") -> HTMLResponse:
     """Show the list and the form, filled with the example when asked."""
     return _page(request, actor, Shown(EXAMPLE if example else ""))
+
+
+@router.get("/sensors.csv")
+def sensors_csv(session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Give every sensor as CSV, lengths in metres."""
+    return csv_file("sensors", CSV_FIELDS, map(_csv_row, sensors.fleet_overview(session)))
+
+
+def _csv_row(tile: SensorTile) -> dict[str, Any]:
+    """Lay out a sensor for a program."""
+    sensor, baseline = tile.sensor, tile.baseline
+    document = sensor.document
+    return {
+        "number": sensor.id,
+        "sensor": sensor.name,
+        "simulated": bool(sensor.simulated),
+        "status": tile.status,
+        "sentence": tile.sentence,
+        "camera_model": document["camera_model"],
+        "rows": document["detector"]["rows"],
+        "columns": document["detector"]["columns"],
+        "f_m": (baseline.document["parameters"] if baseline else document["initial"])["f_m"],
+        "baseline": baseline.name if baseline else None,
+        "telemetry_sets": tile.telemetry_sets,
+    }
 
 
 def _page(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:

@@ -210,11 +210,16 @@ def csv_of(view: View, fields: Mapping[str, Sequence[str]], rows: Iterable[Mappi
         The values of every field, a row each.
     """
     names = [name for column in view.columns for name in fields.get(column.name, ())]
+    return csv_file(view.table.name, names, rows)
+
+
+def csv_file(title: str, names: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Response:
+    """Give rows as the CSV `<title>.csv`, with these of their values."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(names)
     writer.writerows([_plain(row[name]) for name in names] for row in rows)
-    headers = {"Content-Disposition": f'attachment; filename="{view.table.name}.csv"'}
+    headers = {"Content-Disposition": f'attachment; filename="{title}.csv"'}
     return Response(text.getvalue(), media_type="text/csv", headers=headers)
 
 
