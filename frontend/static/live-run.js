@@ -3,7 +3,8 @@
  *
  * Shows progress, pace and the age of the last event; draws the curves on from the points that progress carries
  * (live-history.js) and fetches figures that cannot be drawn on; renews every `[data-live]` part of the page from the
- * server when the run changes state. When the stream opens, and when events were missed, all is fetched again.
+ * server when the run changes state. When the stream opens, and when events were missed, all is fetched again. Drawing takes
+ * at most a fifth of the time: a figure out of sight waits until it comes near the window, and all wait as drawing costs.
  */
 import { forget, grow, keep } from "./live-history.js";
 import { renewParts } from "./live-parts.js";
@@ -11,19 +12,26 @@ import { send } from "./problem.js";
 
 const TERMINAL = new Set(["SUCCEEDED", "FAILED", "CANCELLED", "LOST"]);
 const DRAW_MS = 400;
+const REST = 4; // times as long as the last drawing took nothing is drawn
+const NEAR = "300px"; // of the window a figure is drawn, as plot-figure.js begins it
 const WHOLE_MS = 15_000; // a curve that was drawn on is framed and thinned anew after this time, at first sooner
 const FETCH_MS = 1000;
 const RENEW_MS = 5000;
 const SILENT_MS = 30_000;
 const FOLLOWING = "plot-figure[data-follows]";
+const following = () => [...document.querySelectorAll(FOLLOWING)];
+const animationFrame = () => new Promise((resolve) => requestAnimationFrame(resolve));
 
 class LiveRun extends HTMLElement {
   #heardAt = NaN;
   #begunAt = 0;
   #wholeAt = 0;
   #drawTimer = 0;
+  #restMs = DRAW_MS;
   #fetchTimer = 0;
   #wanted = new Set();
+  #late = new WeakSet(); // to be fetched when they come into sight
+  #near = new WeakSet();
   #timers = [];
   #listening = null;
 
@@ -38,7 +46,9 @@ class LiveRun extends HTMLElement {
     on("boresight:progress", (event) => this.#mine(event) && this.#progressed(event));
     on("boresight:run", (event) => this.#mine(event) && this.#moved(event));
     on("boresight:missed", () => this.#missed());
-    on("figure-drawn", (_, figure) => figure.matches(FOLLOWING) && grow(figure));
+    on("figure-drawn", (_, figure) => this.#near.has(figure) && grow(figure));
+    this.sight = new IntersectionObserver((entries) => this.#looked(entries), { rootMargin: NEAR });
+    this.#watch(following());
     this.link = new MutationObserver(() => this.#linkChanged());
     this.link.observe(document.body, { attributes: true, attributeFilter: ["data-link"] });
     // events only say that something moved; the page is asked again from time to time in case one was missed
@@ -53,6 +63,7 @@ class LiveRun extends HTMLElement {
   #rest() {
     this.#listening?.abort();
     this.link?.disconnect();
+    this.sight?.disconnect();
     for (const timer of this.#timers) clearInterval(timer);
     clearTimeout(this.#drawTimer);
     clearTimeout(this.#fetchTimer);
@@ -75,7 +86,7 @@ class LiveRun extends HTMLElement {
     }
     if (event.message) write("message", event.message);
     this.#showAge();
-    if (!document.hidden) this.#drawTimer ||= setTimeout(() => this.#draw(), DRAW_MS);
+    this.#planDrawing();
     if (this.state === "QUEUED" || document.querySelector("#verdict .empty")) this.#renew();
   }
 
@@ -84,7 +95,7 @@ class LiveRun extends HTMLElement {
     this.attempt = attempt;
     this.#begunAt = Date.now();
     forget();
-    this.#fetch(document.querySelectorAll(FOLLOWING));
+    this.#fetch(following());
   }
 
   #pace({ fraction, elapsed_s: elapsed }) {
@@ -101,7 +112,7 @@ class LiveRun extends HTMLElement {
   #missed() {
     forget();
     this.#renew();
-    this.#fetch(document.querySelectorAll(FOLLOWING));
+    this.#fetch(following());
   }
 
   #linkChanged() {
@@ -111,22 +122,55 @@ class LiveRun extends HTMLElement {
     this.#showAge();
   }
 
-  /** Draw the figures on; fetch those that lack points, and now and then those that cannot be drawn on. */
+  #watch(figures) {
+    for (const figure of figures) this.sight.observe(figure);
+  }
+
+  /** Draw on, or fetch, what came into sight. */
+  #looked(entries) {
+    for (const { target, isIntersecting } of entries) {
+      this.#near[isIntersecting ? "add" : "delete"](target);
+      if (isIntersecting && this.#late.delete(target)) this.#fetch([target]);
+    }
+    const isToDraw = this.attempt !== undefined && entries.some(({ isIntersecting }) => isIntersecting);
+    if (isToDraw) this.#planDrawing();
+  }
+
+  #planDrawing() {
+    if (!document.hidden) this.#drawTimer ||= setTimeout(() => this.#draw(), this.#restMs);
+  }
+
+  /** Draw the figures in sight on; fetch those that lack points, and now and then those that cannot be drawn on. */
   async #draw() {
-    const figures = [...document.querySelectorAll(FOLLOWING)];
-    const drawn = await Promise.all(figures.map(grow));
+    const figures = following();
+    this.#watch(figures);
+    const behind = await this.#drawOn(figures.filter((figure) => this.#near.has(figure)));
     this.#drawTimer = 0;
     const patience = this.isBatch ? FETCH_MS : Math.min(WHOLE_MS, 2 * FETCH_MS + this.#wholeAt - this.#begunAt);
-    if (Date.now() - this.#wholeAt > patience) this.#fetch(figures);
-    else this.#fetch(figures.filter((_, k) => drawn[k] === false));
+    this.#fetch(Date.now() - this.#wholeAt > patience ? figures : behind);
+  }
+
+  /** Draw figures on, one an animation frame so that the page answers in between; return those that lack points. */
+  async #drawOn(figures) {
+    const behind = [];
+    let cost = 0;
+    for (const figure of figures) {
+      await animationFrame();
+      if (this.#listening.signal.aborted) return [];
+      const began = performance.now();
+      if ((await grow(figure)) === false) behind.push(figure);
+      cost += performance.now() - began;
+    }
+    this.#restMs = Math.max(DRAW_MS, REST * cost);
+    return behind;
   }
 
   #fetch(figures) {
-    for (const figure of figures) this.#wanted.add(figure);
+    for (const figure of figures) (this.#near.has(figure) ? this.#wanted : this.#late).add(figure);
     if (!this.#wanted.size) return;
     this.#fetchTimer ||= setTimeout(() => {
       this.#fetchTimer = 0;
-      if (this.#wanted.size === document.querySelectorAll(FOLLOWING).length) this.#wholeAt = Date.now();
+      if (following().every((figure) => this.#wanted.has(figure) || !this.#near.has(figure))) this.#wholeAt = Date.now();
       refresh(this.#wanted);
       this.#wanted.clear();
     }, FETCH_MS);
