@@ -47,7 +47,7 @@ def test_the_bar_tells_who_acts_and_what_the_fleet_is_at(house):
     page = house.visitor("ada").get("/audit")
     assert "Ada Analyst" in page
     assert "analyst" in page
-    assert "status-normal" in page[: page.index("<main")]
+    assert "status-caution" in page[: page.index("<main")]
 
 
 def test_a_flash_is_shown_once_and_escaped(house):

@@ -20,6 +20,8 @@ from boresight.errors import (
 from boresight.services import alarms, audit, watch
 from boresight.services.actors import Actor
 from boresight.services.conditions import chain_condition
+from boresight.services.drift import GROUND_SHIFTED
+from boresight.services.fleet import fleet_overview
 from boresight.store.sessions import Session, utc_after
 from boresight.store.tables import Alarm, AuditRecord, ParameterSet
 from tests.missions import add_run, add_set, make_baseline
@@ -179,6 +181,20 @@ def test_a_drift_raises_an_alarm_and_a_promotion_lets_it_return(session: Session
     make_baseline(session, moved)
     watch.watch(session, [1])
     assert alarms.state_of(row) == "unacknowledged, returned to normal"
+
+
+def test_a_ground_calibration_that_does_not_hold_raises_no_alarm_and_is_a_caution_of_the_fleet(
+    session: Session,
+) -> None:
+    rng = np.random.default_rng(1)
+    moved = add_run(session, add_set(session, 1, 90), rng, 20 * np.eye(8)[0])
+    watch.watch(session, [1])
+    assert alarms.list_alarms(session, alarms.Sought(sensor_id=1)) == []
+    (tile,) = [tile for tile in fleet_overview(session) if tile.sensor.id == 1]
+    assert (tile.status, tile.sentence) == ("caution", GROUND_SHIFTED)
+    make_baseline(session, moved)
+    (tile,) = [tile for tile in fleet_overview(session) if tile.sensor.id == 1]
+    assert tile.status == "normal"
 
 
 def test_a_state_that_does_not_exist_is_refused(session: Session) -> None:

@@ -185,3 +185,18 @@ def test_the_document_is_json_with_a_sigma_beside_every_number(session: Session)
     for point in document["points"]:
         assert point["parameters"].keys() == point["sigma"].keys()
     assert document["drift"]["difference"].keys() == document["drift"]["sigma"].keys()
+
+
+def test_a_shift_against_a_ground_calibration_is_no_drift_and_asks_for_a_promotion(session: Session) -> None:
+    add_run(session, add_set(session, 1, 30), np.random.default_rng(1), 20 * FIRST)
+    trend = trend_of(session, 1)
+    found = drift.judge(trend)
+    assert found.verdict == "GROUND SHIFT"
+    assert found.sentence.startswith(drift.GROUND_SHIFTED)
+    advice = advise(trend, found)
+    assert (advice.answer, advice.sentence) == ("YES", drift.GROUND_SHIFTED)
+
+
+def test_calibrations_that_move_with_time_drift_whatever_the_baseline_is(session: Session) -> None:
+    _mission(session, np.random.default_rng(1), [30, 60, 90, 120], slope=0.1)
+    assert drift.judge(trend_of(session, 1)).verdict == "DRIFT"

@@ -20,7 +20,7 @@ from boresight.services.trend_views import trend_document
 router = APIRouter()
 
 LEVEL_OF_ANSWER = {"YES": "caution", "NOT YET": "normal", "MORE DATA NEEDED": "standby"}
-LEVEL_OF_DRIFT = {"DRIFT": "serious", "HOLDS": "normal", "NOT TESTED": "off"}
+LEVEL_OF_DRIFT = {"DRIFT": "serious", "GROUND SHIFT": "caution", "HOLDS": "normal", "NOT TESTED": "off"}
 
 
 @router.get("/sensors/{sensor_id:int}/trend", response_class=HTMLResponse)

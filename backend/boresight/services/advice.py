@@ -2,8 +2,9 @@
 
 Answers, the first that fits:
 
-- `YES`: the sensor drifts; or its baseline is a ground calibration and there is telemetry to replace it; or the baseline is
-  over its age and newer telemetry is there; or newer telemetry would at least halve the sigmas.
+- `YES`: the sensor drifts, or its ground calibration does not hold; or its baseline is a ground calibration and there is
+  telemetry to replace it; or the baseline is over its age and newer telemetry is there; or newer telemetry would at least halve
+  the sigmas.
 - `MORE DATA NEEDED`: nothing is newer than the baseline's own data, or what is there would be too coarse to see a change of
   three of the baseline's sigmas.
 - `NOT YET`: the newest calibration agrees with the baseline.
@@ -18,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from boresight.figures.numbers import count, fixed
-from boresight.services.drift import Drift, judge
+from boresight.services.drift import GROUND_SHIFTED, Drift, judge
 from boresight.services.fleet import OLD_DAYS, days_since
 from boresight.services.trend import Point, Trend, span_of
 from boresight.store.tables import ParameterSet, TelemetrySet
@@ -85,6 +86,8 @@ def _rules(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | No
     name, ratio = baseline.name, data.ratio
     if drift.verdict == "DRIFT":
         yield "YES", f"Recalibrate: {name} does not hold any more."
+    if drift.verdict == "GROUND SHIFT":
+        yield "YES", GROUND_SHIFTED
     if not data.sets:
         yield "MORE DATA NEEDED", f"No telemetry is newer than what {name} was made of: upload a pass for calibration."
     if baseline.run_id is None:

@@ -1,7 +1,8 @@
 """The conditions that raise an alarm, each asked of the store as it is now.
 
 ========== ======== ==========================================================================================
-`DRIFT`    serious  the parameters do not hold any more (`services.drift`), 0.1 % false alarms for each look
+`DRIFT`    serious  the parameters do not hold any more (`services.drift`), 0.1 % false alarms for each look;
+                    a shift against a ground calibration alone is no drift
 `AGE`      caution  the baseline is older than `fleet.OLD_DAYS`
 `MISMATCH` critical a read-back of one of the sensor's sets did not match what was sent
 `CHAIN`    critical the audit log, or a row that it seals, is not as it was written

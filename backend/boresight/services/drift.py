@@ -6,7 +6,8 @@ to it is history and the alarm returns to normal. Two tests share the false-alar
 - does the newest calibration, of data that the baseline has not seen, agree with the baseline?
 - do all calibrations since the baseline, its own among them, move with time, once temperature has its part?
 
-A ground calibration is declared and not measured: its sigmas are the spread from unit to unit, and it is on no line.
+A ground calibration is declared and not measured: its sigmas are the spread from unit to unit, and it is on no line. A shift
+against it tells of the launch and of what was declared, not of time: it is a `GROUND SHIFT`, and drift is only what moves.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from boresight.store.tables import ParameterSet
 FloatArray = NDArray[np.float64]
 
 DAY_S = 86400.0
+GROUND_SHIFTED = "The ground calibration does not hold any more: promote a calibration made on orbit."
 EPOCH = "2000-01-01T12:00:00+00:00"  # days are counted from J2000, and any day would do
 
 
@@ -39,7 +41,7 @@ class Drift:
     Parameters
     ----------
     verdict
-        `DRIFT`, `HOLDS` or `NOT TESTED`.
+        `DRIFT`, `GROUND SHIFT`, `HOLDS` or `NOT TESTED`.
     sentence
         Why, in words.
     names
@@ -109,7 +111,7 @@ def judge(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> Drift:
         )
     covariance = first.covariance + base.covariance
     found = Drift(
-        "DRIFT" if held.rejects or (slope is not None and slope.rejects) else "HOLDS",
+        _verdict(held, slope, trend.baseline),
         "",
         names,
         newest,
@@ -122,6 +124,15 @@ def judge(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> Drift:
         len(series),
     )
     return _with_sentence(found, trend.baseline)
+
+
+def _verdict(held: tests.Test, slope: tests.Test | None, baseline: ParameterSet) -> str:
+    """Say it in a word; calibrations that move with time drift, whatever the baseline was made from."""
+    if slope is not None and slope.rejects:
+        return "DRIFT"
+    if not held.rejects:
+        return "HOLDS"
+    return "GROUND SHIFT" if baseline.run_id is None else "DRIFT"
 
 
 def _is_since(point: Point, own: Point | None, baseline: ParameterSet) -> bool:
@@ -162,7 +173,8 @@ def _baseline_epoch(baseline: ParameterSet, own: Point | None, names: Sequence[s
 
 def _with_sentence(found: Drift, baseline: ParameterSet) -> Drift:
     """Say what was found, the test that rejects first."""
-    said = [_of_the_baseline(found, baseline), *_of_the_slope(found), *_of_temperature(found)]
+    first = [GROUND_SHIFTED] if found.verdict == "GROUND SHIFT" else []
+    said = [*first, _of_the_baseline(found, baseline), *_of_the_slope(found), *_of_temperature(found)]
     return replace(found, sentence=" ".join(said))
 
 

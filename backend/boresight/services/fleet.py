@@ -7,17 +7,20 @@ its sentence; a sensor shows the worst of its findings.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
 from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
+from boresight.services.drift import GROUND_SHIFTED, judge
+from boresight.services.trend import trend_of
 from boresight.store import alarms, trends
 from boresight.store import sensors as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Alarm, ParameterSet, Run, Sensor
 
 STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
+WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
 
@@ -61,6 +64,7 @@ class Known:
     telemetry_sets: int
     days: float | None
     drift: Alarm | None = None
+    ground_shifted: bool = False
 
 
 def fleet_overview(session: Session) -> list[SensorTile]:
@@ -79,8 +83,16 @@ def fleet_overview(session: Session) -> list[SensorTile]:
             days=days_since(baselines.get(sensor.id)),
             drift=drifting.get(sensor.id),
         )
-        tiles.append(_tile(sensor, known))
+        tiles.append(_tile(sensor, replace(known, ground_shifted=_ground_shifted(session, sensor, known))))
     return tiles
+
+
+def _ground_shifted(session: Session, sensor: Sensor, known: Known) -> bool:
+    """Whether a ground calibration does not hold; asked only where nothing worse hides the answer, for it reads every run."""
+    measured = known.baseline is None or known.baseline.run_id is not None
+    if measured or known.last_run is None or any(word in WORSE_THAN_NORMAL for word, _ in findings(known)):
+        return False
+    return judge(trend_of(session, sensor.id)).verdict == "GROUND SHIFT"
 
 
 def _drifting(session: Session) -> dict[int | None, Alarm]:
@@ -117,6 +129,8 @@ def findings(known: Known) -> Iterator[tuple[str, str]]:
     yield from _run_findings(known.last_run)
     if known.drift is not None:
         yield known.drift.level, f"It drifts: alarm {known.drift.id}."
+    if known.ground_shifted:
+        yield "caution", GROUND_SHIFTED
     if known.waiting is not None:
         yield "caution", f"{known.waiting} waits for a signature."
     if known.baseline is None:
