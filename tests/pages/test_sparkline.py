@@ -26,3 +26,10 @@ def test_larger_is_higher_and_nothing_is_nothing():
     assert drawn.y == MARGIN
     assert sparkline([3.0, 3.0]).y == HEIGHT / 2
     assert sparkline([]) is None
+
+
+def test_a_scatter_of_a_percent_does_not_fill_the_height():
+    drawn = sparkline([8.2e-5, 8.28e-5, 8.2e-5, 8.28e-5])
+    heights = [float(y) for _, y in re.findall(r"([\d.]+) ([\d.]+)", drawn.path)]
+    assert max(heights) - min(heights) < (HEIGHT - 2 * MARGIN) / 4
+    assert sparkline([0.0, 0.0]).y == HEIGHT / 2
