@@ -21,8 +21,12 @@ def test_a_fit_with_advice_is_a_caution_in_the_list_with_the_advice_at_hand(hous
     doubted = results["batch"] | {"advice": ["Too few frames took part."]}
     house.add_run(state="SUCCEEDED", result=doubted)
     page = house.visitor("victor").get("/runs")
-    cell = page[page.index('title="Too few frames took part."') :][:200]
+    cell = page[page.index('title="Too few frames took part."') :][:400].split("</td>")[0]
+    assert "converged, with reservations" in cell
     assert "status-caution" in cell
+    page = house.visitor("victor").get("/sensors/1")
+    assert "converged, with reservations" in page
+    assert "reservations" not in house.visitor("victor").send("GET", "/runs.csv").text
 
 
 def test_filters_leave_out_the_runs_that_do_not_fit(house, read):

@@ -13,6 +13,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, current_actor
+from boresight.figures.evidence import WORD_OF_LEVEL
 from boresight.figures.numbers import MISSING, NARROW_SPACE, number, urad
 from boresight.pages.formats import instant, seconds_since
 from boresight.pages.methods import METHODS, title_of
@@ -144,14 +145,15 @@ def line_of(run: Run, names: Names) -> Line:
     """Lay out a run; what it has not computed is a dash."""
     summary = run.summary or {}
     before, after = (summary.get(f"rms_{when}_arc_rad") for when in ("initial", "final"))
+    level = level_of_result(summary)
     return Line(
         run=run,
         sensor=names.sensors.get(run.sensor_id, str(run.sensor_id)),
         data=names.sets.get(run.telemetry_set_id, str(run.telemetry_set_id)),
         method=title_of(run.method),
         by=names.person(run.launched_by),
-        fit=summary.get("status"),
-        fit_level=level_of_result(summary),
+        fit=_fit(summary.get("status"), level),
+        fit_level=level,
         advice=summary.get("advice") or "",
         rms=_from_to(before, after),
         validation=_from_to(*(summary.get(f"validation_rms_{when}_arc_rad") for when in ("initial", "final"))),
@@ -161,6 +163,11 @@ def line_of(run: Run, names: Names) -> Line:
         fraction=(run.progress or {}).get("fraction") if run.state in {"RUNNING", "CANCELLING"} else None,
         seconds=seconds_of(run),
     )
+
+
+def _fit(status: str | None, level: str) -> str | None:
+    """Say how a fit ended; of one that converged, in the words of its page, what its level shows."""
+    return WORD_OF_LEVEL.get(level, status) if status == "converged" else status
 
 
 def _from_to(before: float | None, after: float | None) -> str:
