@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
 from boresight.services.drift import GROUND_SHIFTED, judge
@@ -21,6 +22,8 @@ from boresight.store.tables import Alarm, ParameterSet, Run, Sensor
 
 STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
+#: What was found of a sensor's ground calibration, by store and sensor, with what it rests on: every page asks.
+_judged: WeakKeyDictionary[Any, dict[int, tuple[Any, bool]]] = WeakKeyDictionary()
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
 
@@ -71,7 +74,7 @@ def fleet_overview(session: Session) -> list[SensorTile]:
     """Return a tile for every sensor, by name."""
     baselines, runs, counts = rows.baselines(session), rows.last_runs(session), rows.set_counts(session)
     waiting, onboard = rows.waiting_approvals(session), rows.onboard_sets(session)
-    drifting = _drifting(session)
+    drifting, stamps = _drifting(session), trends.stamps(session)
     tiles = []
     for sensor in rows.sensors(session):
         known = Known(
@@ -83,16 +86,22 @@ def fleet_overview(session: Session) -> list[SensorTile]:
             days=days_since(baselines.get(sensor.id)),
             drift=drifting.get(sensor.id),
         )
-        tiles.append(_tile(sensor, replace(known, ground_shifted=_ground_shifted(session, sensor, known))))
+        shifted = _ground_shifted(session, sensor, known, stamps.get(sensor.id))
+        tiles.append(_tile(sensor, replace(known, ground_shifted=shifted)))
     return tiles
 
 
-def _ground_shifted(session: Session, sensor: Sensor, known: Known) -> bool:
+def _ground_shifted(session: Session, sensor: Sensor, known: Known, stamp: Any) -> bool:
     """Whether a ground calibration does not hold; asked only where nothing worse hides the answer, for it reads every run."""
-    measured = known.baseline is None or known.baseline.run_id is not None
-    if measured or known.last_run is None or any(word in WORSE_THAN_NORMAL for word, _ in findings(known)):
+    if known.baseline is None or known.baseline.run_id is not None or stamp is None:
         return False
-    return judge(trend_of(session, sensor.id)).verdict == "GROUND SHIFT"
+    if any(word in WORSE_THAN_NORMAL for word, _ in findings(known)):
+        return False
+    judged = _judged.setdefault(session.get_bind().engine, {})
+    rests_on = (known.baseline.id, sensor.version, stamp)
+    if judged.get(sensor.id, (None, False))[0] != rests_on:
+        judged[sensor.id] = rests_on, judge(trend_of(session, sensor.id)).verdict == "GROUND SHIFT"
+    return judged[sensor.id][1]
 
 
 def _drifting(session: Session) -> dict[int | None, Alarm]:

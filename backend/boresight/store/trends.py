@@ -18,6 +18,13 @@ def finished(session: Session, sensor_id: int) -> Sequence[Any]:
     return session.execute(query.order_by(Run.id)).all()
 
 
+def stamps(session: Session) -> dict[int, tuple[int, str | None]]:
+    """Return of each sensor how many of its runs succeeded, and when the last of them ended: it changes when a trend does."""
+    counted = sa.select(Run.sensor_id, sa.func.count(Run.id), sa.func.max(Run.ended_utc))
+    rows = session.execute(counted.where(Run.state == "SUCCEEDED").group_by(Run.sensor_id))
+    return {sensor_id: (count, ended_utc) for sensor_id, count, ended_utc in rows}
+
+
 def telemetry(session: Session, sensor_id: int) -> dict[int, TelemetrySet]:
     """Return all telemetry sets of a sensor, and those that its runs used, by number."""
     used = sa.select(Run.telemetry_set_id).where(Run.sensor_id == sensor_id)
