@@ -90,7 +90,7 @@ def test_what_nobody_foresaw_tells_its_request_id_and_nothing_else(
 @pytest.mark.parametrize(
     "broken",
     [
-        "boresight.services.runs.list_runs",  # what the page shows
+        "boresight.pages.runs.page_of",  # what the page shows
         "boresight.pages.rendering.frame_of",  # what every page shows
         "boresight.api.dependencies.reading",  # the database itself
     ],

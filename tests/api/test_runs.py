@@ -119,7 +119,8 @@ def test_a_partial_result_is_shown_while_it_computes(house: House) -> None:
         session.get_one(Run, run["id"]).progress = {"fraction": 0.1, "message": "frame 3", "partial": partial}
     client = house.person("victor")
     assert client.get(f"/api/v1/runs/{run['id']}/result").json() == partial
-    assert client.get(f"/api/v1/runs/{run['id']}").json()["progress"] == {"fraction": 0.1, "message": "frame 3"}
+    progress = client.get(f"/api/v1/runs/{run['id']}").json()["progress"]
+    assert progress == {"fraction": 0.1, "message": "frame 3", "elapsed_s": None, "at_utc": None}
 
 
 def test_the_report_is_one_file_to_keep(house: House) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -122,3 +123,15 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
     with reading(store) as session:
         (over,) = alarms.list_alarms(session)
         assert alarms.state_of(over) == "unacknowledged, returned to normal"
+
+
+def test_a_server_that_stops_does_not_wait_for_a_long_look(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, released = threading.Event(), threading.Event()
+    monkeypatch.setattr(upkeep_module, "PATIENCE_S", 0.05)
+    upkeep = Upkeep(store)
+    monkeypatch.setattr(upkeep_module.watch, "differs", lambda *_: begun.set() or not released.wait(30.0))
+    upkeep.start()
+    assert begun.wait(30.0)
+    upkeep.close()
+    assert not released.is_set()
+    released.set()

@@ -25,6 +25,9 @@ from boresight.store.sessions import Engine, reading, utc_now, writing
 log = logging.getLogger(__name__)
 
 ROUND_S = 60.0
+PATIENCE_S = (
+    5.0  # for a look at a large fleet that is under way when the server stops; what it had not written is undone
+)
 REST = 20.0
 LATE = 3.0  # rounds without a new finding, after which the last one is stale
 
@@ -78,7 +81,7 @@ class Upkeep:
 
     def close(self) -> None:
         """Stop, and write the last uses of keys; safe to call twice."""
-        self._rounds.close()
+        self._rounds.close(PATIENCE_S)
         self._rounds.take(self.write_uses)
 
     def used(self, credential: str) -> None:
