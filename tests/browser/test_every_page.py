@@ -47,7 +47,7 @@ ADDRESSES = {
     "forbidden": "/",
 }
 VISITORS = {"log-in": None} | dict.fromkeys(("users", "webhooks", "administration"), "administrator")
-REFUSED = {"no-such-page": 404, "forbidden": 403, "campaign-launch": 422}  # a browser complains; the last has no sensor
+REFUSED = {"no-such-page": 404, "forbidden": 403}  # a browser complains of these
 LISTS = ("approvals", "timeline", "parameter-sets", "set-gates", "users", "audit")
 CUT = """() => [...document.querySelectorAll(".scroll")]
     .filter(panel => panel.scrollWidth > panel.clientWidth).map(panel => panel.ariaLabel)"""
