@@ -157,26 +157,44 @@ def _wang_star(x, pitch, row_px, col_px, w):
 
 
 @_jit
-def _stars(model, x, pitch, row_px, col_px, w):
-    """Fill the first rows of `w` (at least n_stars, 20) with the stars of one exposure; asking the model once keeps this fast."""
+def _stars(model, x, pitch, row_px, col_px, first, n, w):
+    """Fill the first rows of `w` (at least n, 20) with n stars from `first` on; asking the model once keeps this fast."""
     if model == _INVERTED_WANG:
-        for i in range(row_px.shape[0]):
-            _wang_star(x, pitch, row_px[i], col_px[i], w[i])
+        for i in range(n):
+            _wang_star(x, pitch, row_px[first + i], col_px[first + i], w[i])
     else:
-        for i in range(row_px.shape[0]):
-            _pinhole_star(x, pitch, row_px[i], col_px[i], w[i])
+        for i in range(n):
+            _pinhole_star(x, pitch, row_px[first + i], col_px[first + i], w[i])
 
 
 @_jit
-def _directions(model, x, pitch, row_px, col_px, w):
+def _directions(model, x, pitch, row_px, col_px, first, n, w):
     """Fill the directions alone, the first three numbers of each row of `w`, where no derivative is asked for."""
-    for i in range(row_px.shape[0]):
+    for i in range(n):
         if model == _INVERTED_WANG:
-            tx, ty, _, _, _, _, _ = _wang_tangents(x, pitch, row_px[i], col_px[i])
+            tx, ty, _, _, _, _, _ = _wang_tangents(x, pitch, row_px[first + i], col_px[first + i])
         else:
-            tx, ty, _, _ = _pinhole_tangents(x, pitch, row_px[i], col_px[i])
+            tx, ty, _, _ = _pinhole_tangents(x, pitch, row_px[first + i], col_px[first + i])
         norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
         w[i, 0], w[i, 1], w[i, 2] = tx * norm, ty * norm, norm
+
+
+@_jit
+def _free_columns(w, n, free, scale):
+    """Turn the derivatives of n stars into those by the free parameters in units of `scale`, zero beyond; `free` ascends."""
+    n_free = free.shape[0]
+    if n_free == N_PARAMETERS:
+        for i in range(n):
+            for p in range(N_PARAMETERS):
+                w[i, _T_X + p] *= scale[p]
+                w[i, _T_Y + p] *= scale[p]
+        return
+    for i in range(n):
+        for p in range(n_free):  # nothing is overwritten before it is read
+            w[i, _T_X + p] = w[i, _T_X + free[p]] * scale[p]
+            w[i, _T_Y + p] = w[i, _T_Y + free[p]] * scale[p]
+        for p in range(n_free, N_PARAMETERS):
+            w[i, _T_X + p], w[i, _T_Y + p] = 0.0, 0.0
 
 
 @_jit
@@ -191,60 +209,58 @@ def _arclength(w, i, j):
 
 
 @_jit
-def _arc(w, i, j, h):
-    """Return the measured arc between stars i and j and fill its derivative row `h` (8,)."""
-    phi, c, s = _arclength(w, i, j)
-    ki, kj = w[i, 3] / s, w[j, 3] / s
-    ix, iy = ki * (c * w[i, 0] - w[j, 0]), ki * (c * w[i, 1] - w[j, 1])
-    jx, jy = kj * (c * w[j, 0] - w[i, 0]), kj * (c * w[j, 1] - w[i, 1])
-    for p in range(N_PARAMETERS):
-        h[p] = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
-    return phi
+def _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scale, w, e, H, at):
+    """Whitened residuals `e` and scaled Jacobian `H` (., 8) of one exposure, from row `at` on; returns its sum of squares.
 
-
-@_jit
-def _exposure_rows(model, x, pitch, row_px, col_px, phi, band, free, scale, w, h, e, H):
-    """Whitened residuals `e` and scaled Jacobian `H` of one exposure; returns its unweighted sum of squares.
-
-    The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82). `free` ascends.
+    The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82). The exposure
+    has n stars from `s0` and its arcs from `a0` on. Places are passed instead of slices, and the loops over parameters have
+    constant length: a slice counts references, a loop of unknown length is not unrolled, and both cost half as much again.
     """
-    n = row_px.shape[0]
-    n_free = free.shape[0]
-    _stars(model, x, pitch, row_px, col_px, w)
+    _stars(model, x, pitch, row_px, col_px, s0, n, w)
+    _free_columns(w, n, free, scale)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
-        residual = _arc(w, i, i + 1 + a % 2, h) - phi[a]
+        j = i + 1 + a % 2
+        phi_a, c, sine = _arclength(w, i, j)
+        residual = phi_a - phi[a0 + a]
         total += residual * residual
-        inverse = 1.0 / band[a, 4]
-        first = max(0, a - HALF_BANDWIDTH)
-        for b in range(first, a):
-            residual -= band[a, 4 - a + b] * e[b]
-        e[a] = residual * inverse
-        for p in range(n_free):
-            h[p] = h[free[p]] * scale[p]  # free ascends, so nothing is overwritten before it is read
-        for b in range(first, a):
-            share = band[a, 4 - a + b]
-            for p in range(n_free):
-                h[p] -= share * H[b, p]
-        for p in range(n_free):
-            H[a, p] = h[p] * inverse
+        ki, kj = w[i, 3] / sine, w[j, 3] / sine
+        ix, iy = ki * (c * w[i, 0] - w[j, 0]), ki * (c * w[i, 1] - w[j, 1])
+        jx, jy = kj * (c * w[j, 0] - w[i, 0]), kj * (c * w[j, 1] - w[i, 1])
+        row = at + a
+        inverse = 1.0 / band[a0 + a, 4]
+        if a >= HALF_BANDWIDTH:
+            l4, l3, l2, l1 = band[a0 + a, 0], band[a0 + a, 1], band[a0 + a, 2], band[a0 + a, 3]
+            for p in range(N_PARAMETERS):
+                h = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
+                h -= l4 * H[row - 4, p] + l3 * H[row - 3, p] + l2 * H[row - 2, p] + l1 * H[row - 1, p]
+                H[row, p] = h * inverse
+            residual -= l4 * e[row - 4] + l3 * e[row - 3] + l2 * e[row - 2] + l1 * e[row - 1]
+        else:
+            for p in range(N_PARAMETERS):
+                h = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
+                for b in range(a):
+                    h -= band[a0 + a, 4 - a + b] * H[at + b, p]
+                H[row, p] = h * inverse
+            for b in range(a):
+                residual -= band[a0 + a, 4 - a + b] * e[at + b]
+        e[row] = residual * inverse
     return total
 
 
 @_jit
-def _exposure_residuals(model, x, pitch, row_px, col_px, phi, band, w, e):
-    """Whitened residuals `e` of one exposure without derivatives; returns its unweighted sum of squares."""
-    n = row_px.shape[0]
-    _directions(model, x, pitch, row_px, col_px, w)
+def _exposure_residuals(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, w, e, at):
+    """Whitened residuals `e` of one exposure, from row `at` on, without derivatives; returns its unweighted sum of squares."""
+    _directions(model, x, pitch, row_px, col_px, s0, n, w)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
-        residual = _arclength(w, i, i + 1 + a % 2)[0] - phi[a]
+        residual = _arclength(w, i, i + 1 + a % 2)[0] - phi[a0 + a]
         total += residual * residual
         for b in range(max(0, a - HALF_BANDWIDTH), a):
-            residual -= band[a, 4 - a + b] * e[b]
-        e[a] = residual / band[a, 4]
+            residual -= band[a0 + a, 4 - a + b] * e[at + b]
+        e[at + a] = residual / band[a0 + a, 4]
     return total
 
 
@@ -283,7 +299,7 @@ def rays_and_jacobians(model, x, pitch, row_px, col_px, s, D):
     one = np.empty((1, _STAR))
     w = one[0]
     for i in range(row_px.shape[0]):
-        _stars(model, x, pitch, row_px[i : i + 1], col_px[i : i + 1], one)
+        _stars(model, x, pitch, row_px, col_px, i, 1, one)
         s[i, 0], s[i, 1], s[i, 2] = w[0], w[1], w[2]
         for p in range(D.shape[2]):
             x_p, y_p = w[3] * w[_T_X + p], w[3] * w[_T_Y + p]
@@ -300,37 +316,37 @@ def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, fre
     """
     most = _largest_exposure(star_start)
     n_free = free.shape[0]
-    w, h = np.empty((most, _STAR)), np.empty(N_PARAMETERS)
-    e, H = np.empty(2 * most), np.empty((2 * most, n_free))
-    A[:] = 0.0
-    b[:] = 0.0
+    w, e, H = np.empty((most, _STAR)), np.empty(2 * most), np.empty((2 * most, N_PARAMETERS))
+    C, g = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
     chi2 = 0.0
     total = 0.0
     for k in range(star_start.shape[0] - 1):
-        s0, s1 = star_start[k], star_start[k + 1]
-        a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
+        s0 = star_start[k]
+        n = star_start[k + 1] - s0
         total += _exposure_rows(
-            model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h, e, H
+            model, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, free, scale, w, e, H, 0
         )
-        for a in range(a1 - a0):
+        for a in range(2 * n - 3):
             size = abs(e[a])
-            if size > threshold:
-                chi2 += threshold * (2.0 * size - threshold)
-                weight = threshold / size
-                e[a] *= weight
-                for p in range(n_free):
-                    b[p] += H[a, p] * e[a]
-                    for q in range(p + 1):
-                        A[p, q] += weight * H[a, p] * H[a, q]
+            if size <= threshold:
+                chi2 += size * size
                 continue
-            chi2 += e[a] * e[a]
-            for p in range(n_free):
-                b[p] += H[a, p] * e[a]
-                for q in range(p + 1):
-                    A[p, q] += H[a, p] * H[a, q]
+            chi2 += threshold * (2.0 * size - threshold)
+            root = math.sqrt(threshold / size)  # so that the products below hold the weight once
+            e[a] *= root
+            for p in range(N_PARAMETERS):
+                H[a, p] *= root
+        for a in range(2 * n - 3):
+            value = e[a]
+            for p in range(N_PARAMETERS):
+                h = H[a, p]
+                g[p] += h * value
+                for q in range(N_PARAMETERS):  # the whole square: a triangle is not unrolled
+                    C[p, q] += h * H[a, q]
     for p in range(n_free):
-        for q in range(p):
-            A[q, p] = A[p, q]
+        b[p] = g[p]
+        for q in range(p + 1):
+            A[p, q] = A[q, p] = C[p, q]
     return chi2, total
 
 
@@ -344,10 +360,10 @@ def count_beyond(model, x, pitch, star_start, row_px, col_px, phi, band, thresho
     w, e = np.empty((most, _STAR)), np.empty(2 * most)
     beyond, total = 0, 0.0
     for k in range(star_start.shape[0] - 1):
-        s0, s1 = star_start[k], star_start[k + 1]
-        a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
-        _exposure_residuals(model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e)
-        for a in range(a1 - a0):
+        s0 = star_start[k]
+        n = star_start[k + 1] - s0
+        _exposure_residuals(model, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, w, e, 0)
+        for a in range(2 * n - 3):
             size = abs(e[a])
             beyond += size > threshold
             total += min(size, threshold) ** 2
@@ -361,7 +377,7 @@ def residuals(model, x, pitch, star_start, row_px, col_px, phi, e):
     for k in range(star_start.shape[0] - 1):
         s0, s1 = star_start[k], star_start[k + 1]
         a0 = 2 * s0 - 3 * k
-        _directions(model, x, pitch, row_px[s0:s1], col_px[s0:s1], w)
+        _directions(model, x, pitch, row_px, col_px, s0, s1 - s0, w)
         for a in range(2 * (s1 - s0) - 3):
             e[a0 + a] = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
 
@@ -378,7 +394,7 @@ def sums_of_squares(model, states, pitch, star_start, row_px, col_px, phi, total
         for k in range(star_start.shape[0] - 1):
             s0, s1 = star_start[k], star_start[k + 1]
             a0 = 2 * s0 - 3 * k
-            _directions(model, states[m], pitch, row_px[s0:s1], col_px[s0:s1], w)
+            _directions(model, states[m], pitch, row_px, col_px, s0, s1 - s0, w)
             for a in range(2 * (s1 - s0) - 3):
                 residual = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
                 total += residual * residual
@@ -388,26 +404,18 @@ def sums_of_squares(model, states, pitch, star_start, row_px, col_px, phi, total
 @_jit
 def whitened_rows(model, x, pitch, star_start, row_px, col_px, phi, band, free, scale, e, H):
     """Fill whitened `e` (n_arcs,) and `H` (n_arcs, n_free) of several exposures. Called by `estimation.filters.extended`."""
-    w, h = np.empty((_largest_exposure(star_start), _STAR)), np.empty(N_PARAMETERS)
+    most, n_free = _largest_exposure(star_start), free.shape[0]
+    w, one = np.empty((most, _STAR)), np.empty((2 * most, N_PARAMETERS))
+    whitened = np.empty(2 * most)
     total = 0.0
     for k in range(star_start.shape[0] - 1):
-        s0, s1 = star_start[k], star_start[k + 1]
-        a0, a1 = 2 * s0 - 3 * k, 2 * s1 - 3 * (k + 1)
-        total += _exposure_rows(
-            model,
-            x,
-            pitch,
-            row_px[s0:s1],
-            col_px[s0:s1],
-            phi[a0:a1],
-            band[a0:a1],
-            free,
-            scale,
-            w,
-            h,
-            e[a0:a1],
-            H[a0:a1],
-        )
+        s0 = star_start[k]
+        n, a0 = star_start[k + 1] - s0, 2 * s0 - 3 * k
+        total += _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scale, w, whitened, one, 0)
+        for a in range(2 * n - 3):
+            e[a0 + a] = whitened[a]
+            for p in range(n_free):
+                H[a0 + a, p] = one[a, p]
     return total
 
 
@@ -492,12 +500,10 @@ def _frame_residuals(model, x, pitch, first, last, star_start, row_px, col_px, p
     total = 0.0
     n_arcs = 0
     for m in range(first, last):
-        s0, s1 = star_start[m], star_start[m + 1]
-        a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
-        total += _exposure_residuals(
-            model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], w, e[n_arcs:]
-        )
-        n_arcs += a1 - a0
+        s0 = star_start[m]
+        n = star_start[m + 1] - s0
+        total += _exposure_residuals(model, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, w, e, n_arcs)
+        n_arcs += 2 * n - 3
     return total
 
 
@@ -528,8 +534,8 @@ def square_root_filter(
     n_free = free.shape[0]
     n_frames = frame_start.shape[0] - 1
     most_arcs = _largest_frame(frame_start, star_start)
-    w, h = np.empty((_largest_exposure(star_start), _STAR)), np.empty(N_PARAMETERS)
-    e, H, post = np.empty(most_arcs), np.zeros((most_arcs, N_PARAMETERS)), np.empty(most_arcs)
+    w = np.empty((_largest_exposure(star_start), _STAR))
+    e, H, post = np.empty(most_arcs), np.empty((most_arcs, N_PARAMETERS)), np.empty(most_arcs)
     z_prior, z_at, S_prior = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty((N_PARAMETERS, N_PARAMETERS)).T
     f, gain, M, x0 = (
         np.empty(N_PARAMETERS),
@@ -551,13 +557,12 @@ def square_root_filter(
             z_at[:] = z
             n_arcs = 0
             for m in range(frame_start[k], frame_start[k + 1]):
-                s0, s1 = star_start[m], star_start[m + 1]
-                a0, a1 = 2 * s0 - 3 * m, 2 * s1 - 3 * (m + 1)
+                s0 = star_start[m]
+                n = star_start[m + 1] - s0
                 _exposure_rows(
-                    model, x, pitch, row_px[s0:s1], col_px[s0:s1], phi[a0:a1], band[a0:a1], free, scale, w, h,
-                    e[n_arcs:], H[n_arcs:],
-                )  # fmt: skip
-                n_arcs += a1 - a0
+                    model, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, free, scale, w, e, H, n_arcs
+                )
+                n_arcs += 2 * n - 3
             z[:] = z_prior
             S[:] = S_prior
             frame_nis = 0.0

@@ -13,6 +13,7 @@ from __future__ import annotations
 import resource
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.studies import matching_speed, peers, singular_speed
+from boresight.studies import c_peer, matching_speed, peers, singular_speed
 from boresight.studies.processes import run_on_one_thread
 from boresight.studies.repeats import fastest
 
@@ -81,6 +82,8 @@ def measure(frames: int = 2000, report: Callable[[float, str], None] | None = No
     matching, beside = matching_speed.measure(frames, np.random.default_rng(seed))
     ours |= matching
     beside |= _peers(arcs, x_0, scale, tell)
+    tell(0.93, "peer: C")
+    beside |= _c_peers(arcs, x_0, scale)
     tell(0.95, "update by singular values")
     updates, peers_of_updates = _singular_updates()
     ours |= updates
@@ -147,6 +150,21 @@ def _peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray, tell: Callable[[flo
         tell(0.6 + 0.1 * turn, f"peer: {name}")
         times[name] = fastest(run, repeats=2) / n_frames
     return {f"{name}_us_per_frame": seconds * 1e6 for name, seconds in times.items()}
+
+
+def _c_peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray) -> dict[str, float]:
+    """Time the same arithmetic in C, microseconds a frame: the evaluation, and the filter; empty without a C compiler."""
+    pooled = pool_start(arcs, START_ARCS_PER_PARAMETER * len(x_0))
+    per_frame = 1e6 / arcs.n_frames
+    times = {}
+    with c_peer.compiled() as compiled:
+        for name, peer in compiled.items():
+            seconds = fastest(partial(peer.normal_equations, arcs, x_0, scale))
+            times[f"{name}_evaluation_us_per_frame"] = seconds * per_frame
+            begin = start(x_0, len(x_0), START_SIGMA)
+            seconds = fastest(partial(peer.square_root_filter, pooled, begin, scale, Tuning()), repeats=3)
+            times[f"{name}_sqrf_us_per_frame"] = seconds * per_frame
+    return times
 
 
 def synthetic(frames: int, rng: np.random.Generator) -> ArcSet:
