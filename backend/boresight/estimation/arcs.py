@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.estimation.blocks import in_blocks
 from boresight.estimation.cameras import CameraModel
 
 FloatArray = NDArray[np.float64]
@@ -148,7 +149,15 @@ def order(star_start: IntArray, s_i: FloatArray) -> tuple[IntArray, FloatArray]:
     """
     places = np.empty(len(s_i), np.int64)
     fatness = np.empty(len(star_start) - 1)
-    kernels.order_stars(star_start, np.ascontiguousarray(s_i), places, fatness)
+    s_i = np.ascontiguousarray(s_i)
+
+    def order_block(first: int, last: int) -> None:
+        s0, s1 = int(star_start[first]), int(star_start[last])
+        stars = slice(s0, s1)
+        kernels.order_stars(star_start[first : last + 1] - s0, s_i[stars], places[stars], fatness[first:last])
+        places[stars] += s0
+
+    in_blocks(order_block, len(star_start) - 1)
     return places, fatness
 
 
@@ -170,7 +179,14 @@ def weigh(arcs: ArcSet, sigma_rad: FloatArray) -> tuple[ArcSet, NDArray[np.bool_
     n_arcs = 2 * arcs.n_stars - 3 * arcs.n_exposures
     phi, band = np.empty(n_arcs), np.zeros((n_arcs, kernels.HALF_BANDWIDTH + 1))
     bad = np.zeros(arcs.n_exposures, np.bool_)
-    kernels.arcs_and_factors(arcs.star_start, arcs.s_i, sigma_rad, phi, band, bad)
+
+    def weigh_block(first: int, last: int) -> None:
+        s0, s1 = int(arcs.star_start[first]), int(arcs.star_start[last])
+        stars, rows = slice(s0, s1), slice(2 * s0 - 3 * first, 2 * s1 - 3 * last)
+        starts = arcs.star_start[first : last + 1] - s0
+        kernels.arcs_and_factors(starts, arcs.s_i[stars], sigma_rad[stars], phi[rows], band[rows], bad[first:last])
+
+    in_blocks(weigh_block, arcs.n_exposures)
     return replace(arcs, phi=phi, band=band), bad
 
 

@@ -21,7 +21,7 @@ Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from boresight import kernels
 from boresight.errors import CancelledError
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.blocks import in_blocks
 from boresight.estimation.robust import insurance
 
 FloatArray = NDArray[np.float64]
@@ -108,6 +109,17 @@ class NormalEquations:
     chi2: float
     sum_of_squares: float
 
+    @classmethod
+    def added(cls, parts: Iterable[NormalEquations], n_free: int) -> NormalEquations:
+        """Add those of blocks, in their order."""
+        A, b, chi2, total = np.zeros((n_free, n_free)), np.zeros(n_free), 0.0, 0.0
+        for part in parts:
+            A += part.A
+            b += part.b
+            chi2 += part.chi2
+            total += part.sum_of_squares
+        return cls(A, b, chi2, total)
+
     def finite(self) -> bool:
         """Whether the state is one the model can be evaluated at."""
         return bool(np.isfinite(self.chi2) and np.isfinite(self.A).all() and np.isfinite(self.b).all())
@@ -129,12 +141,17 @@ def normal_equations(
     threshold
         Of Huber's loss, in whitened sigmas; infinite for least squares.
     """
-    A, b = np.empty((len(free), len(free))), np.empty(len(free))
-    chi2, total = kernels.normal_equations(
-        arcs.model, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band,
-        free, scale, threshold, A, b,
-    )  # fmt: skip
-    return NormalEquations(A, b, float(chi2), float(total))
+
+    def of_block(first: int, last: int) -> NormalEquations:
+        block = arcs.frames(first, last)
+        A, b = np.empty((len(free), len(free))), np.empty(len(free))
+        chi2, total = kernels.normal_equations(
+            block.model, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
+            free, scale, threshold, A, b,
+        )  # fmt: skip
+        return NormalEquations(A, b, float(chi2), float(total))
+
+    return NormalEquations.added(in_blocks(of_block, arcs.n_frames), len(free))
 
 
 def determined(A: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
