@@ -1,14 +1,25 @@
-"""`boresight bench`: how fast this machine calibrates, beside peers in the same run."""
+"""`boresight bench`: how fast, how lean and how right this machine calibrates, beside peers in the same run.
+
+Without `--part` the compiled loops are timed in this process. Several parts run each in a process of its own, so that none inherits
+another's memory, threads or caches, and one that fails takes no other with it. A measurement is no test: a promise that is not kept
+is marked, and the exit code is 0.
+"""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import click
+import orjson
 
 from boresight.cli.output import aligned, check_writable, json_option, write_json
 from boresight.cli.progress import progress
+from boresight.measurements import PARTS
 from boresight.settings import read_settings, use_kernel_folder
 
 LEGEND = """
@@ -20,26 +31,129 @@ svd_update: singular values of one exposure of so many stars taken in, from give
 one combination at a time by numpy.linalg.svd; numpy_lean all at once, by eigh of prefix sums and LAPACK's pivoted Cholesky."""
 
 
+def _sizes(_context: click.Context, _option: click.Parameter, words: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """Read `part.size=value` words; values are JSON."""
+    sizes: dict[str, dict[str, Any]] = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        part, dot, key = name.partition(".")
+        if not (equals and dot and key.isidentifier() and part in PARTS):
+            raise click.BadParameter(f"{word!r} is not PART.SIZE=VALUE, as in kernels.frames=500.")
+        try:
+            sizes.setdefault(part, {})[key] = orjson.loads(value)
+        except orjson.JSONDecodeError as error:
+            raise click.BadParameter(f"{value!r} in {word!r} is no JSON value.") from error
+    return sizes
+
+
 @click.command()
-@click.option("--frames", type=click.IntRange(10, 200_000), default=2000, show_default=True, help="Synthetic frames.")
+@click.option(
+    "--part",
+    "parts",
+    multiple=True,
+    type=click.Choice([*PARTS, "all"]),
+    help="What to measure; repeat it. [default: kernels]",
+)
+@click.option("--frames", type=click.IntRange(10), help="Frames of a synthetic set.  [default: each part's own; 2000]")
+@click.option(
+    "--size", "sizes", multiple=True, callback=_sizes, metavar="PART.SIZE=VALUE", help="Another size of a part."
+)
 @json_option
-def bench(frames: int, json_file: str | None) -> None:
-    """Time the estimators and the matching on synthetic frames of 12 stars in two exposures."""
+def bench(parts: tuple[str, ...], frames: int | None, sizes: dict[str, dict[str, Any]], json_file: str | None) -> None:
+    """Measure speed, memory, growth and accuracy beside peers in the same run.
+
+    Without --part the estimators and the matching are timed on synthetic frames of 12 stars in two exposures.
+    """
     check_writable(json_file)
     use_kernel_folder(read_settings())
-    with progress("compiling") as report:
-        from boresight.studies.speed import measure
-
-        measured = measure(frames, lambda fraction, message: report(message, fraction))
+    if not parts:
+        measured = _measured("kernels", frames, sizes)
+        shown = [aligned(list(_rows(measured))), LEGEND]
+    else:
+        measured = _all_parts(list(PARTS) if "all" in parts else list(dict.fromkeys(parts)), frames, sizes)
+        shown = [aligned(list(_rows(measured))), *_promises(measured["limits"])]
     write_json(measured, json_file)
     if json_file != "-":
-        click.echo(aligned(list(_rows(measured))))
-        click.echo(LEGEND)
+        click.echo("\n".join(shown))
+
+
+def _measured(part: str, frames: int | None, sizes: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Measure one part in this process."""
+    with progress("compiling") as report:
+        from boresight.measurements import measure, sizes_of
+
+        known = sizes_of(part)
+        chosen = ({"frames": frames} if frames and "frames" in known else {}) | sizes.get(part, {})
+        if unknown := chosen.keys() - known.keys():
+            raise click.UsageError(
+                f"{part} has no size {', '.join(sorted(unknown))}; it has {', '.join(sorted(known))}."
+            )
+        return measure(part, lambda fraction, message: report(f"{part}: {message}", fraction), chosen)
+
+
+def _all_parts(names: list[str], frames: int | None, sizes: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Measure parts, each in a process of its own where there are several, and gather what they promise."""
+    from boresight.measurements import limits_of
+    from boresight.measurements.machine import machine
+
+    here = machine()
+    if len(names) == 1:
+        found = {names[0]: _measured(names[0], frames, sizes)}
+    else:
+        found = {name: _in_its_own_process(name, frames, sizes.get(name, {})) for name in names}
+    return {"machine": here, **found, "limits": limits_of(found)}
+
+
+def _in_its_own_process(part: str, frames: int | None, sizes: dict[str, Any]) -> dict[str, Any]:
+    """Measure one part by this command; one that fails says so in its place."""
+    with tempfile.TemporaryDirectory(prefix="boresight-bench-") as folder:
+        answer = Path(folder) / "measured.json"
+        words = [sys.executable, "-m", "boresight", "bench", "--part", part, "--json", str(answer)]
+        words += ["--frames", str(frames)] if frames else []
+        words += [
+            word for key, value in sizes.items() for word in ("--size", f"{part}.{key}={orjson.dumps(value).decode()}")
+        ]
+        done = subprocess.run(words, stdout=subprocess.DEVNULL, check=False)  # noqa: S603 - words of our own
+        if done.returncode or not answer.exists():
+            return {
+                "failed": f"The measurement ended with exit code {done.returncode}; run --part {part} alone to see why."
+            }
+        found: dict[str, Any] = orjson.loads(answer.read_bytes())[part]
+        return found
 
 
 def _rows(measured: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Every figure with its place in the document; limits stand apart."""
     for key, value in measured.items():
+        if key == "limits":
+            continue
         if isinstance(value, Mapping):
             yield from _rows(value, f"{prefix}{key}.")
+        elif isinstance(value, list) and value and all(isinstance(row, Mapping) for row in value):
+            for place, row in enumerate(value):
+                yield from _rows(row, f"{prefix}{key}.{place}.")
         else:
             yield f"{prefix}{key}", f"{value:,.4g}" if isinstance(value, float) else str(value)
+
+
+def _promises(limits: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Lay out what is promised, what was measured, and in words whether it was kept."""
+    if not limits:
+        return
+    heads = ("promise", "limit", "measured", "")
+    rows = [(name, _bound(limit), _number(limit["measured"]), _verdict(limit)) for name, limit in limits.items()]
+    yield ""
+    yield aligned([heads, *rows])
+
+
+def _bound(limit: Mapping[str, Any]) -> str:
+    """Limit with its direction and unit."""
+    return f"{'at least' if limit.get('at_least') else 'at most'} {_number(limit['limit'])} {limit.get('unit', '')}".strip()
+
+
+def _number(value: Any) -> str:
+    return f"{value:,.4g}" if isinstance(value, (int, float)) and not isinstance(value, bool) else str(value)
+
+
+def _verdict(limit: Mapping[str, Any]) -> str:
+    return {True: "kept", False: "NOT KEPT"}.get(limit["kept"], "not measured")
