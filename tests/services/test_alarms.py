@@ -44,7 +44,7 @@ def _events(session: Session, row: Alarm) -> list[str]:
 def test_a_condition_raises_one_alarm_and_looking_again_writes_nothing(session: Session, alarm: Alarm) -> None:
     assert alarms.state_of(alarm) == "unacknowledged, active"
     before = session.scalar(sa.select(sa.func.count()).select_from(AuditRecord))
-    assert not watch.differs(session, BROKEN)
+    assert not watch.chain_changed(session, BROKEN)
     assert watch.watch_chain(session, BROKEN) + watch.watch(session) == 0
     assert session.scalar(sa.select(sa.func.count()).select_from(AuditRecord)) == before
     assert alarms.unacknowledged(session) == 1
@@ -53,7 +53,7 @@ def test_a_condition_raises_one_alarm_and_looking_again_writes_nothing(session: 
 def test_it_returns_by_itself_and_stays_until_a_person_has_seen_it(
     session: Session, alarm: Alarm, people: Mapping[str, Actor]
 ) -> None:
-    assert watch.differs(session, None)
+    assert watch.chain_changed(session, None)
     watch.watch_chain(session, None)
     assert alarms.state_of(alarm) == "unacknowledged, returned to normal"
     assert alarms.unacknowledged(session) == 1
@@ -165,10 +165,11 @@ def test_an_old_baseline_and_a_failed_read_back_raise_alarms(session: Session) -
     row.baseline_from_utc, row.onboard_state = utc_after(-200 * 86400), "MISMATCH"
     audit.append(session, Actor(None, "x", "X", frozenset(), "system"), "aged", "parameter-sets/1")
     assert watch.watch(session, [2]) == 0
+    assert watch.changed_sensors(session) == [1]
     assert watch.watch(session, [1]) == 2
     found = {alarm.kind: alarm.level for alarm in alarms.list_alarms(session)}
     assert found == {"MISMATCH": "critical", "AGE": "caution"}
-    assert not watch.differs(session, None)
+    assert watch.changed_sensors(session) == []
 
 
 def test_a_drift_raises_an_alarm_and_a_promotion_lets_it_return(session: Session) -> None:

@@ -114,11 +114,12 @@ class Upkeep:
         known = self._found.state in {"verified", "broken"}
         broken = chain_condition(self._found.state, self._found.sentence)
         with reading(self._database) as session:
-            if not watch.differs(session, broken):
-                return
+            sensor_ids, chain = watch.changed_sensors(session), known and watch.chain_changed(session, broken)
+        if not sensor_ids and not chain:
+            return
         with writing(self._database) as session:
-            watch.watch(session)
-            if known:
+            watch.watch(session, sensor_ids)
+            if chain:
                 watch.watch_chain(session, broken)
 
     def light(self) -> Light:

@@ -13,15 +13,16 @@ A sentence says nothing that changes by the passing of time alone, so that looki
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
-from boresight.services import drift
 from boresight.services.fleet import OLD_DAYS, days_since
-from boresight.services.trend import trend_of
+from boresight.services.judgements import Judgement, judgement
 from boresight.store import sensors as rows
+from boresight.store import trends
 from boresight.store.sessions import Session, utc_text
 from boresight.store.tables import ParameterSet, Sensor
 
@@ -54,14 +55,16 @@ class Condition:
 
 def conditions(session: Session, sensor_ids: Sequence[int] | None = None) -> list[Condition]:
     """Return what is wrong with the fleet, or with some of its sensors."""
-    baselines, onboard = rows.baselines(session), rows.onboard_sets(session)
-    fleet = [sensor for sensor in rows.sensors(session) if sensor_ids is None or sensor.id in sensor_ids]
+    baselines, stamps = rows.baselines(session, sensor_ids), trends.stamps(session, sensor_ids)
+    onboard = defaultdict[int, list[ParameterSet]](list)
+    for row in rows.onboard_sets(session, sensor_ids):
+        onboard[row.sensor_id].append(row)
     return [
         found
-        for sensor in fleet
+        for sensor in rows.sensors(session, sensor_ids)
         for found in (
-            *_mismatches(sensor, [row for row in onboard if row.sensor_id == sensor.id]),
-            *_drift(session, sensor),
+            *_mismatches(sensor, onboard[sensor.id]),
+            *_drift(sensor, judgement(session, sensor, baselines.get(sensor.id), stamps.get(sensor.id))),
             *_age(sensor, baselines.get(sensor.id)),
         )
     ]
@@ -77,12 +80,11 @@ def chain_condition(state: str, sentence: str) -> Condition | None:
     return Condition(CHAIN, None, "CHAIN", "critical", sentence) if state == "broken" else None
 
 
-def _drift(session: Session, sensor: Sensor) -> Iterator[Condition]:
+def _drift(sensor: Sensor, found: Judgement) -> Iterator[Condition]:
     """Ask whether the parameters hold."""
-    found = drift.judge(trend_of(session, sensor.id))
     if found.verdict == "DRIFT":
         sentence = f"{sensor.name} drifts. {found.sentence}"
-        yield Condition(source_of(sensor.id, "DRIFT"), sensor.id, "DRIFT", "serious", sentence, drift.document(found))
+        yield Condition(source_of(sensor.id, "DRIFT"), sensor.id, "DRIFT", "serious", sentence, found.document)
 
 
 def _age(sensor: Sensor, baseline: ParameterSet | None) -> Iterator[Condition]:

@@ -10,11 +10,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
-from weakref import WeakKeyDictionary
 
 from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
-from boresight.services.drift import GROUND_SHIFTED, judge
-from boresight.services.trend import trend_of
+from boresight.services.drift import GROUND_SHIFTED
+from boresight.services.judgements import judgement
 from boresight.store import alarms, trends
 from boresight.store import sensors as rows
 from boresight.store.sessions import Session, utc_now
@@ -22,8 +21,6 @@ from boresight.store.tables import Alarm, ParameterSet, Run, Sensor
 
 STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
-#: What was found of a sensor's ground calibration, by store and sensor, with what it rests on: every page asks.
-_judged: WeakKeyDictionary[Any, dict[int, tuple[Any, bool]]] = WeakKeyDictionary()
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
 
@@ -97,11 +94,7 @@ def _ground_shifted(session: Session, sensor: Sensor, known: Known, stamp: Any) 
         return False
     if any(word in WORSE_THAN_NORMAL for word, _ in findings(known)):
         return False
-    judged = _judged.setdefault(session.get_bind().engine, {})
-    rests_on = (known.baseline.id, sensor.version, stamp)
-    if judged.get(sensor.id, (None, False))[0] != rests_on:
-        judged[sensor.id] = rests_on, judge(trend_of(session, sensor.id)).verdict == "GROUND SHIFT"
-    return judged[sensor.id][1]
+    return judgement(session, sensor, known.baseline, stamp).verdict == "GROUND SHIFT"
 
 
 def _drifting(session: Session) -> dict[int | None, Alarm]:

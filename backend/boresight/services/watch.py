@@ -29,17 +29,27 @@ def watch_chain(session: Session, broken: Condition | None) -> int:
     return _settle(session, *_chain_compared(session, broken))
 
 
-def differs(session: Session, broken: Condition | None) -> bool:
-    """Whether `watch` or `watch_chain` would change anything; reads only, so it keeps no writer waiting."""
-    pairs = (_compared(session, None), _chain_compared(session, broken))
-    return bool(rows.overdue_shelves(session)) or any(
-        any(source not in known or _is_news(known[source], one) for source, one in found.items())
-        or any(row.active and source not in found for source, row in known.items())
-        for found, known in pairs
-    )
+def changed_sensors(session: Session) -> list[int]:
+    """Return the sensors for which `watch` would change an alarm; reads only, so it keeps no writer waiting."""
+    found, known = _compared(session, None)
+    shelved = {row.sensor_id for row in rows.overdue_shelves(session)}
+    moved = {(found.get(source) or known[source]).sensor_id for source in _differing(found, known)}
+    return sorted(sensor_id for sensor_id in shelved | moved if sensor_id is not None)
+
+
+def chain_changed(session: Session, broken: Condition | None) -> bool:
+    """Whether `watch_chain` would change an alarm; reads only."""
+    overdue = any(row.sensor_id is None for row in rows.overdue_shelves(session))
+    return overdue or bool(_differing(*_chain_compared(session, broken)))
 
 
 Compared = tuple[Mapping[str, Condition], Mapping[str, Alarm]]
+
+
+def _differing(found: Mapping[str, Condition], known: Mapping[str, Alarm]) -> set[str]:
+    """Return the sources of which what is so now and what the alarms say differ."""
+    news = {source for source, one in found.items() if source not in known or _is_news(known[source], one)}
+    return news | {source for source, row in known.items() if row.active and source not in found}
 
 
 def _compared(session: Session, sensor_ids: Sequence[int] | None) -> Compared:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -15,15 +16,16 @@ def sensor_named(session: Session, name: str) -> Sensor | None:
     return session.scalar(sa.select(Sensor).where(Sensor.name == name))
 
 
-def sensors(session: Session) -> Sequence[Sensor]:
-    """Return the fleet, by name."""
-    return session.scalars(sa.select(Sensor).order_by(Sensor.name)).all()
+def sensors(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[Sensor]:
+    """Return the fleet, or some of it, by name."""
+    query = sa.select(Sensor).where(*_of(Sensor.id, sensor_ids))
+    return session.scalars(query.order_by(Sensor.name)).all()
 
 
-def baselines(session: Session) -> dict[int, ParameterSet]:
-    """Return each sensor's baseline, by sensor."""
+def baselines(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, ParameterSet]:
+    """Return each sensor's baseline, or those of some, by sensor."""
     query = sa.select(ParameterSet).where(ParameterSet.ground_state == "BASELINE")
-    return {row.sensor_id: row for row in session.scalars(query)}
+    return {row.sensor_id: row for row in session.scalars(query.where(*_of(ParameterSet.sensor_id, sensor_ids)))}
 
 
 def last_runs(session: Session) -> dict[int, Run]:
@@ -44,7 +46,12 @@ def waiting_approvals(session: Session) -> dict[int, str]:
     return {sensor_id: name for sensor_id, name in session.execute(query)}  # noqa: C416 - rows are not pairs to a type checker
 
 
-def onboard_sets(session: Session) -> Sequence[ParameterSet]:
+def onboard_sets(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[ParameterSet]:
     """Return the sets whose on-board state says something about what a sensor runs with."""
-    words = ("ACTIVE", "MISMATCH")
-    return session.scalars(sa.select(ParameterSet).where(ParameterSet.onboard_state.in_(words))).all()
+    query = sa.select(ParameterSet).where(ParameterSet.onboard_state.in_(("ACTIVE", "MISMATCH")))
+    return session.scalars(query.where(*_of(ParameterSet.sensor_id, sensor_ids))).all()
+
+
+def _of(column: Any, sensor_ids: Collection[int] | None) -> list[sa.ColumnElement[bool]]:
+    """Keep to some sensors where some are named."""
+    return [] if sensor_ids is None else [column.in_(sensor_ids)]

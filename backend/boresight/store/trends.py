@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -18,9 +18,11 @@ def finished(session: Session, sensor_id: int) -> Sequence[Any]:
     return session.execute(query.order_by(Run.id)).all()
 
 
-def stamps(session: Session) -> dict[int, tuple[int, str | None]]:
+def stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, tuple[int, str | None]]:
     """Return of each sensor how many of its runs succeeded, and when the last of them ended: it changes when a trend does."""
     counted = sa.select(Run.sensor_id, sa.func.count(Run.id), sa.func.max(Run.ended_utc))
+    if sensor_ids is not None:
+        counted = counted.where(Run.sensor_id.in_(sensor_ids))
     rows = session.execute(counted.where(Run.state == "SUCCEEDED").group_by(Run.sensor_id))
     return {sensor_id: (count, ended_utc) for sensor_id, count, ended_utc in rows}
 

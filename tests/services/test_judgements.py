@@ -1,0 +1,49 @@
+"""What is remembered of drift: as good as a judgement made anew, and made anew when anything it rests on changed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from boresight.services import drift, judgements
+from boresight.services.conditions import conditions
+from boresight.services.trend import trend_of
+from boresight.store import sensors, trends
+from boresight.store.sessions import Session
+from tests.missions import add_run, add_set, make_baseline
+
+
+def _remembered(session: Session) -> judgements.Judgement:
+    (sensor,) = sensors.sensors(session, [1])
+    return judgements.judgement(session, sensor, sensors.baselines(session)[1], trends.stamps(session).get(1))
+
+
+def test_it_equals_a_judgement_made_anew_after_every_change_of_the_trend(session: Session) -> None:
+    rng = np.random.default_rng(1)
+    verdicts = []
+
+    def look() -> None:
+        found = drift.judge(trend_of(session, 1))
+        remembered = _remembered(session)
+        assert (remembered.verdict, remembered.sentence) == (found.verdict, found.sentence)
+        assert remembered.document == drift.document(found)
+        verdicts.append(found.verdict)
+
+    look()
+    first = add_run(session, add_set(session, 1, 0), rng)
+    look()
+    make_baseline(session, first)
+    look()
+    moved = add_run(session, add_set(session, 1, 90), rng, np.eye(8)[0])
+    look()
+    make_baseline(session, moved)
+    look()
+    assert "DRIFT" in verdicts
+    assert verdicts[-1] != "DRIFT"
+
+
+def test_a_second_look_at_an_unchanged_fleet_reads_no_run(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    add_run(session, add_set(session, 1, 0), np.random.default_rng(1))
+    before = conditions(session)
+    monkeypatch.setattr(judgements, "trend_of", lambda *_: pytest.fail("a trend was read again"))
+    assert conditions(session) == before
