@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from boresight.services import drift, judgements
+from boresight.services import audit, drift, judgements
+from boresight.services.actors import COMMAND_LINE
 from boresight.services.conditions import conditions
 from boresight.services.trend import trend_of
 from boresight.store import sensors, trends
-from boresight.store.sessions import Session
+from boresight.store.sessions import Engine, Session, reading, writing
 from tests.missions import add_run, add_set, make_baseline
 
 
@@ -42,8 +43,13 @@ def test_it_equals_a_judgement_made_anew_after_every_change_of_the_trend(session
     assert verdicts[-1] != "DRIFT"
 
 
-def test_a_second_look_at_an_unchanged_fleet_reads_no_run(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    add_run(session, add_set(session, 1, 0), np.random.default_rng(1))
-    before = conditions(session)
+def test_a_second_look_at_an_unchanged_fleet_reads_no_run(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    with writing(engine) as session:
+        add_run(session, add_set(session, 1, 0), np.random.default_rng(1))
+        audit.append(session, COMMAND_LINE, "calibrated", "sensors/1")
+    with reading(engine) as session:
+        before = conditions(session)
     monkeypatch.setattr(judgements, "trend_of", lambda *_: pytest.fail("a trend was read again"))
-    assert conditions(session) == before
+    for transaction in (reading, writing):
+        with transaction(engine) as session:
+            assert conditions(session) == before

@@ -40,7 +40,7 @@ def judgement(session: Session, sensor: Sensor, baseline: ParameterSet | None, s
     stamp
         Of its runs, as `store.trends.stamps` gives it; None where none succeeded.
     """
-    of_store = _known.setdefault(session.get_bind().engine, {})
+    of_store = _known.setdefault(session.get_bind().pool, {})  # an engine with options is another object
     rests_on = (None if baseline is None else baseline.id, sensor.version, stamp)
     before, known = of_store.get(sensor.id, (None, None))
     if known is None or before != rests_on:
