@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.store.documents import canonical, sha256_of
+from boresight.store.documents import canonical, read, sha256_of
 
-NUMBERS = st.integers(-(2**63), 2**63) | st.floats(allow_nan=False, allow_infinity=False)
+NUMBERS = st.integers(-(2**63), 2**63) | st.integers() | st.integers(10**17, 10**40) | st.floats(allow_nan=False, allow_infinity=False)
 JSON = st.recursive(
     st.none() | st.booleans() | NUMBERS | st.text(max_size=20),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
@@ -21,6 +21,12 @@ JSON = st.recursive(
 @given(document=JSON)
 def test_a_document_read_back_has_the_same_spelling(document: object) -> None:
     assert canonical(json.loads(canonical(document))) == canonical(document)
+
+
+@given(document=JSON)
+def test_the_fast_reader_reads_what_the_plain_one_does(document: object) -> None:
+    spelling = canonical(document)
+    assert repr(read(spelling)) == repr(json.loads(spelling))
 
 
 @given(document=st.dictionaries(st.text(max_size=8), JSON, min_size=2))
