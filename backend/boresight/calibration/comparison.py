@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimation import batch, cosine
-from boresight.estimation.arcs import ArcSet
+from boresight.estimation.arcs import Arcs
 
 FloatArray = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class Compared:
     remark: str
 
 
-def compared(arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> Compared | None:
+def compared(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> Compared | None:
     """Judge the cosine estimate x (n_parameters,) of weighed arcs; None where the model cannot be evaluated."""
     best = batch.normal_equations(arcs, x, free, scale)
     if not best.finite():

@@ -61,7 +61,7 @@ class InThisProcess:
         self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
     ) -> list[Any]:
         """Call `function(*arguments[k])` for every k and return the results in the order of k."""
-        results = []
+        results: list[Any] = []
         for piece in arguments:
             if self._cancelled is not None and self._cancelled():
                 raise CancelledError(f"Stopped as asked after {len(results)} of {len(arguments)} pieces")

@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 
 from boresight import kernels
 from boresight.errors import CancelledError
-from boresight.estimation.arcs import ArcSet
-from boresight.estimation.blocks import in_blocks
+from boresight.estimation.arcs import Arcs, ArcSet
 from boresight.estimation.robust import insurance
 
 FloatArray = NDArray[np.float64]
@@ -126,7 +125,7 @@ class NormalEquations:
 
 
 def normal_equations(
-    arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray, threshold: float = np.inf
+    arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArray, threshold: float = np.inf
 ) -> NormalEquations:
     """Evaluate A and b.
 
@@ -141,17 +140,19 @@ def normal_equations(
     threshold
         Of Huber's loss, in whitened sigmas; infinite for least squares.
     """
+    return NormalEquations.added(arcs.over_blocks(_of_block, x, free, scale, threshold), len(free))
 
-    def of_block(first: int, last: int) -> NormalEquations:
-        block = arcs.frames(first, last)
-        A, b = np.empty((len(free), len(free))), np.empty(len(free))
-        chi2, total = kernels.normal_equations(
-            block.model, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
-            free, scale, threshold, A, b,
-        )  # fmt: skip
-        return NormalEquations(A, b, float(chi2), float(total))
 
-    return NormalEquations.added(in_blocks(of_block, arcs.n_frames), len(free))
+def _of_block(
+    block: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray, threshold: float
+) -> NormalEquations:
+    """Evaluate A and b of one block."""
+    A, b = np.empty((len(free), len(free))), np.empty(len(free))
+    chi2, total = kernels.normal_equations(
+        block.model, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
+        free, scale, threshold, A, b,
+    )  # fmt: skip
+    return NormalEquations(A, b, float(chi2), float(total))
 
 
 def determined(A: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
@@ -175,7 +176,7 @@ def _decrement(equations: NormalEquations) -> float:
 
 
 def fit(
-    arcs: ArcSet,
+    arcs: Arcs,
     x0: FloatArray,
     free: NDArray[np.int64],
     scale: FloatArray,
@@ -251,7 +252,7 @@ def fit(
     return fitted if np.isinf(threshold) or not here.finite() else _insured(fitted, arcs, free, scale, threshold)
 
 
-def _insured(fitted: BatchFit, arcs: ArcSet, free: NDArray[np.int64], scale: FloatArray, threshold: float) -> BatchFit:
+def _insured(fitted: BatchFit, arcs: Arcs, free: NDArray[np.int64], scale: FloatArray, threshold: float) -> BatchFit:
     """Give a robust fit its own information, and the chi-square that shows what it did not follow."""
     plain = normal_equations(arcs, fitted.x, free, scale)
     paid = insurance(arcs, fitted.x, len(free), threshold)

@@ -23,12 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
-from boresight.estimation.arcs import ArcSet
+from boresight.estimation.arcs import Arcs, ArcSet
 
 FloatArray = NDArray[np.float64]
-
-#: Frames whose Jacobians are held at once, to bound memory.
-CHUNK = 2000
 
 
 @dataclass(frozen=True)
@@ -39,16 +36,32 @@ class Worth:
     claimed: FloatArray
 
 
-def unweighted(arcs: ArcSet) -> ArcSet:
+def unweighted(arcs: Arcs) -> Arcs:
     """Put cosine's diagonal factor in the place of R's; takes weighed arcs."""
-    sine = np.sin(arcs.phi)
-    variance = (arcs.band**2).sum(axis=1)
+    return arcs.each(_flat, _sigma_0(arcs))
+
+
+def _sigma_0(arcs: Arcs) -> float:
+    """Factor that makes the cost chi-square in the mean."""
+    total = 0.0
+    for of_block in arcs.over_blocks(_variance_in_block):
+        total += of_block
+    return float(np.sqrt(total / arcs.n_arcs))
+
+
+def _variance_in_block(block: ArcSet) -> float:
+    """Sum sin^2 phi (sigma_i^2 + sigma_j^2) over the arcs of one block."""
+    return float(np.sum(np.sin(block.phi) ** 2 * (block.band**2).sum(axis=1)))
+
+
+def _flat(arcs: ArcSet, sigma_0: float) -> ArcSet:
+    """Put sigma_0 / sin phi in the place of R's factor."""
     band = np.zeros_like(arcs.band)
-    band[:, -1] = np.sqrt(np.mean(sine**2 * variance)) / sine
+    band[:, -1] = sigma_0 / np.sin(arcs.phi)
     return replace(arcs, band=band)
 
 
-def worth(arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> Worth:
+def worth(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> Worth:
     """Weigh a cosine estimate at x by the arcs' true covariance.
 
     Parameters
@@ -58,19 +71,25 @@ def worth(arcs: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArra
     x, free, scale
         As in `batch.normal_equations`.
     """
-    flat = unweighted(arcs)
+    sigma_0 = _sigma_0(arcs)
     A, B = np.zeros((2, len(free), len(free)))
-    for first in range(0, arcs.n_frames, CHUNK):
-        last = min(first + CHUNK, arcs.n_frames)
-        part, L = flat.frames(first, last), arcs.frames(first, last).band
-        e, H = np.empty(part.n_arcs), np.empty((part.n_arcs, len(free)))
-        kernels.whitened_rows(
-            part.model, x, part.pitch, part.star_start, part.row_px, part.col_px, part.phi, part.band, free, scale, e, H
-        )
-        A += H.T @ H
-        root = _transposed_product(L, H / part.band[:, -1:])
-        B += root.T @ root
+    for claimed, spread in arcs.over_blocks(_worth_of_block, x, free, scale, sigma_0):
+        A += claimed
+        B += spread
     return Worth(A @ np.linalg.pinv(B, rcond=1e-13, hermitian=True) @ A, A)
+
+
+def _worth_of_block(
+    block: ArcSet, x: FloatArray, free: NDArray[np.int64], scale: FloatArray, sigma_0: float
+) -> tuple[FloatArray, FloatArray]:
+    """A and B of one block."""
+    part = _flat(block, sigma_0)
+    e, H = np.empty(part.n_arcs), np.empty((part.n_arcs, len(free)))
+    kernels.whitened_rows(
+        part.model, x, part.pitch, part.star_start, part.row_px, part.col_px, part.phi, part.band, free, scale, e, H
+    )
+    root = _transposed_product(block.band, H / part.band[:, -1:])
+    return H.T @ H, root.T @ root
 
 
 def _transposed_product(band: FloatArray, G: FloatArray) -> FloatArray:

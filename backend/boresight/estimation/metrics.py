@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
-from boresight.estimation.arcs import ArcSet
+from boresight.estimation.arcs import Arcs, ArcSet
 
 FloatArray = NDArray[np.float64]
 
@@ -23,25 +23,26 @@ def arc_errors(arcs: ArcSet, x: FloatArray) -> FloatArray:
     return e
 
 
-def rms(arcs: ArcSet, x: FloatArray) -> float:
+def rms(arcs: Arcs, x: FloatArray) -> float:
     """RMS arclength error of the set at state x, rad."""
-    return float(np.sqrt(np.mean(arc_errors(arcs, x) ** 2)))
+    return float(tail_rms(arcs, x[None])[0])
 
 
-def tail_rms(arcs: ArcSet, states: FloatArray) -> FloatArray:
-    """RMS of the whole set at each of several states (n_states, n_parameters), rad (E Eq 32)."""
+def tail_rms(arcs: Arcs, states: FloatArray) -> FloatArray:
+    """RMS of the whole set at each of several states (n_states, n_parameters), rad (E Eq 32), in one pass over it."""
+    totals = np.zeros(len(states))
+    for of_block in arcs.over_blocks(_squares_in_block, np.ascontiguousarray(states)):
+        totals += of_block
+    return np.asarray(np.sqrt(totals / arcs.n_arcs))
+
+
+def _squares_in_block(block: ArcSet, states: FloatArray) -> FloatArray:
+    """Sums of squares of one block at each state, (n_states,)."""
     totals = np.empty(len(states))
     kernels.sums_of_squares(
-        arcs.model,
-        np.ascontiguousarray(states),
-        arcs.pitch,
-        arcs.star_start,
-        arcs.row_px,
-        arcs.col_px,
-        arcs.phi,
-        totals,
+        block.model, states, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, totals
     )
-    return np.asarray(np.sqrt(totals / arcs.n_arcs))
+    return totals
 
 
 def aggregate_rms(sum_of_squares: FloatArray, n_arcs: FloatArray) -> FloatArray:

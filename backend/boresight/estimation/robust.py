@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
-from boresight.estimation.arcs import ArcSet
+from boresight.estimation.arcs import Arcs, ArcSet
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,21 @@ class Insurance:
     information_share: float
 
 
-def insurance(arcs: ArcSet, x: NDArray[np.float64], n_free: int, threshold: float) -> Insurance:
+def insurance(arcs: Arcs, x: NDArray[np.float64], n_free: int, threshold: float) -> Insurance:
     """Judge the loss at state x; a share of zero where every arc is beyond the threshold or none is left over."""
-    beyond, squares = kernels.count_beyond(
-        arcs.model, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, threshold
-    )
+    parts = arcs.over_blocks(_beyond_in_block, x, threshold)
+    beyond, squares = sum(count for count, _ in parts), sum(total for _, total in parts)
     n = arcs.n_arcs
     inside = 1 - beyond / n
     if inside == 0 or n <= n_free:
-        return Insurance(int(beyond), 0.0)
+        return Insurance(beyond, 0.0)
     K = 1 + n_free / n * (1 - inside) / inside
-    return Insurance(int(beyond), float(inside**2 * (n - n_free) / (squares * K**2)))
+    return Insurance(beyond, float(inside**2 * (n - n_free) / (squares * K**2)))
+
+
+def _beyond_in_block(block: ArcSet, x: NDArray[np.float64], threshold: float) -> tuple[int, float]:
+    """Count the arcs of one block beyond the threshold, and sum psi^2."""
+    beyond, squares = kernels.count_beyond(
+        block.model, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band, threshold
+    )
+    return int(beyond), float(squares)
