@@ -37,6 +37,8 @@ SETTINGS = (
     Setting("port", "8000", "", "Port the server listens on.", int),
     Setting("mode", "OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.", str),
     Setting("scheduler", "", "address", "Dask scheduler, tcp://host:port; empty = our own worker processes.", str),
+    Setting("tls_authority", "", "path", "Authority (PEM) that signed every machine's certificate, for tls:// links.", str),
+    Setting("tls_certificate", "", "path", "This machine's certificate and key in one PEM file, for tls:// links.", str),
     Setting("workers", "2", "processes", "Worker processes started when no scheduler is given; 0 = none here.", int),
     Setting("lease_s", "10", "s", "How long a run belongs to the server that claimed it without a renewal.", float),
     Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
@@ -63,6 +65,8 @@ class Settings:
     port: int
     mode: str
     scheduler: str
+    tls_authority: str
+    tls_certificate: str
     workers: int
     lease_s: float
     max_attempts: int

@@ -28,6 +28,7 @@ from boresight.cli.simulate import simulate
 from boresight.cli.table import table
 from boresight.cli.users import user
 from boresight.cli.warm import warm
+from boresight.cli.worker import scheduler, worker
 
 
 @click.group(cls=RefusingGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -55,6 +56,8 @@ for command in (
     bench,
     serve,
     demo,
+    worker,
+    scheduler,
     warm,
     migrate,
     backup,

@@ -1,0 +1,73 @@
+"""`boresight worker` and `boresight scheduler`: the machines of a cluster, for the server to use by BORESIGHT_SCHEDULER."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import click
+
+from boresight.cli.serve import data_option
+from boresight.errors import RefusedInputError
+from boresight.settings import Settings, read_settings, use_kernel_folder
+
+GB = 1_000_000_000
+
+
+@click.command()
+@click.option("--scheduler", help="Address of the scheduler, instead of the setting: tcp://host:port or tls://host:port.")
+@click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="Worker processes, one a core.")
+@click.option(
+    "--memory-gb",
+    type=click.FloatRange(min=0, min_open=True),
+    help="A process that needs more is ended and replaced.  [default: its core's share of four fifths of the machine]",
+)
+@data_option
+def worker(scheduler: str | None, processes: int, memory_gb: float | None, data: Path | None) -> None:
+    """Compute for a server on another machine, until Ctrl-C or SIGTERM.
+
+    The server's data folder must be seen here under the same path. A worker that loses its scheduler waits until one
+    answers at that address, and joins again.
+    """
+    settings = _settings(scheduler, data)
+    use_kernel_folder(settings)
+    from boresight.workers.service import run_workers
+
+    run_workers(settings, processes, None if memory_gb is None else int(memory_gb * GB), _say)
+
+
+@click.command()
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on: one of a private network.")
+@click.option("--port", type=click.IntRange(1, 65535), default=8786, show_default=True, help="Port to listen on.")
+def scheduler(host: str, port: int) -> None:
+    """Bring a server and its workers together, until Ctrl-C or SIGTERM.
+
+    With certificates (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE) its address begins with tls://. Without them whoever
+    reaches the port can run programs on the workers.
+    """
+    settings = read_settings({**os.environ, "BORESIGHT_SCHEDULER": ""})
+    from boresight.workers.service import run_scheduler
+
+    try:
+        run_scheduler(settings, host, port, _say)
+    except OSError as error:
+        raise RefusedInputError(
+            f"{host}:{port} cannot be listened on ({error.strerror or error}): stop the program that uses it, "
+            "or choose another with --port."
+        ) from error
+
+
+def _settings(address: str | None, data: Path | None) -> Settings:
+    """Read the settings with what the command line says instead; refuse to work for nobody."""
+    given = {name: str(value) for name, value in (("SCHEDULER", address), ("DATA_FOLDER", data)) if value is not None}
+    settings = read_settings({**os.environ, **{f"BORESIGHT_{name}": value for name, value in given.items()}})
+    if not settings.scheduler.startswith(("tcp://", "tls://")):
+        raise RefusedInputError(
+            f"BORESIGHT_SCHEDULER={settings.scheduler!r} is no scheduler to work for: give --scheduler tcp://host:port."
+        )
+    return settings
+
+
+def _say(line: str) -> None:
+    """Print a line for the log."""
+    click.echo(line, err=True)

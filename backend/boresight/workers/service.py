@@ -1,0 +1,187 @@
+"""Schedulers and workers as services: started by a command, ended by SIGTERM, back by themselves.
+
+distributed's workers end when they lose their scheduler, on purpose: what they held is void. So a worker here is a loop: wait until
+the scheduler answers, be a worker of it until it is gone, wait again, longer each time that it did not last. A worker process
+that dies under a scheduler that lives is replaced by its nanny.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+import time
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
+from typing import Any
+
+import dask
+from dask.system import CPU_COUNT
+from distributed import Nanny, Scheduler, Security
+from distributed.core import rpc
+from distributed.system import MEMORY_LIMIT
+
+from boresight.settings import Settings
+from boresight.workers.security import PROTOCOL, security_of
+from boresight.workers.warm import WarmUp
+
+MEMORY_SHARE = 0.8  # of a machine, over its worker processes
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+LASTED_S = 60.0
+ANSWER_S = 5.0
+CLOSE_S = 10.0
+QUIET = {"distributed": logging.CRITICAL, "distributed.nanny.memory": logging.WARNING}
+CONFIGURATION = {
+    "distributed.admin.low-level-log-length": 100,  # progress events the scheduler keeps; each may hold a history
+    "distributed.diagnostics.nvml": False,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+NOWHERE = "127.0.0.1:0"  # distributed opens a port for its dashboard in any case
+
+Say = Callable[[str], None]
+
+
+def run_scheduler(settings: Settings, host: str, port: int, say: Say) -> None:
+    """Be a scheduler until SIGTERM or Ctrl-C.
+
+    Raises
+    ------
+    RefusedInputError
+        When certificates are missing.
+    OSError
+        When the port cannot be listened on.
+    """
+    security = security_of(settings)
+    _configure()
+    asyncio.run(_until_stopped(_scheduler(security, host, port, say)))
+
+
+async def _scheduler(security: Security | None, host: str, port: int, say: Say) -> None:
+    """Serve; a task that loses its worker is lost at once, for the server counts and decides."""
+    scheduler = Scheduler(
+        host=host,
+        port=port,
+        protocol=PROTOCOL if security else "tcp://",
+        security=security,
+        dashboard=False,
+        dashboard_address=NOWHERE,
+        allowed_failures=0,
+    )
+    async with scheduler:
+        say(f"Boresight's scheduler on {scheduler.address}. Stop it with Ctrl-C.")
+        try:
+            await scheduler.finished()
+        finally:
+            await scheduler.close(reason="stopped")
+
+
+@dataclass(frozen=True)
+class WorkerService:
+    """One worker that is always there when its scheduler is.
+
+    Parameters
+    ----------
+    settings
+        Scheduler, certificates, folders.
+    memory_bytes
+        A worker process that needs more is ended and replaced.
+    say
+        Told in a line what happens.
+    """
+
+    settings: Settings
+    memory_bytes: int
+    say: Say
+
+    async def run(self) -> None:
+        """Join, and join again, until stopped."""
+        security = security_of(self.settings)
+        pause_s = FIRST_PAUSE_S
+        while True:
+            await self._until_answered(security)
+            joined_s = time.monotonic()
+            await self._be_worker(security)
+            pause_s = FIRST_PAUSE_S if time.monotonic() - joined_s > LASTED_S else min(2 * pause_s, LONGEST_PAUSE_S)
+            self.say(f"The worker is not at {self.settings.scheduler} any more; it joins again from in {pause_s:.0f} s on.")
+            await asyncio.sleep(pause_s)
+
+    async def _until_answered(self, security: Security | None) -> None:
+        """Wait until the scheduler answers."""
+        said = False
+        while not await _answers(self.settings.scheduler, security):
+            if not said:
+                self.say(f"No scheduler answers at {self.settings.scheduler}; the worker waits for it.")
+                said = True
+            await asyncio.sleep(FIRST_PAUSE_S)
+
+    async def _be_worker(self, security: Security | None) -> None:
+        """Be a worker until it is over."""
+        nanny = Nanny(
+            self.settings.scheduler,
+            nthreads=1,
+            memory_limit=self.memory_bytes,
+            security=security,
+            dashboard=False,
+            dashboard_address=NOWHERE,
+            plugins=(WarmUp(str(self.settings.catalogue_folder), ours=True),),
+        )
+        try:
+            await nanny
+            self.say(f"A worker has joined {self.settings.scheduler}.")
+            await nanny.finished()
+        except (OSError, TimeoutError, RuntimeError) as error:
+            self.say(f"The worker could not join, {type(error).__name__}: {error}")
+        finally:
+            with contextlib.suppress(Exception):
+                await nanny.close(timeout=CLOSE_S, reason="stopped")
+
+
+def run_workers(settings: Settings, processes: int, memory_bytes: int | None, say: Say) -> None:
+    """Be so many workers until SIGTERM or Ctrl-C.
+
+    Raises
+    ------
+    RefusedInputError
+        When certificates are missing.
+    """
+    security_of(settings)
+    _configure()
+    memory_bytes = memory_bytes or int(MEMORY_SHARE * MEMORY_LIMIT / max(processes, CPU_COUNT))
+
+    async def all_of_them() -> None:
+        await asyncio.gather(*(WorkerService(settings, memory_bytes, say).run() for _ in range(processes)))
+
+    asyncio.run(_until_stopped(all_of_them()))
+
+
+async def _answers(address: str, security: Security | None) -> bool:
+    """Ask whether a scheduler is there."""
+    arguments = security.get_connection_args("worker") if security else {}
+    scheduler = rpc(address, connection_args=arguments, timeout=ANSWER_S)
+    try:
+        await asyncio.wait_for(scheduler.identity(), ANSWER_S)
+    except (OSError, TimeoutError):
+        return False
+    finally:
+        with contextlib.suppress(Exception):
+            await scheduler.close_rpc()
+    return True
+
+
+async def _until_stopped(work: Coroutine[Any, Any, None]) -> None:
+    """Work until it ends by itself, or a signal asks to stop; then end it in order."""
+    task = asyncio.ensure_future(work)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, task.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+
+
+def _configure() -> None:
+    """Make distributed quiet and closed: what is to be said is said here."""
+    dask.config.set(CONFIGURATION)
+    for name, level in QUIET.items():
+        logging.getLogger(name).setLevel(level)

@@ -1,0 +1,260 @@
+"""A large run's pieces on the cluster: the run computes them itself, and lends them to workers that have nothing else to do.
+
+The run's own worker takes pieces from the front all the time, in a thread beside; the run's thread hands groups to idle workers and
+gathers. So nothing can wait for ever: with no other worker, or with all of them busy, the run computes everything itself, and
+what is out elsewhere for too long it computes again, for a piece may be computed twice (`boresight.calibration.spread`).
+
+- A worker that computes a run, or has one waiting, is lent nothing: runs go first, and wait for one group at most.
+- A piece whose worker died is computed by the run itself. If it is poison it ends the run's own worker, and the engine counts that
+  as a lost attempt of this run, as of any other; so two processes an attempt at most pay for it.
+- That a worker was lent is told on a topic, so that the engine charges no run with a death that a piece may have caused.
+- A worker that does not see the scratch folder gives its first group back untouched and is asked no more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import secrets
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from distributed import get_client, get_worker
+
+from boresight.calibration.spread import Told
+from boresight.errors import CancelledError
+from boresight.workers.pieces import Broken, Group, Pieces
+
+LENT_TOPIC = "boresight-lent"
+LOOK_EVERY_S = 0.5
+WAIT_S = 0.1
+FETCH_S = 2.0
+OVERDUE_S = 3.0
+OVERDUE_TIMES = 4
+AT_ONCE_S = 0.05
+BEHIND_RUNS = -1  # priority
+
+
+@dataclass
+class Loan:
+    """A group that another worker computes."""
+
+    future: Any
+    group: Group
+    lent_s: float
+    overdue: bool = False
+
+
+class ClusterSpread:
+    """A `Spread` for one attempt of a run; to be made and used in the thread of its task.
+
+    Parameters
+    ----------
+    name
+        Names the attempt in the keys of its tasks.
+    folder
+        The scratch folder, which exists.
+    cancelled
+        Asked all the time; True stops.
+    """
+
+    def __init__(self, name: str, folder: Path, cancelled: Callable[[], bool]) -> None:
+        self._client = get_client()
+        self._worker = get_worker()
+        self._cancelled = cancelled
+        self._seconds: dict[str, float | None] = {}
+        self._idle: list[str] = []
+        self._looked_s = -LOOK_EVERY_S
+        self._blind: set[str] = set()
+        self._keys = (f"piece-{name}-{secrets.token_hex(3)}-{n}" for n in range(1 << 60))
+        self._sign = folder / f".seen-{secrets.token_hex(8)}"
+        self._sign.touch()
+
+    def map(
+        self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
+    ) -> list[Any]:
+        """Call `function(*arguments[k])` for every k and return the results in the order of k.
+
+        Raises
+        ------
+        CancelledError
+            When `cancelled` said so.
+        Exception
+            Whatever the first failing piece raised.
+        """
+        kind = f"{function.__module__}.{function.__qualname__}"
+        pieces = Pieces(len(arguments), self._seconds.get(kind))
+        work = _Work(function, arguments, pieces)
+        try:
+            if pieces.count < 2 or (pieces.seconds is not None and pieces.seconds * pieces.count < AT_ONCE_S):
+                self._alone(work, done)
+            else:
+                self._shared(work, done)
+        finally:
+            self._seconds[kind] = pieces.seconds
+            pieces.close()
+        return pieces.results()
+
+    def _alone(self, work: _Work, done: Told | None) -> None:
+        """Compute what is over before anybody else had begun."""
+        while not work.pieces.complete:
+            self._refuse_if_cancelled(work.pieces)
+            work.compute(work.pieces.take(1, returned=True))
+            _tell(work.pieces, done)
+
+    def _shared(self, work: _Work, done: Told | None) -> None:
+        """Compute in a thread beside, lend, gather, until all is there."""
+        loans: dict[str, Loan] = {}
+        here = contextvars.copy_context().run
+        threading.Thread(target=here, args=(work.compute_all, loans), daemon=True, name="boresight-pieces").start()
+        told = 0
+        try:
+            while not work.pieces.complete:
+                self._refuse_if_cancelled(work.pieces)
+                self._gather(work, loans)
+                self._lend(work, loans)
+                if work.pieces.done > told:
+                    told = _tell(work.pieces, done)
+                work.pieces.await_news(WAIT_S)
+        finally:
+            for loan in loans.values():
+                with contextlib.suppress(Exception):  # whoever ends here must not fail for a worker that is gone
+                    loan.future.cancel()
+        if work.pieces.done > told:
+            _tell(work.pieces, done)
+
+    def _refuse_if_cancelled(self, pieces: Pieces) -> None:
+        if self._cancelled():
+            raise CancelledError(f"Stopped as asked after {pieces.done} of {pieces.count} pieces")
+
+    def _lend(self, work: _Work, loans: dict[str, Loan]) -> None:
+        """Hand a group to every worker that is idle."""
+        for worker in self._idle_workers(loans):
+            if worker in loans:
+                continue
+            group = work.pieces.take(2 + len(loans))
+            if not group:
+                return
+            self._tell_lent(worker)
+            future = self._client.submit(
+                compute_group,
+                str(self._sign),
+                work.function,
+                [work.arguments[place] for place in group],
+                key=next(self._keys),
+                pure=False,
+                workers=[worker],
+                priority=BEHIND_RUNS,
+            )
+            future.add_done_callback(lambda _: work.pieces.tell_news())
+            loans[worker] = Loan(future, group, time.monotonic())
+
+    def _idle_workers(self, loans: dict[str, Loan]) -> list[str]:
+        """Return the workers that have nothing to compute but what we lent them; looked at twice a second."""
+        if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
+            self._looked_s = time.monotonic()
+            ours = {loan.future.key for loan in loans.values()}
+            at_work = self._client.processing()
+            busy = {worker for worker, keys in at_work.items() if not ours.issuperset(map(str, keys))}
+            self._idle = sorted(at_work.keys() - busy - self._blind - {self._worker.address})
+        return self._idle
+
+    def _gather(self, work: _Work, loans: dict[str, Loan]) -> None:
+        """Take in what has come back; give back what was lost, or is out for too long."""
+        for worker, loan in list(loans.items()):
+            if loan.future.done():
+                del loans[worker]
+                self._tell_lent(worker)
+                if not self._taken_in(work.pieces, worker, loan):
+                    self._idle = [other for other in self._idle if other != worker]
+                    work.pieces.give_back(loan.group)
+            elif not loan.overdue and time.monotonic() - loan.lent_s > _patience_s(work.pieces, loan.group):
+                loan.overdue = True
+                work.pieces.give_back(loan.group)
+
+    def _taken_in(self, pieces: Pieces, worker: str, loan: Loan) -> bool:
+        """Settle a group that has come back; False when it came back without results."""
+        try:
+            answer = loan.future.result(timeout=FETCH_S)
+        except Exception:  # noqa: BLE001 - its worker died, or could not even begin: the run will see by itself
+            return False
+        if answer is None:
+            self._blind.add(worker)
+            return False
+        results, seconds = answer
+        pieces.settle(loan.group, results, seconds)
+        return True
+
+    def _tell_lent(self, worker: str) -> None:
+        """Tell whoever gives runs to the workers that this one has, or just had, pieces of another run."""
+        self._worker.log_event(LENT_TOPIC, {"worker": worker})
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What one map computes."""
+
+    function: Callable[..., Any]
+    arguments: Sequence[tuple[Any, ...]]
+    pieces: Pieces
+
+    def compute(self, group: Group) -> None:
+        """Compute a group here."""
+        results, seconds = timed(self.function, [self.arguments[place] for place in group])
+        self.pieces.settle(group, results, seconds)
+
+    def compute_all(self, loans: dict[str, Loan]) -> None:
+        """Go on until all is over; returned pieces come first."""
+        while not self.pieces.closed and not self.pieces.complete:
+            group = self.pieces.take(2 + len(loans), returned=True)
+            if group:
+                self.compute(group)
+            else:
+                self.pieces.rest(WAIT_S)
+
+
+def compute_group(sign: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+    """Compute a group on another worker.
+
+    Parameters
+    ----------
+    sign
+        A file that is there where the scratch folder is seen.
+    function, arguments
+        What to call, and for each piece with what.
+
+    Returns
+    -------
+    Results and seconds as of `timed`, or None when this worker does not see the folder.
+    """
+    return timed(function, arguments) if Path(sign).exists() else None
+
+
+def timed(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> tuple[list[Any], float]:
+    """Call a function for each piece; returns the results, the last of them `Broken` where one raised, and the seconds."""
+    begun_s = time.perf_counter()
+    results: list[Any] = []
+    for piece in arguments:
+        try:
+            results.append(function(*piece))
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is raised where the map was asked for
+            results.append(Broken(error))
+            break
+    return results, time.perf_counter() - begun_s
+
+
+def _patience_s(pieces: Pieces, group: Group) -> float:
+    """How long a group may be out before it is computed here as well."""
+    return max(OVERDUE_S, OVERDUE_TIMES * len(group) * (pieces.seconds or 0.0))
+
+
+def _tell(pieces: Pieces, done: Told | None) -> int:
+    """Tell how many pieces are done."""
+    count = pieces.done
+    if done is not None:
+        done(count, pieces.count)
+    return count
