@@ -7,13 +7,15 @@ with its reason, so that nothing disappears silently.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.estimation import arcs as arcsets
-from boresight.estimation.arcs import ArcSet
+from boresight.estimation.arcs import Arcs, ArcSet
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
@@ -31,6 +33,39 @@ class LeftOut:
     what: str
     count: int
     reason: str
+
+
+class AnyProblem(Protocol):
+    """A set ready for estimation, in memory (`Problem`) or in files."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """Whose telemetry it is."""
+
+    @property
+    def camera(self) -> CameraModel:
+        """Its camera model."""
+
+    @property
+    def arcs(self) -> Arcs:
+        """Stars in order, not weighed."""
+
+    @property
+    def frames_in_set(self) -> int:
+        """Frames in the telemetry, taking part or not."""
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """What takes no part."""
+
+    def weighed(self, x: FloatArray) -> Arcs:
+        """Return the arcs with R taken at state x (n_parameters,)."""
+
+    def place_of(self, frame: IntArray) -> IntArray:
+        """Places (n,) of frame numbers (n,) among those that take part."""
+
+    def time_of(self, place: IntArray) -> NDArray[np.datetime64] | None:
+        """Times (n,) of the frames at these places; None where the set has none."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +97,23 @@ class Problem:
         """Return the arcs with R taken at state x (n_parameters,)."""
         return weighed(self.arcs, self.camera, x)
 
+    def place_of(self, frame: IntArray) -> IntArray:
+        """Places (n,) of frame numbers (n,) among those that take part."""
+        return np.asarray(np.searchsorted(self.arcs.frame, frame))
+
+    def time_of(self, place: IntArray) -> NDArray[np.datetime64] | None:
+        """Times (n,) of the frames at these places; None where the set has none."""
+        return None if self.time_utc is None else self.time_utc[place]
+
 
 def weighed(arcs: ArcSet, camera: CameraModel, x: FloatArray) -> ArcSet:
     """Fill a set's catalogue arcs and R at state x."""
-    return arcsets.weigh(arcs, arcsets.angular_sigma(camera, x, arcs))[0]
+    return weigh_part(arcs, camera.name, x)
+
+
+def weigh_part(arcs: ArcSet, camera_model: str, x: FloatArray) -> ArcSet:
+    """The same of any part of a set, the camera by its name: for `Arcs.each`."""
+    return arcsets.weigh(arcs, arcsets.angular_sigma(CAMERA_MODELS[camera_model], x, arcs))[0]
 
 
 def build_problem(
@@ -81,6 +129,20 @@ def build_problem(
     s_i = star_directions(
         telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
     )
+    problem = problem_of(telemetry, sensor, s_i, minimum_stars)
+    return replace(problem, left_out=added(problem.left_out))
+
+
+def added(items: Iterable[LeftOut]) -> tuple[LeftOut, ...]:
+    """Add what was left out for the same reason, and drop what was not."""
+    counts: dict[tuple[str, str], int] = {}
+    for item in items:
+        counts[item.what, item.reason] = counts.get((item.what, item.reason), 0) + item.count
+    return tuple(LeftOut(what, count, reason) for (what, reason), count in counts.items() if count)
+
+
+def problem_of(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_stars: int) -> Problem:
+    """Choose and order the stars of a set with these directions (n_rows, 3); every reason is counted, also where it is 0."""
     rows, left_out = _usable_rows(telemetry, sensor, s_i)
     rows, few = _full_exposures(telemetry, rows, minimum_stars)
     arcs, collinear = _ordered(telemetry, sensor, s_i, rows)
@@ -95,7 +157,7 @@ def build_problem(
         arcs=arcs,
         time_utc=None if telemetry.time_utc is None else telemetry.time_utc[first_rows],
         frames_in_set=len(np.unique(telemetry.frame)),
-        left_out=tuple(item for item in left_out if item.count),
+        left_out=tuple(left_out),
     )
 
 

@@ -88,8 +88,22 @@ def _given_directions(ra_rad: FloatArray | None, dec_rad: FloatArray | None) -> 
 def _times_of(time_utc: NDArray[np.datetime64] | None, rows: IntArray) -> NDArray[np.datetime64]:
     """Return the times of rows whose direction comes from the catalogue; refuse when not one of them has a time."""
     if time_utc is None or np.isnat(time_utc[rows]).all():
-        raise RefusedInputError(
-            f"{len(rows)} matched stars take their direction from the catalogue, which needs a time: "
+        raise TimelessError(len(rows))
+    return time_utc[rows]
+
+
+class TimelessError(RefusedInputError):
+    """No row that needs a direction from the catalogue has a time.
+
+    Parameters
+    ----------
+    stars
+        How many rows need one.
+    """
+
+    def __init__(self, stars: int) -> None:
+        super().__init__(
+            f"{stars} matched stars take their direction from the catalogue, which needs a time: "
             "add a time_utc column (ISO 8601, UTC), or give ra_deg and dec_deg."
         )
-    return time_utc[rows]
+        self.stars = stars

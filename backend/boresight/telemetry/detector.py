@@ -51,9 +51,15 @@ def check_against_sensor(telemetry: Telemetry, sensor: Sensor) -> None:
         Names the first twenty rows.
     """
     faults = Faults("The telemetry does not fit the sensor", telemetry.first_row)
+    find_off_detector(telemetry, sensor, faults)
+    faults.refuse()
+
+
+def find_off_detector(telemetry: Telemetry, sensor: Sensor, faults: Faults) -> None:
+    """Collect what `check_against_sensor` refuses, of a set or of its parts one after the other."""
+    faults.first_row = telemetry.first_row
     _check_axis("row_px", telemetry.row_px, sensor.rows, telemetry, faults)
     _check_axis("col_px", telemetry.col_px, sensor.columns, telemetry, faults)
-    faults.refuse()
 
 
 def _check_axis(column: str, values: FloatArray, size: int, telemetry: Telemetry, faults: Faults) -> None:
