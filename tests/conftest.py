@@ -1,23 +1,62 @@
-"""What holds for every test: slow Monte Carlo only when asked for, and property tests without a stopwatch."""
+"""What holds for every test: which engine the store is on, slow Monte Carlo only when asked for, no stopwatch on properties."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
 
 import hypothesis
 import pytest
 
+from boresight.store.sessions import Engine, open_engine
+from tests import postgresql as postgresql_programs
+from tests import stores
+
 # The first example of a property may compile kernels; how long one takes says nothing about it.
 hypothesis.settings.register_profile("house", hypothesis.settings(), deadline=None)
 hypothesis.settings.load_profile("house")
+_numbers = count(1)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--full", action="store_true", help="also run the tests marked `full`: slow Monte Carlo")
+    words = "the engine that stores are on; PostgreSQL is started for the tests"
+    parser.addoption("--store", choices=("sqlite", "postgresql"), default="sqlite", help=words)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    stores.choose(config.getoption("--store"))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if config.getoption("--full"):
-        return
-    skip = pytest.mark.skip(reason="slow Monte Carlo; run it with --full")
+    slow = pytest.mark.skip(reason="slow Monte Carlo; run it with --full")
     for item in items:
-        if "full" in item.keywords:
-            item.add_marker(skip)
+        if "full" in item.keywords and not config.getoption("--full"):
+            item.add_marker(slow)
+        about = item.get_closest_marker("sqlite")
+        if about is not None and stores.on_postgresql():
+            item.add_marker(pytest.mark.skip(reason=f"about SQLite itself: {about.args[0]}"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
+    """Remove the databases that stood for a test's own folder."""
+    folder: Path | None = getattr(item, "funcargs", {}).get("tmp_path")
+    yield
+    if folder is not None:
+        stores.drop_under(folder)
+
+
+def pytest_sessionfinish() -> None:
+    postgresql_programs.remove_server()
+
+
+@pytest.fixture
+def postgresql() -> Iterator[Engine]:
+    """A migrated PostgreSQL database with nothing in it; the test is skipped where there is no PostgreSQL."""
+    server, name = postgresql_programs.server(), f"of-a-test-{next(_numbers)}"
+    engine = open_engine(server.make(name))
+    yield engine
+    engine.dispose()
+    server.drop(name)

@@ -1,4 +1,4 @@
-"""A real server on a real port over a real SQLite file, with people, a sensor, telemetry and calibrations in it.
+"""A real server on a real port over a real database, with people, a sensor, telemetry and calibrations in it.
 
 Nothing computes behind it (no workers): a run stays QUEUED until a test ends it. The calibration is a real one.
 """
@@ -35,6 +35,7 @@ from boresight.store.sessions import migrate, open_engine, writing
 from boresight.store.tables import Run
 from boresight.telemetry.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from tests.stores import environment_in
 
 PASSWORD = "correct horse battery"
 PEOPLE = {
@@ -52,7 +53,8 @@ _numbers = itertools.count(100)
 def settings_in(folder: Path, **given: str) -> Settings:
     """Return settings with a folder of their own and no workers."""
     named = {f"BORESIGHT_{name.upper()}": value for name, value in given.items()}
-    return read_settings({"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_WORKERS": "0", **named})
+    own = {"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_WORKERS": "0", **environment_in(folder)}
+    return read_settings({**own, **named})
 
 
 @contextmanager

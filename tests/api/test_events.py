@@ -21,6 +21,7 @@ from boresight.api.feed import Event, Place, events_after
 from boresight.services import audit
 from boresight.services.actors import SYSTEM
 from boresight.store.sessions import migrate, open_engine, reading, writing
+from tests.stores import url_in
 
 from .conftest import House, add_people, serving, settings_in
 
@@ -186,7 +187,7 @@ def test_stopping_the_server_ends_the_streams_at_once(tmp_path: Path) -> None:
 
 
 def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path: Path) -> None:
-    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
+    engine = open_engine(url_in(tmp_path))
     migrate(engine)
     broadcast = Broadcast(engine)
 
@@ -211,7 +212,7 @@ def test_pages_of_missed_records_follow_one_another_without_a_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("boresight.api.feed.PAGE", 7)
-    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
+    engine = open_engine(url_in(tmp_path))
     migrate(engine)
     with writing(engine) as session:
         records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(20)]

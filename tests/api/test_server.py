@@ -167,6 +167,7 @@ def test_the_documentation_is_found_beside_the_routes_too(house: House) -> None:
     assert (answer.status_code, answer.headers["location"]) == (307, "/docs")
 
 
+@pytest.mark.sqlite("the modes of its files")
 def test_nobody_else_reads_the_database(tmp_path: Path) -> None:
     settings = settings_in(tmp_path / "data")
     with serving(settings):

@@ -14,6 +14,7 @@ from boresight.api.upkeep import Upkeep
 from boresight.services import alarms, api_keys, audit, users
 from boresight.services.actors import COMMAND_LINE
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
+from tests.stores import url_in
 
 from .conftest import PASSWORD
 
@@ -21,7 +22,7 @@ from .conftest import PASSWORD
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
     """A store with a person who has a key."""
-    store = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
+    store = open_engine(url_in(tmp_path))
     migrate(store)
     with writing(store) as session:
         row = users.create_user(session, COMMAND_LINE, name="ada", printed_name="Ada", password=PASSWORD, roles=[])

@@ -17,6 +17,7 @@ from boresight.services import audit, users, webhook_messages, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
 from boresight.store.tables import Webhook, WebhookDelivery
+from tests.stores import url_in
 
 from .conftest import PASSWORD, House
 
@@ -63,7 +64,7 @@ def receiver() -> Iterator[Receiver]:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
-    store = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
+    store = open_engine(url_in(tmp_path))
     migrate(store)
     yield store
     store.dispose()

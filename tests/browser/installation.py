@@ -12,6 +12,8 @@ from pathlib import Path
 
 import httpx
 
+from tests.stores import environment_in
+
 READY_WITHIN_S = 300
 POLL_S = 0.1
 
@@ -36,6 +38,7 @@ class Installation:
             "BORESIGHT_MODE": "SIM",
             "BORESIGHT_WORKERS": "1",
             "BORESIGHT_LEASE_S": "3",
+            **environment_in(folder / "data"),
             "NUMBA_CACHE_DIR": kernels,
         }
         self._process: subprocess.Popen | None = None

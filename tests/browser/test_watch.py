@@ -26,8 +26,7 @@ NUMBER = 5  # of the simulated sensors; the others here use the first
 @pytest.fixture(scope="module")
 def store(installation):
     """The installation's own database, beside its server."""
-    folder = installation.environment["BORESIGHT_DATA_FOLDER"]
-    engine = open_engine(read_settings({"BORESIGHT_DATA_FOLDER": folder}).database_url)
+    engine = open_engine(read_settings(installation.environment).database_url)
     yield engine
     engine.dispose()
 

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from boresight.cli import main
+from tests.stores import url_in
 
 FRAMES = 40
 
@@ -33,7 +34,7 @@ def boresight(data_folder, monkeypatch):
 @pytest.fixture
 def store(boresight, monkeypatch, tmp_path):
     """Give a test a database of its own."""
-    monkeypatch.setenv("BORESIGHT_DATABASE_URL", f"sqlite:///{tmp_path}/boresight.sqlite3")
+    monkeypatch.setenv("BORESIGHT_DATABASE_URL", url_in(tmp_path))
     return boresight
 
 

@@ -33,6 +33,7 @@ from boresight.store.sessions import migrate, open_engine, utc_now, writing
 from boresight.store.tables import Blob, Run, Sensor, TelemetrySet
 from boresight.telemetry.sensors import sensor_document
 from boresight.workers.summary import summary_of
+from tests.stores import copied, environment_in
 
 PASSWORD = "correct horse battery"
 PEOPLE = {
@@ -70,7 +71,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
 
 
 def _settings(folder: Path) -> Settings:
-    return read_settings({"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_MODE": "SIM", "BORESIGHT_WORKERS": "0"})
+    own = {"BORESIGHT_DATA_FOLDER": str(folder), **environment_in(folder)}
+    return read_settings({**own, "BORESIGHT_MODE": "SIM", "BORESIGHT_WORKERS": "0"})
 
 
 @pytest.fixture(scope="session")
@@ -219,6 +221,7 @@ class Visitor:
 def house(furnished: Path, tmp_path: Path) -> Any:
     """Give a test its own copy of the furnished store."""
     shutil.copytree(furnished, tmp_path / "data")
+    copied(furnished, tmp_path / "data")
     house = House(_settings(tmp_path / "data"))
     yield house
     house.engine.dispose()

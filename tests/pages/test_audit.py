@@ -8,16 +8,14 @@ from boresight.pages.audit import line_of
 from boresight.pages.audit_changes import changes
 from boresight.services import audit
 from boresight.store.sessions import reading, writing
+from tests.stores import drop_triggers
 
 
 def test_the_light_says_whether_the_chain_holds(house, read):
     visitor = house.visitor("victor")
     assert "CHAIN HOLDS" in read(visitor.get("/audit"))
     with house.engine.begin() as connection:
-        for (name,) in connection.exec_driver_sql(
-            "SELECT name FROM sqlite_master WHERE type = 'trigger' AND tbl_name = 'audit'"
-        ).fetchall():
-            connection.exec_driver_sql(f"DROP TRIGGER {name}")
+        drop_triggers(connection)
         connection.exec_driver_sql("UPDATE audit SET reason = 'altered' WHERE id = 2")
     page = read(visitor.get("/audit"))
     assert "CHAIN BROKEN" in page

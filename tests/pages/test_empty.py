@@ -9,13 +9,14 @@ import pytest
 from boresight.services import users
 from boresight.services.actors import COMMAND_LINE
 from boresight.store.sessions import migrate, writing
+from tests.stores import url_in
 
 
 @pytest.fixture
 def bare(house, tmp_path):
     """A store that has one person in it, who may do everything but sign."""
     folder = tmp_path / "bare"
-    settings = dataclasses.replace(house.settings, data_folder=folder, database_url=f"sqlite:///{folder}/bare.sqlite3")
+    settings = dataclasses.replace(house.settings, data_folder=folder, database_url=url_in(folder))
     bare = type(house)(settings)
     migrate(bare.engine)
     with writing(bare.engine) as session:

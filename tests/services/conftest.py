@@ -1,8 +1,7 @@
-"""A store with people in it: a real SQLite file, copied for each test from one that was filled once."""
+"""A store with people in it: a real database, copied for each test from one that was filled once."""
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
+from tests.stores import copied, url_in
 
 PASSWORD = "correct horse battery"
 PEOPLE: Mapping[str, tuple[str, ...]] = {
@@ -56,9 +56,9 @@ SENSOR: dict[str, Any] = {
 
 @pytest.fixture(scope="session")
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The file that every test starts from."""
-    path = tmp_path_factory.mktemp("filled") / "store.sqlite3"
-    engine = open_engine(f"sqlite:///{path}")
+    """The folder whose store every test starts from."""
+    folder = tmp_path_factory.mktemp("filled")
+    engine = open_engine(url_in(folder))
     migrate(engine)
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
@@ -67,13 +67,12 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
             )
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     engine.dispose()  # the last connection folds the write-ahead log into the file
-    return path
+    return folder
 
 
 @pytest.fixture
 def engine(filled: Path, tmp_path: Path) -> Iterator[Engine]:
-    shutil.copy(filled, tmp_path / "store.sqlite3")
-    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
+    engine = open_engine(copied(filled, tmp_path))
     yield engine
     engine.dispose()
 

@@ -13,13 +13,14 @@ from boresight.sky.catalogue import load_catalogue
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import migrate, open_engine, reading, writing
 from boresight.store.tables import ROLES
+from tests.stores import url_in
 
 
 class Demonstration:
     """A store filled once, and what was said meanwhile."""
 
     def __init__(self, folder):
-        self.engine = open_engine(f"sqlite:///{folder}/boresight.sqlite3")
+        self.engine = open_engine(url_in(folder))
         self.blobs = BlobStore(folder / "blobs")
         self.catalogue = load_catalogue(folder)
         self.said = []

@@ -44,6 +44,7 @@ from boresight.store.tables import (
     Waiver,
 )
 
+pytestmark = pytest.mark.sqlite("its owner edits the file; tests/store/test_verification.py has both engines edited")
 NOW = "2026-11-21T00:00:00.000000Z"
 PLAIN: Mapping[type, Any] = {int: 7, str: "x", dict: {}, list: []}
 

@@ -19,7 +19,7 @@ from tests.missions import add_run, add_set, make_baseline
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
     """Each engine in turn, with a sensor that drifts and its alarm."""
-    store: Engine = request.getfixturevalue("engine" if request.param == "sqlite" else "postgresql")
+    store: Engine = request.getfixturevalue(request.param)
     rng = np.random.default_rng(4)
     with writing(store) as session:
         number = sensors.register_sensor(session, COMMAND_LINE, sensor_document(st16_sensor(1))).id

@@ -70,7 +70,7 @@ def run(number):
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request):
     """Each engine in turn, with 23 rows of each kind that repeats."""
-    engine = request.getfixturevalue("engine" if request.param == "sqlite" else "postgresql")
+    engine = request.getfixturevalue(request.param)
     with writing(engine) as session:
         furnish(session)
         for number in range(23):
@@ -179,6 +179,7 @@ def many(engine):
     return engine
 
 
+@pytest.mark.sqlite("timed is this thread, and PostgreSQL computes in a process of its own")
 def test_a_page_of_fifty_thousand_runs_is_there_within_a_tenth_of_a_second(many):
     took = {}
     with reading(many) as session:

@@ -36,7 +36,7 @@ from .furniture import NOW, alarm, parameter_set, rows_of_tables
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
     """Each engine in turn, migrated."""
-    store: Engine = request.getfixturevalue("engine" if request.param == "sqlite" else "postgresql")
+    store: Engine = request.getfixturevalue(request.param)
     return store
 
 
@@ -108,9 +108,9 @@ def _has_age_index(store: Engine) -> bool:
     return "ix_idempotent_responses_created_utc" in {index["name"] for index in indexes}
 
 
-def test_a_migration_leaves_foreign_keys_on(engine: Engine) -> None:
-    migrate(engine)
-    with pytest.raises(sa.exc.IntegrityError, match="FOREIGN KEY"), writing(engine) as session:
+def test_a_migration_leaves_foreign_keys_on(sqlite: Engine) -> None:
+    migrate(sqlite)
+    with pytest.raises(sa.exc.IntegrityError, match="FOREIGN KEY"), writing(sqlite) as session:
         session.add(Promotion(sensor_id=9, parameter_set_id=9, at_utc=NOW))
 
 
@@ -131,12 +131,12 @@ def test_a_way_back_to_no_revision_is_refused_with_those_there_are(store: Engine
     assert current_revision(store) == head_revision()
 
 
-def test_an_empty_store_goes_back_to_base_only(engine: Engine) -> None:
-    downgrade(engine, "base")
+def test_an_empty_store_goes_back_to_base_only(sqlite: Engine) -> None:
+    downgrade(sqlite, "base")
     with pytest.raises(RefusedInputError, match=r"'0001' to go back to; name base\.$"):
-        downgrade(engine, "0001")
-    downgrade(engine, "base")
-    assert current_revision(engine) is None
+        downgrade(sqlite, "0001")
+    downgrade(sqlite, "base")
+    assert current_revision(sqlite) is None
 
 
 @pytest.mark.parametrize(
@@ -234,10 +234,10 @@ def test_a_second_open_request_for_a_set_is_refused(store: Engine) -> None:
         session.add(row)
 
 
-def test_text_in_a_number_is_refused(engine: Engine) -> None:
-    _fill(engine)
+def test_text_in_a_number_is_refused(sqlite: Engine) -> None:
+    _fill(sqlite)
     with pytest.raises(sa.exc.IntegrityError, match="cannot store TEXT"):
-        _execute(engine, "UPDATE runs SET attempt = 'twice'")
+        _execute(sqlite, "UPDATE runs SET attempt = 'twice'")
 
 
 def _execute(store: Engine, statement: str) -> None:

@@ -9,11 +9,11 @@ from boresight.store.sessions import Engine, open_engine
 from boresight.store.tables import Base
 
 
-def test_every_table_and_index_is_spelled_as_the_models_spell_it(engine: Engine, tmp_path: Any) -> None:
+def test_every_table_and_index_is_spelled_as_the_models_spell_it(sqlite: Engine, tmp_path: Any) -> None:
     direct = open_engine(f"sqlite:///{tmp_path}/direct.sqlite3")
     with direct.begin() as connection:
         Base.metadata.create_all(connection)
-    migrated, modelled = _spelling(engine), _spelling(direct)
+    migrated, modelled = _spelling(sqlite), _spelling(direct)
     assert {name: _parts(sql) for name, sql in migrated.items()} == {
         name: _parts(sql) for name, sql in modelled.items()
     }
@@ -36,7 +36,7 @@ def _spelling(engine: Engine) -> dict[str, str]:
         return {name: " ".join(sql.split()) for name, sql in rows if name != "alembic_version"}
 
 
-def test_every_table_is_strict(engine: Engine) -> None:
-    tables = {name: sql for name, sql in _spelling(engine).items() if sql.startswith("CREATE TABLE")}
+def test_every_table_is_strict(sqlite: Engine) -> None:
+    tables = {name: sql for name, sql in _spelling(sqlite).items() if sql.startswith("CREATE TABLE")}
     assert len(tables) == len(Base.metadata.tables)
     assert all(sql.endswith("STRICT") for sql in tables.values())

@@ -8,8 +8,9 @@ from sqlalchemy.orm import Session as UnsealedSession
 
 from boresight.store import chain, verification
 from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import AuditRecord, Base, Sensor, User
+from boresight.store.tables import AuditRecord, Sensor, User
 from boresight.store.verification import Findings, Misfit
+from tests.stores import drop_triggers
 
 NOW = "2026-11-21T00:00:00.000000Z"
 MALLORY = (
@@ -21,7 +22,7 @@ MALLORY = (
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
     """Each engine in turn, with three people and a sensor of ψ, whose rows were sealed one after another."""
-    store: Engine = request.getfixturevalue("engine" if request.param == "sqlite" else "postgresql")
+    store: Engine = request.getfixturevalue(request.param)
     for name in ("ana", "bo", "cy"):
         with writing(store) as session:
             session.add(User(name=name, printed_name=name, password_hash="x", roles=["analyst"], created_utc=NOW))
@@ -35,12 +36,7 @@ def store(request: pytest.FixtureRequest) -> Engine:
 def _by_hand(store: Engine, *statements: str) -> None:
     """Edit the database as its owner could, with the triggers out of the way."""
     with store.begin() as connection:
-        if store.dialect.name == "sqlite":
-            names = connection.exec_driver_sql("SELECT name FROM sqlite_master WHERE type = 'trigger'").scalars().all()
-            statements = (*(f"DROP TRIGGER {name}" for name in names), *statements)
-        else:
-            tables = Base.metadata.tables
-            statements = (*(f"ALTER TABLE {name} DISABLE TRIGGER USER" for name in tables), *statements)
+        drop_triggers(connection)
         for statement in statements:
             connection.exec_driver_sql(statement)
 

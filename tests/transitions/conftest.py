@@ -14,11 +14,8 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
-from tests.store.conftest import postgresql, postgresql_cluster
 
 from .installation import Evidence
-
-__all__ = ["postgresql", "postgresql_cluster"]  # fixtures
 
 SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
 

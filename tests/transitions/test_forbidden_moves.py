@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import re
-import sqlite3
 from collections.abc import Iterator
 from functools import cache, cached_property
 from typing import Any
@@ -46,13 +45,11 @@ class Board:
         self.installation = installation
         self.sets: dict[str, int] = {}
         self.clients: dict[str, httpx.Client] = {}
-        self._file = sqlite3.connect(installation.engine.url.database or "")
 
     def close(self) -> None:
         """Close what was opened."""
         for client in self.clients.values():
             client.close()
-        self._file.close()
         self.installation.engine.dispose()
 
     def actor(self, name: str) -> Actor:
@@ -104,11 +101,21 @@ class Board:
     def digest(self) -> str:
         """Digest every row of every table."""
         digest = hashlib.sha256()
-        for table in Base.metadata.sorted_tables:
-            named = ", ".join(column.name for column in table.columns if column.name not in BETWEEN.get(table.name, ()))
-            query = f'SELECT {named} FROM "{table.name}"'  # noqa: S608 - names of our own columns
-            digest.update(repr(self._file.execute(query).fetchall()).encode())
+        with self.installation.engine.connect() as connection:
+            for query in _everything():
+                digest.update(repr(connection.exec_driver_sql(query).fetchall()).encode())
         return digest.hexdigest()
+
+
+@cache
+def _everything() -> list[str]:
+    """The queries of every row of every table, in an order of their own."""
+    queries = []
+    for table in Base.metadata.sorted_tables:
+        named = ", ".join(column.name for column in table.columns if column.name not in BETWEEN.get(table.name, ()))
+        order = ", ".join(column.name for column in table.primary_key)
+        queries.append(f'SELECT {named} FROM "{table.name}" ORDER BY {order}')  # noqa: S608 - names of our own columns
+    return queries
 
 
 def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | None = None) -> ParameterSet:

@@ -24,6 +24,7 @@ from boresight.services import approvals, audit, parameter_sets
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import Approval, AuditRecord, ParameterSet, Promotion, Signature
 from tests.api.conftest import settings_in
+from tests.stores import environment_in
 
 from .installation import WORDS, Evidence, Installation, tag
 
@@ -59,7 +60,9 @@ class Server:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
         command = (sys.executable, "-m", "boresight", "serve", "--data", str(self.folder), "--port", str(self.port))
-        environment = os.environ | {"BORESIGHT_WORKERS": "0", "BORESIGHT_LOGIN_ATTEMPTS": "1000"}
+        environment = (
+            os.environ | {"BORESIGHT_WORKERS": "0", "BORESIGHT_LOGIN_ATTEMPTS": "1000"} | environment_in(self.folder)
+        )
         self.process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
         until_s = time.monotonic() + 90
         while not self._answers():

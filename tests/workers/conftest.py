@@ -1,4 +1,4 @@
-"""A real store on a real file with a telemetry set, and engines with real worker processes on it."""
+"""A real store with a telemetry set, and engines with real worker processes on it."""
 
 import contextlib
 import shutil
@@ -22,6 +22,7 @@ from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
 from boresight.workers import cluster
 from boresight.workers.engine import Engine
+from tests.stores import environment_in
 
 sys.path.insert(0, str(Path(__file__).parent))  # where worker processes, which inherit the path, find the stand-in
 from standin import Unwarmed
@@ -37,6 +38,7 @@ class Store:
         shutil.copytree(catalogue, folder / "catalogue")
         environment = {"workers": "2", "lease_s": "3", "max_attempts": "3", "data_folder": str(folder)} | settings
         self.environment = {f"BORESIGHT_{name.upper()}": value for name, value in environment.items()}
+        self.environment |= environment_in(folder)
         self.settings: Settings = read_settings(self.environment)
         self.database = open_engine(self.settings.database_url)
         self.blobs = BlobStore(self.settings.blob_folder)

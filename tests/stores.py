@@ -1,0 +1,78 @@
+"""Where a test's store is: a SQLite file in the test's folder, or with `--store postgresql` a database of that folder's.
+
+Tests name the folder and open what `url_in` returns, so each of them runs on either engine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from pathlib import Path
+
+import sqlalchemy as sa
+
+from boresight.store.tables import Base
+from tests.postgresql import server
+
+FILE = "boresight.sqlite3"  # the name that an installation gives it
+
+_of_folders: dict[Path, str] = {}  # databases that were made, by the folder that they stand for
+_chosen = ["sqlite"]
+
+
+def choose(engine: str) -> None:
+    """Say which engine the tests run on, `sqlite` or `postgresql`."""
+    _chosen[0] = engine
+
+
+def on_postgresql() -> bool:
+    """Whether the tests run on PostgreSQL."""
+    return _chosen[0] == "postgresql"
+
+
+def url_in(folder: Path) -> str:
+    """Return the address of a folder's store: no file yet, or a database that is migrated already."""
+    if not on_postgresql():
+        return f"sqlite:///{folder}/{FILE}"
+    folder = folder.resolve()
+    if folder not in _of_folders:
+        server().make(_name(folder))
+        _of_folders[folder] = _name(folder)
+    return server().url(_of_folders[folder])
+
+
+def environment_in(folder: Path) -> dict[str, str]:
+    """Return what the environment must say besides the data folder, so that an installation uses `url_in(folder)`."""
+    return {"BORESIGHT_DATABASE_URL": url_in(folder)} if on_postgresql() else {}
+
+
+def copied(source: Path, target: Path) -> str:
+    """Copy a folder's store, which nobody has open, to another folder; return its address there."""
+    if not on_postgresql():
+        target.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source / FILE, target / FILE)
+        return url_in(target)
+    target = target.resolve()
+    _of_folders[target] = _name(target)
+    return server().make(_name(target), _of_folders[source.resolve()])
+
+
+def drop_under(folder: Path) -> None:
+    """Remove the databases of a folder and of those in it."""
+    folder = folder.resolve()
+    for made in [path for path in _of_folders if path.is_relative_to(folder)]:
+        server().drop(_of_folders.pop(made))
+
+
+def drop_triggers(connection: sa.Connection) -> None:
+    """Take what guards the rows out of the way, as the database's owner could."""
+    if connection.dialect.name == "sqlite":
+        for name in connection.exec_driver_sql("SELECT name FROM sqlite_master WHERE type = 'trigger'").scalars().all():
+            connection.exec_driver_sql(f"DROP TRIGGER {name}")
+    else:
+        for name in Base.metadata.tables:
+            connection.exec_driver_sql(f"ALTER TABLE {name} DISABLE TRIGGER USER")
+
+
+def _name(folder: Path) -> str:
+    return f"t{hashlib.sha256(str(folder).encode()).hexdigest()[:20]}"
