@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 
 from boresight.store.documents import canonical, read, sha256_of
 
-NUMBERS = st.integers(-(2**63), 2**63) | st.integers() | st.integers(10**17, 10**40) | st.floats(allow_nan=False, allow_infinity=False)
+NUMBERS = (
+    st.integers(-(2**63), 2**63)
+    | st.integers()
+    | st.integers(10**17, 10**40)
+    | st.floats(allow_nan=False, allow_infinity=False)
+)
 JSON = st.recursive(
     st.none() | st.booleans() | NUMBERS | st.text(max_size=20),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),

@@ -17,7 +17,6 @@ import sqlalchemy as sa
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 
-
 #: An integer that may not fit into 64 bits, which the fast reader would round to a float.
 _LONG_INTEGER = re.compile(r"(?<![.\d])\d{19}")
 
