@@ -81,7 +81,9 @@ def _serve(settings: Settings) -> None:
     """Run the server; Ctrl-C is its ordinary end."""
     use_kernel_folder(settings)
     from boresight.server import serve as run
+    from boresight.workers.security import security_of
 
+    security_of(settings)  # refuse now what the engine would only log
     try:
         run(settings)
     except KeyboardInterrupt:
@@ -93,7 +95,7 @@ def _populate(settings: Settings) -> None:
     _wait_until_served(settings)
     from boresight.services.demonstration import LOG_INS, create_demonstration
     from boresight.sky.catalogue import load_catalogue
-    from boresight.store.blobs import BlobStore
+    from boresight.store.blobs import open_blobs
     from boresight.store.sessions import open_engine
 
     click.echo(f"\n  Boresight demonstration: {_address(settings)}\n\n  Log in as")
@@ -103,7 +105,7 @@ def _populate(settings: Settings) -> None:
     engine = open_engine(settings.database_url)
     try:
         catalogue = load_catalogue(settings.catalogue_folder)
-        create_demonstration(engine, BlobStore(settings.blob_folder), catalogue, lambda step: click.echo(f"  {step}"))
+        create_demonstration(engine, open_blobs(settings.blob_place), catalogue, lambda step: click.echo(f"  {step}"))
     except Exception as error:  # noqa: BLE001 - a thread's last words; the server goes on
         click.echo(f"boresight: the demonstration could not be completed: {error}", err=True)
     finally:

@@ -15,7 +15,9 @@ GB = 1_000_000_000
 
 
 @click.command()
-@click.option("--scheduler", help="Address of the scheduler, instead of the setting: tcp://host:port or tls://host:port.")
+@click.option(
+    "--scheduler", help="Address of the scheduler, instead of the setting: tcp://host:port or tls://host:port."
+)
 @click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="Worker processes, one a core.")
 @click.option(
     "--memory-gb",

@@ -1,8 +1,9 @@
 """The dask cluster as the engine uses it: submit, ask to stop, kill, notice its loss.
 
 By default a scheduler in this process with worker processes of one thread each, which end when this process does,
-however it ends; or an external scheduler by address. An external one should be started with
-`DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0`, as ours is: the engine counts the workers that a run has cost.
+however it ends; or an external scheduler by address, started by `boresight scheduler` with workers by `boresight worker`. Ours
+allow no failures: the engine counts the workers that a run has cost. A death is no run's fault while a large run's pieces were,
+or had just been, on the same worker: which of them it was nobody knows.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable, Collection
 from concurrent.futures import CancelledError
 from contextlib import suppress
@@ -19,9 +21,14 @@ import dask
 from distributed import Client, Event, KilledWorker, LocalCluster
 from distributed.system import MEMORY_LIMIT
 
+import boresight
 from boresight.settings import Settings
 from boresight.store.runs import Held
+from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE, NOWHERE
+from boresight.workers.fitness import UNFIT_TOPIC, Fitness
 from boresight.workers.link import TOPIC, cancel_event
+from boresight.workers.security import security_of
+from boresight.workers.spread import LENT_TOPIC
 from boresight.workers.tasks import Outcome, Work, execute_group
 from boresight.workers.warm import WarmUp
 
@@ -32,12 +39,7 @@ CLOSE_S = 5
 FETCH_S = 2
 CHATTY = ("distributed", "distributed.client")  # what they tell, the engine writes to the run it concerns
 DIED = "its worker process died while computing it (killed, or out of memory)"
-MEMORY_SHARE = 0.8  # of the machine, over all worker processes; the rest is the server's and the system's
-CONFIGURATION = {
-    "distributed.admin.low-level-log-length": 100,  # progress events the scheduler keeps; each may hold a history
-    "distributed.diagnostics.nvml": False,
-    "distributed.scheduler.http.routes": [],
-}
+LENT_S = 5.0  # so long after pieces were on a worker its death may be theirs
 NEVER = "3650 days"
 
 
@@ -51,6 +53,9 @@ class Cluster:
     def __init__(self, client: Any, local: Any | None) -> None:
         self._client = client
         self._local = local
+        self._lent_until_s: dict[str, float] = {}
+        client.subscribe_topic(LENT_TOPIC, lambda event: self._note_loan(event[1]))
+        client.subscribe_topic(UNFIT_TOPIC, lambda event: log.error(event[1]["fault"]))
 
     @classmethod
     def open(cls, settings: Settings, on_progress: Callable[[dict[str, Any]], None]) -> Cluster:
@@ -60,6 +65,8 @@ class Cluster:
         ------
         OSError
             When the scheduler cannot be reached.
+        RefusedInputError
+            When certificates are missing.
         """
         for name in CHATTY:
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -68,10 +75,13 @@ class Cluster:
             client = Client(
                 settings.scheduler or local,
                 timeout=CONNECT_S,
+                security=security_of(settings) if settings.scheduler else None,
                 set_as_default=False,
                 heartbeat_interval="2s",
             )
         client.subscribe_topic(TOPIC, lambda event: on_progress(event[1]))
+        if settings.scheduler:
+            client.register_plugin(Fitness(boresight.__version__, str(settings.blob_folder)))
         client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
         return cls(client, local)
 
@@ -91,6 +101,27 @@ class Cluster:
         future = self._client.submit(execute_group, group, calculation, key=key, pure=False, workers=[worker])
         future.add_done_callback(lambda _: done())
         return future
+
+    def outcome_of(self, future: Any, worker: str) -> list[Outcome] | LostTaskError | None:
+        """Return a task's outcomes, that it was lost, or None when it has not ended or ended for no fault of its own."""
+        if not future.done():
+            return None
+        try:
+            outcomes: list[Outcome] = future.result(timeout=FETCH_S)
+        except (TimeoutError, CancelledError):  # its worker died after it had ended and before it was asked
+            return None
+        except KilledWorker:
+            lent = time.monotonic() < self._lent_until_s.get(worker, 0.0)
+            return None if lent else LostTaskError(DIED)
+        except Exception as error:  # noqa: BLE001 - whatever kept the worker from even beginning
+            return LostTaskError(f"its worker could not begin it, {type(error).__name__}: {error}")
+        return outcomes
+
+    def _note_loan(self, event: dict[str, Any]) -> None:
+        """Note that a worker has, or just had, pieces of another run."""
+        now_s = time.monotonic()
+        self._lent_until_s = {name: until_s for name, until_s in self._lent_until_s.items() if until_s > now_s}
+        self._lent_until_s[event["worker"]] = now_s + event["for_s"] + LENT_S
 
     def ask_to_stop(self, held: Held) -> None:
         """Ask an attempt to stop; it looks five times a second."""
@@ -123,21 +154,6 @@ class Cluster:
                     part.close(timeout=CLOSE_S)
 
 
-def outcome_of(future: Any) -> list[Outcome] | LostTaskError | None:
-    """Return a task's outcomes, that it was lost, or None when it has not ended."""
-    if not future.done():
-        return None
-    try:
-        outcomes: list[Outcome] = future.result(timeout=FETCH_S)
-    except (TimeoutError, CancelledError):  # its worker died after it had ended and before it was asked
-        return None
-    except KilledWorker:
-        return LostTaskError(DIED)
-    except Exception as error:  # noqa: BLE001 - whatever kept the worker from even beginning
-        return LostTaskError(f"its worker could not begin it, {type(error).__name__}: {error}")
-    return outcomes
-
-
 def _local_cluster(settings: Settings) -> Any:
     """Start a scheduler in this process and worker processes of one thread."""
     # The cluster looks once more for a lost worker after this time, and ends its nanny, and so the next run on it, if it
@@ -152,7 +168,7 @@ def _local_cluster(settings: Settings) -> Any:
         dashboard_address=None,
         silence_logs=logging.CRITICAL,
         memory_limit=int(MEMORY_SHARE * MEMORY_LIMIT / settings.workers),
-        scheduler_kwargs={"allowed_failures": 0, "dashboard_address": "127.0.0.1:0"},  # else it takes port 8787
+        scheduler_kwargs={"allowed_failures": 0, "dashboard_address": NOWHERE},  # else it takes port 8787
         local_directory=str(settings.data_folder / "scratch"),
         env={"NUMBA_CACHE_DIR": folder},
     )

@@ -22,7 +22,7 @@ from typing import Any
 from boresight.settings import Settings
 from boresight.store.runs import Claimed, Held
 from boresight.store.sessions import Engine as Database
-from boresight.workers.cluster import Cluster, LostTaskError, outcome_of
+from boresight.workers.cluster import Cluster, LostTaskError
 from boresight.workers.flight import Flight
 from boresight.workers.reconcile import Reconciler
 from boresight.workers.reports import Reports
@@ -184,7 +184,7 @@ class Engine:
         if flight.future.cancelled():
             self._rows.put_back(flight.members, "the scheduler dropped it")
             return True
-        answer = outcome_of(flight.future)
+        answer = self._on_cluster().outcome_of(flight.future, flight.worker)
         if answer is None and alive:
             return False
         if answer is None:  # the news of the end may still be on its way
@@ -276,7 +276,7 @@ class Engine:
     def _inputs(self, run: Claimed) -> Inputs:
         """Gather what the workers need."""
         return Inputs(
-            blob_folder=str(self._settings.blob_folder),
+            blob_address=self._settings.blob_place.address,
             catalogue_folder=str(self._settings.catalogue_folder),
             table_sha256=run.table_sha256,
             validation_sha256=run.validation_sha256,

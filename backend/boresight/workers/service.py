@@ -23,23 +23,14 @@ from distributed.core import rpc
 from distributed.system import MEMORY_LIMIT
 
 from boresight.settings import Settings
+from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE, NOWHERE
 from boresight.workers.security import PROTOCOL, security_of
 from boresight.workers.warm import WarmUp
 
-MEMORY_SHARE = 0.8  # of a machine, over its worker processes
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 LASTED_S = 60.0
 ANSWER_S = 5.0
 CLOSE_S = 10.0
-QUIET = {"distributed": logging.CRITICAL, "distributed.nanny.memory": logging.WARNING}
-CONFIGURATION = {
-    "distributed.admin.low-level-log-length": 100,  # progress events the scheduler keeps; each may hold a history
-    "distributed.diagnostics.nvml": False,
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-}
-NOWHERE = "127.0.0.1:0"  # distributed opens a port for its dashboard in any case
-
 Say = Callable[[str], None]
 
 
@@ -104,7 +95,9 @@ class WorkerService:
             joined_s = time.monotonic()
             await self._be_worker(security)
             pause_s = FIRST_PAUSE_S if time.monotonic() - joined_s > LASTED_S else min(2 * pause_s, LONGEST_PAUSE_S)
-            self.say(f"The worker is not at {self.settings.scheduler} any more; it joins again from in {pause_s:.0f} s on.")
+            self.say(
+                f"A worker has left {self.settings.scheduler}; in {pause_s:.0f} s it looks whether it can join again."
+            )
             await asyncio.sleep(pause_s)
 
     async def _until_answered(self, security: Security | None) -> None:
@@ -125,6 +118,7 @@ class WorkerService:
             security=security,
             dashboard=False,
             dashboard_address=NOWHERE,
+            silence_logs=logging.CRITICAL,
             plugins=(WarmUp(str(self.settings.catalogue_folder), ours=True),),
         )
         try:
@@ -181,7 +175,8 @@ async def _until_stopped(work: Coroutine[Any, Any, None]) -> None:
 
 
 def _configure() -> None:
-    """Make distributed quiet and closed: what is to be said is said here."""
+    """Make distributed quiet and closed: what is to be said is said here, but that a process needed too much memory."""
     dask.config.set(CONFIGURATION)
-    for name, level in QUIET.items():
-        logging.getLogger(name).setLevel(level)
+    for handler in logging.getLogger("distributed").handlers:
+        handler.setLevel(logging.CRITICAL)
+    logging.getLogger("distributed.nanny.memory").addHandler(logging.StreamHandler())

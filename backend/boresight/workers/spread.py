@@ -139,7 +139,7 @@ class ClusterSpread:
             group = work.pieces.take(2 + len(loans))
             if not group:
                 return
-            self._tell_lent(worker)
+            self._tell_lent(worker, _patience_s(work.pieces, group))
             future = self._client.submit(
                 compute_group,
                 str(self._sign),
@@ -168,7 +168,7 @@ class ClusterSpread:
         for worker, loan in list(loans.items()):
             if loan.future.done():
                 del loans[worker]
-                self._tell_lent(worker)
+                self._tell_lent(worker, 0.0)
                 if not self._taken_in(work.pieces, worker, loan):
                     self._idle = [other for other in self._idle if other != worker]
                     work.pieces.give_back(loan.group)
@@ -189,9 +189,9 @@ class ClusterSpread:
         pieces.settle(loan.group, results, seconds)
         return True
 
-    def _tell_lent(self, worker: str) -> None:
-        """Tell whoever gives runs to the workers that this one has, or just had, pieces of another run."""
-        self._worker.log_event(LENT_TOPIC, {"worker": worker})
+    def _tell_lent(self, worker: str, for_s: float) -> None:
+        """Tell whoever gives runs to the workers how long this one will have pieces of another run; 0: it just had."""
+        self._worker.log_event(LENT_TOPIC, {"worker": worker, "for_s": for_s})
 
 
 @dataclass(frozen=True)
