@@ -76,7 +76,7 @@ def _match(
     matches = rematch(stars, sensor, catalogue, x, P, settings, folder)
     seen = sighting_of(stars, sensor, matches, x, settings) if choices["flight"] else None
     try:
-        write_with_stars(read_table(telemetry, telemetry.name)[0], matched_stars(matches, seen)[0], out)
+        write_with_stars(read_table(telemetry, telemetry.name), matched_stars(matches, seen)[0], out)
     except OSError as error:
         raise RefusedInputError(f"{out} cannot be written: {error.strerror}; choose another place.") from error
     return match_report(stars, sensor, matches, seen)

@@ -21,37 +21,67 @@ _QUATERNION_TOLERANCE = 1e-3
 _FASTEST_M_S = 100e3
 
 
-def check_telemetry(telemetry: Telemetry, faults: Faults) -> None:
-    """Collect every fault of a telemetry set.
+class Checks:
+    """Checks of a set that comes in parts of whole frames.
+
+    Exposures lie within a frame, so a part has all that belongs together; only the order of the frames runs over the seams.
 
     Parameters
     ----------
-    telemetry
-        As read, with any order of rows.
-    faults
-        Receives the faults; nothing is raised here.
+    subject
+        The file's name, as the refusal names it.
     """
-    exposures = exposures_of(telemetry)
-    _check_order(telemetry, exposures, faults)
-    _check_repeated_stars(telemetry, exposures, faults)
-    _check_repeated_centroids(telemetry, exposures, faults)
-    _check_directions(telemetry, faults)
-    _check_quaternions(telemetry, faults)
-    _check_velocities(telemetry, faults)
-    _check_noise(telemetry, faults)
+
+    def __init__(self, subject: str) -> None:
+        self._order, self._torn, self._others = Faults(subject), Faults(subject), Faults(subject)
+        self._last_frame: int | None = None
+
+    @property
+    def found(self) -> bool:
+        """Whether there is something to refuse."""
+        return bool(self._order.count or self._torn.count or self._others.count)
+
+    def look_at(self, telemetry: Telemetry) -> None:
+        """Collect every fault of the next part; nothing is raised here."""
+        for faults in (self._order, self._torn, self._others):
+            faults.first_row = telemetry.first_row
+        exposures = exposures_of(telemetry)
+        _check_order(telemetry, self._last_frame, self._order)
+        self._last_frame = int(telemetry.frame[-1])
+        _check_torn(telemetry, exposures, self._torn)
+        _check_repeated_stars(telemetry, exposures, self._others)
+        _check_repeated_centroids(telemetry, exposures, self._others)
+        _check_directions(telemetry, self._others)
+        _check_quaternions(telemetry, self._others)
+        _check_velocities(telemetry, self._others)
+        _check_noise(telemetry, self._others)
+
+    def refuse(self) -> None:
+        """Raise what was collected; an exposure counts as torn only where the frames are in order.
+
+        Raises
+        ------
+        RefusedInputError
+            When there is anything.
+        """
+        faults = self._order if self._order.count else self._torn
+        faults.absorb(self._others)
+        faults.refuse()
 
 
-def _check_order(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:
-    """Find frames that descend and exposures that are not one run of rows."""
+def _check_order(telemetry: Telemetry, last_frame: int | None, faults: Faults) -> None:
+    """Find frames that descend, also from the last one of the part before."""
     frame = telemetry.frame
-    descends = np.diff(frame, prepend=frame[:1]) < 0
+    before = np.append(frame[0] if last_frame is None else last_frame, frame[:-1])
     faults.add_entries(
-        descends,
+        frame < before,
         "frame",
-        lambda entry: f"frame {frame[entry]} follows frame {frame[entry - 1]}: sort the rows by frame",
+        lambda entry: f"frame {frame[entry]} follows frame {before[entry]}: sort the rows by frame",
     )
-    if descends.any():
-        return
+
+
+def _check_torn(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:
+    """Find exposures that are not one run of rows."""
     later, _ = repeats_within(np.zeros(len(exposures), dtype=np.int64), exposures.frame, exposures.exposure)
     torn = np.zeros(len(telemetry), dtype=np.bool_)
     torn[exposures.start[later]] = True
@@ -59,7 +89,7 @@ def _check_order(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> 
         torn,
         "exposure",
         lambda entry: (
-            f"exposure {telemetry.exposure[entry]} of frame {frame[entry]} was interrupted by another: "
+            f"exposure {telemetry.exposure[entry]} of frame {telemetry.frame[entry]} was interrupted by another: "
             "sort the rows by frame and exposure"
         ),
     )

@@ -1,6 +1,7 @@
 """From the columns of a file to arrays: every cell becomes a number or a time, or a fault with its row.
 
 The three file formats meet here as Arrow columns, typed where the format could type them and text where it could not.
+What a cell means does not depend on its neighbours, so that a file means the same in whatever parts it is read.
 An absent value is an empty cell or a null. A cell that says NaN or infinity is refused, for it is not a measurement and
 one of them would poison every sum.
 """
@@ -21,7 +22,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_NUMBER = r"^-?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
+_NUMBER = r"^-?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$|^-?(?i:nan|inf|infinity)$"
+_HEXADECIMAL = r"^0[xX][0-9a-fA-F]{1,16}$"
 _LARGEST_EXACT = 2.0**53
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
@@ -30,21 +32,25 @@ _ABSENT_TIME = int(np.datetime64("NaT", "us").astype(np.int64))
 _EARLIEST, _LATEST = np.datetime64("1900-01-01", "us"), np.datetime64("2100-01-01", "us")
 
 
-def floats(column: pa.ChunkedArray, name: str, faults: Faults) -> FloatArray:
-    """Return a column as (n,) floats, NaN where absent; text and non-finite cells become faults."""
+def floats(column: pa.ChunkedArray, name: str, faults: Faults) -> tuple[FloatArray, BoolArray]:
+    """Return a column as (n,) floats, NaN where absent, and the (n,) mask of absent cells.
+
+    Text and non-finite cells become faults; their floats are of no use.
+    """
     cells = _plain(column)
+    absent = _absent(cells)
     if _is_text(cells):
-        cells = _numbers_of_text(cells, name, faults)
+        cells, absent = _numbers_of_text(cells, name, faults)
     elif not _is_number(cells):
         faults.add(f"holds {cells.type} where numbers are expected: write it as numbers", column=name)
-        return np.full(len(cells), np.nan)
+        return np.full(len(cells), np.nan), np.zeros(len(cells), dtype=np.bool_)
     values = np.array(pc.cast(cells, pa.float64(), safe=False).to_numpy(zero_copy_only=False))
     faults.add_entries(
         ~np.isfinite(values) & ~_absent(cells),
         name,
         lambda entry: f"{values[entry]} is not a measurement: leave the cell empty or drop the row",
     )
-    return values
+    return values, absent
 
 
 def integers(column: pa.ChunkedArray, name: str, faults: Faults) -> tuple[IntArray, BoolArray]:
@@ -60,14 +66,42 @@ def integers(column: pa.ChunkedArray, name: str, faults: Faults) -> tuple[IntArr
             pass  # some cell is not an integer, or too large for one: look at them as numbers
         else:
             return exact.fill_null(0).to_numpy(), _absent(exact)
-    values = floats(column, name, faults)
+    cells = _without_hexadecimals(cells)
+    values, absent = floats(pa.chunked_array([cells]), name, faults)
     whole = (values == np.round(values)) & (np.abs(values) <= _LARGEST_EXACT)
+    result = np.where(whole, values, 0.0).astype(np.int64)
+    for entry in np.flatnonzero(np.isfinite(values) & ~whole).tolist():
+        exactly = _exactly(cells[entry].as_py())
+        if exactly is not None:
+            whole[entry], result[entry] = True, exactly
     faults.add_entries(
         np.isfinite(values) & ~whole,
         name,
         lambda entry: f"{values[entry]:.15g} is not a whole number: write an integer",
     )
-    return np.where(whole, values, 0.0).astype(np.int64), ~np.isfinite(values)
+    return result, absent
+
+
+def _without_hexadecimals(cells: pa.Array) -> pa.Array:
+    """Return text with the hexadecimal numbers, which Arrow reads as integers, written as decimal ones."""
+    if not _is_text(cells):
+        return cells
+    marked = pc.match_substring_regex(cells, _HEXADECIMAL).fill_null(fill_value=False)
+    if not pc.any(marked).as_py():
+        return cells
+    texts = cells.to_pylist()
+    for entry in np.flatnonzero(marked.to_numpy(zero_copy_only=False)).tolist():
+        texts[entry] = str(int(texts[entry], 16))
+    return pa.array(texts, cells.type)
+
+
+def _exactly(cell: object) -> int | None:
+    """Return a large integer that is written as one to its last digit, or None."""
+    try:
+        number = int(cell) if isinstance(cell, int | str) else None
+    except ValueError:
+        return None
+    return number if number is not None and -(2**63) <= number < 2**63 else None
 
 
 def times(column: pa.ChunkedArray, name: str, faults: Faults) -> NDArray[np.datetime64]:
@@ -123,21 +157,24 @@ def _absent(cells: pa.Array) -> BoolArray:
     return np.asarray(cells.is_null().to_numpy(zero_copy_only=False), dtype=np.bool_)
 
 
-def _numbers_of_text(cells: pa.Array, name: str, faults: Faults) -> pa.Array:
-    """Return text as numbers, null where absent or wrong; blanks around a number and a leading plus are let pass."""
+def _numbers_of_text(cells: pa.Array, name: str, faults: Faults) -> tuple[pa.Array, BoolArray]:
+    """Return text as numbers, null where absent or wrong, and the (n,) mask of absent ones.
+
+    Blanks around a number and a leading plus are let pass.
+    """
     try:
-        return pc.cast(cells, pa.float64())
+        return pc.cast(cells, pa.float64()), _absent(cells)
     except pa.ArrowInvalid:
         pass  # at least one cell is not a plain number: find out which
     bare = pc.replace_substring_regex(pc.utf8_trim_whitespace(cells), r"^\+", "")
     number = pc.match_substring_regex(bare, _NUMBER).fill_null(fill_value=False)
-    wrong = (
-        ~number.to_numpy(zero_copy_only=False) & ~_absent(cells) & (pc.utf8_length(bare).fill_null(0).to_numpy() > 0)
-    )
+    absent = pc.utf8_length(bare).fill_null(0).to_numpy() == 0
     faults.add_entries(
-        wrong, name, lambda entry: f"{_quoted(cells, entry)} is not a number: correct it or leave it empty"
+        ~number.to_numpy(zero_copy_only=False) & ~absent,
+        name,
+        lambda entry: f"{_quoted(cells, entry)} is not a number: correct it or leave it empty",
     )
-    return pc.cast(pc.if_else(number, bare, None), pa.float64())
+    return pc.cast(pc.if_else(number, bare, None), pa.float64()), absent
 
 
 def _times_of_text(cells: pa.Array, name: str, faults: Faults) -> NDArray[np.datetime64]:

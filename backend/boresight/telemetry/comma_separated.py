@@ -1,66 +1,108 @@
 """Reading CSV: a header line, commas, a row a line.
 
-Arrow reads the known columns as numbers at once. Where that fails, every cell is read as text, and `columns` finds
-the ones that are wrong; only a file with faults pays for it.
+Arrow reads the known columns as numbers at once. Where that fails, every cell of the piece is read as text, and `columns`
+finds the ones that are wrong; only a file with faults pays for it. Where even that fails, the lines are looked at one by one.
+A line of CSV is cells between commas; a cell that begins with a quotation mark ends at the next single one::
+
+    cell = "( not-a-quote | "" )*" rest | plain
 """
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import io
+import re
+from collections.abc import Iterator
+from functools import partial
+from itertools import chain
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.formats import blank_rows, worth_threads
+from boresight.telemetry.formats import worth_threads
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import FLOAT_COLUMNS, INTEGER_COLUMNS
+from boresight.telemetry.tables import FormFaults, Tables
+from boresight.telemetry.text_pieces import text_pieces
 
 #: The header is row 1.
 FIRST_ROW = 2
 
+_CELL = re.compile(rb'(?:"(?:[^"]|"")*+"[^,]*+|(?!")[^,]*+)(?:,|$)')
 
-def read_csv(name: str, text: bytes) -> pa.Table:
-    """Read CSV text into a table whose known columns are numbers or, where some cell is not one, text.
+
+def csv_tables(path: Path, name: str, *, as_text: bool = False) -> Tables:
+    """Open a CSV file whose known columns are read as numbers or, in a piece where some cell is not one, as text.
 
     Parameters
     ----------
+    path
+        Where it is.
     name
-        The file's name, for refusals.
-    text
-        UTF-8, lines ended by a line feed.
+        Its name, for refusals.
+    as_text
+        Read every cell as text.
 
     Raises
     ------
     RefusedInputError
-        For a header that is unusable, rows with too many or too few cells, blank rows, line breaks inside cells.
+        For a header that is unusable, and for a file without rows.
     """
-    header = _header(name, text)
-    _refuse_blank_rows(name, text)
-    if b"\n" not in text:
+    form = FormFaults(name)
+    pieces = text_pieces(path, name)
+    first = next(pieces)
+    header_line, _, rows = first.partition(b"\n")
+    try:
+        header = _header(name, header_line)
+    except RefusedInputError:
+        for _ in pieces:  # text of another encoding comes first
+            pass
+        raise
+    if not header:
+        form.look_for_blank_rows(first, 1)
+    if not rows:
+        rows = next(pieces, b"")
+    if not rows and header:
         raise RefusedInputError(f"{name} has a header but no rows: there is nothing to calibrate from.")
+    return Tables(
+        columns=tuple(header),
+        first_row=FIRST_ROW,
+        read=partial(_tables, chain([rows], pieces), header, form, as_text=as_text),
+        form=form,
+    )
+
+
+def _tables(pieces: Iterator[bytes], header: list[str], form: FormFaults, *, as_text: bool) -> Iterator[pa.Table]:
+    """Yield a table a piece; of a piece with rows that do not fit the header, none."""
+    row = FIRST_ROW
+    types = {} if as_text else _types(header)
+    for text in pieces:
+        form.look_for_blank_rows(text, row)
+        rows = text.count(b"\n") + 1
+        table = None if form.found else _table(text, header, types)
+        if table is not None and table.num_rows == rows:
+            yield table
+        else:
+            _look_at_lines(text, len(header), row, form.rows)
+            if not form.found:
+                form.rows.add("this is not CSV: write cells separated by commas, a row a line")
+        row += rows
+
+
+def _types(header: list[str]) -> dict[str, pa.DataType]:
+    """Return the types of the known columns."""
     typed = {column: pa.float64() for column in header if column in FLOAT_COLUMNS}
-    typed |= {column: pa.int64() for column in header if column in INTEGER_COLUMNS}
-    table = _read(text, header, typed)
-    if table is None:
-        table = _read(text, header, {})
-    if table is None:
-        _refuse_ragged_rows(name, text, header)
-        raise RefusedInputError(f"{name} is not CSV: a quotation mark is not closed.")
-    if table.num_rows != text.count(b"\n"):
-        raise RefusedInputError(f"{name} has line breaks inside quoted cells: write one row a line.")
-    return table
+    return typed | {column: pa.int64() for column in header if column in INTEGER_COLUMNS}
 
 
-def _header(name: str, text: bytes) -> list[str]:
+def _header(name: str, line: bytes) -> list[str]:
     """Return the column names, stripped of blanks; refuse nameless and repeated ones and other separators."""
-    line = io.BytesIO(text).readline().decode()
-    header = [column.strip() for column in next(csv.reader([line]), [])]
+    text = line.decode()
+    header = [column.strip() for column in next(csv.reader([text]), [])]
     faults = Faults(name)
     for separator, spelled in ((";", "semicolons"), ("\t", "tabs")):
-        if len(header) == 1 and separator in line:
+        if len(header) == 1 and separator in text:
             faults.add(f"columns are separated by {spelled}: save the file with commas", row=1)
     for number, column in enumerate(header, start=1):
         if not column:
@@ -71,11 +113,10 @@ def _header(name: str, text: bytes) -> list[str]:
     return header
 
 
-def _refuse_blank_rows(name: str, text: bytes) -> None:
-    faults = Faults(name)
-    for row in blank_rows(text):
-        faults.add("is blank: delete it", row=row)
-    faults.refuse()
+def _table(text: bytes, header: list[str], types: dict[str, pa.DataType]) -> pa.Table | None:
+    """Read with the given types or, where some cell does not fit, all as text; None when some row does not fit."""
+    table = _read(text, header, types)
+    return _read(text, header, {}) if table is None and types else table
 
 
 def _read(text: bytes, header: list[str], typed: dict[str, pa.DataType]) -> pa.Table | None:
@@ -83,7 +124,9 @@ def _read(text: bytes, header: list[str], typed: dict[str, pa.DataType]) -> pa.T
     try:
         return arrow_csv.read_csv(
             pa.BufferReader(text),
-            read_options=arrow_csv.ReadOptions(column_names=header, skip_rows=1, use_threads=worth_threads(text)),
+            read_options=arrow_csv.ReadOptions(
+                column_names=header, block_size=len(text) + 1, use_threads=worth_threads(len(text))
+            ),
             convert_options=arrow_csv.ConvertOptions(
                 column_types={column: typed.get(column, pa.string()) for column in header},
                 null_values=[""],
@@ -94,23 +137,25 @@ def _read(text: bytes, header: list[str], typed: dict[str, pa.DataType]) -> pa.T
         return None
 
 
-def _refuse_ragged_rows(name: str, text: bytes, header: list[str]) -> None:
-    """Read row by row and refuse the rows whose number of cells is not the header's."""
-    faults = Faults(name)
+def _look_at_lines(text: bytes, expected: int, first_row: int, faults: Faults) -> None:
+    """Find rows whose number of cells is not the header's, and cells that do not end on their line."""
+    for row, line in enumerate(text.split(b"\n"), start=first_row):
+        cells = _cells_in(line)
+        if cells is None:
+            faults.add("a quotation mark is not closed on its line: write one row a line, without line breaks", row=row)
+        elif cells != expected and line:
+            faults.add(f"has {cells} cells where the header has {expected}: correct its commas", row=row)
 
-    def note(row: arrow_csv.InvalidRow) -> str:
-        faults.add(
-            f"has {row.actual_columns} cells where the header has {row.expected_columns}: correct its commas",
-            row=row.number,
-        )
-        return "skip"
 
-    # an unclosed quotation mark ends the reading itself; the rows before it may still be at fault
-    with contextlib.suppress(pa.ArrowInvalid):
-        arrow_csv.read_csv(
-            pa.BufferReader(text),
-            read_options=arrow_csv.ReadOptions(use_threads=False),
-            parse_options=arrow_csv.ParseOptions(invalid_row_handler=note),
-            convert_options=arrow_csv.ConvertOptions(column_types=dict.fromkeys(header, pa.string())),
-        )
-    faults.refuse()
+def _cells_in(line: bytes) -> int | None:
+    """Count the cells of a line; None when the last one is still open at its end."""
+    if b'"' not in line:
+        return line.count(b",") + 1
+    cells, place = 0, 0
+    while True:
+        cell = _CELL.match(line, place)
+        if cell is None:
+            return None
+        cells, place = cells + 1, cell.end()
+        if not cell.group().endswith(b","):
+            return cells

@@ -2,24 +2,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePath
+from typing import BinaryIO
 
 from boresight.errors import RefusedInputError
 
 _PARQUET_MAGIC = b"PAR1"
 _SUFFIXES = {".csv": "CSV", ".jsonl": "JSON Lines", ".ndjson": "JSON Lines", ".parquet": "Parquet"}
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _WORTH_THREADS_BYTES = 8_000_000
+_HEAD_BYTES = 65_536
 
 
-def worth_threads(data: bytes) -> bool:
+def worth_threads(size_bytes: int) -> bool:
     """Whether Arrow should read with its pool of threads.
 
     A small file gains nothing by it, and a process that a refusal ends while the pool is still starting aborts on its
     way out, once in some dozens of times on a busy machine.
     """
-    return len(data) > _WORTH_THREADS_BYTES
+    return size_bytes > _WORTH_THREADS_BYTES
+
+
+def format_at(path: Path, name: str) -> str:
+    """Return `CSV`, `JSON Lines` or `Parquet` for a file, looking at its first bytes only.
+
+    Parameters
+    ----------
+    path
+        Where it is.
+    name
+        What refusals of its content call it; its suffix must agree.
+
+    Raises
+    ------
+    RefusedInputError
+        As `read_bytes` does, and when the suffix promises something else than the bytes hold.
+    """
+    with _opened(path) as file:
+        head = file.read(_HEAD_BYTES)
+        _refuse_emptiness(name, head, file)
+    return format_of(name, head)
 
 
 def read_bytes(path: Path, name: str) -> bytes:
@@ -37,20 +62,35 @@ def read_bytes(path: Path, name: str) -> bytes:
     RefusedInputError
         When there is no such file, it is a folder, it cannot be read, or it holds nothing.
     """
+    with _opened(path) as file:
+        data = file.read()
+        _refuse_emptiness(name, data, file)
+    return data
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file, refusing what cannot be read."""
     if path.is_dir():
         raise RefusedInputError(f"{path} is a folder: name the telemetry file inside it.")
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            yield file
     except FileNotFoundError as error:
         raise RefusedInputError(f"{path} does not exist: check the name.") from error
     except OSError as error:
         raise RefusedInputError(f"{path} cannot be read ({error.strerror}): check its permissions.") from error
-    if not data:
+
+
+def _refuse_emptiness(name: str, head: bytes, rest: BinaryIO) -> None:
+    """Refuse a file that holds nothing, or nothing but blanks, in its first bytes and the rest."""
+    if not head:
         raise RefusedInputError(f"{name} is empty: download it again.")
-    text = data.removeprefix(_BYTE_ORDER_MARK)
-    if not text or text.isspace():
-        raise RefusedInputError(f"{name} holds nothing but blanks: download it again.")
-    return data
+    head = head.removeprefix(BYTE_ORDER_MARK)
+    while not head or head.isspace():
+        head = rest.read(_HEAD_BYTES)
+        if not head:
+            raise RefusedInputError(f"{name} holds nothing but blanks: download it again.")
 
 
 def format_of(name: str, data: bytes) -> str:
@@ -84,12 +124,12 @@ def text_of(name: str, data: bytes) -> bytes:
     RefusedInputError
         When it is not UTF-8.
     """
-    data = data.removeprefix(_BYTE_ORDER_MARK)
+    data = data.removeprefix(BYTE_ORDER_MARK)
     if not data.isascii():
-        _refuse_other_encodings(name, data)
+        refuse_other_encodings(name, data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return data[: _end_of_last_row(data)]
+    return data[: end_of_last_row(data)]
 
 
 def blank_rows(text: bytes) -> list[int]:
@@ -99,7 +139,7 @@ def blank_rows(text: bytes) -> list[int]:
     return [number for number, line in enumerate(text.split(b"\n"), start=1) if not line]
 
 
-def _end_of_last_row(data: bytes) -> int:
+def end_of_last_row(data: bytes) -> int:
     """Return where the last row ends that is not blank."""
     end = len(data)
     while (line := data.rfind(b"\n", 0, end)) >= 0 and not data[line:end].strip():
@@ -112,12 +152,12 @@ def _is_wide_text(data: bytes) -> bool:
     return data.startswith(_UTF16_MARKS) or (len(data) > 3 and (not any(data[:64:2]) or not any(data[1:64:2])))
 
 
-def _refuse_other_encodings(name: str, data: bytes) -> None:
-    """Refuse bytes that are not UTF-8, naming the row of the first."""
+def refuse_other_encodings(name: str, data: bytes, first_row: int = 1) -> None:
+    """Refuse bytes that are not UTF-8, naming the row of the first; `first_row` is that of the first byte."""
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as error:
-        row = data.count(b"\n", 0, error.start) + 1
+        row = data.count(b"\n", 0, error.start) + first_row
         byte = data[error.start]
         raise RefusedInputError(
             f"{name}: row {row}: the byte 0x{byte:02x} is not UTF-8 (Latin-1 or Windows text?): save it as UTF-8."
@@ -134,7 +174,7 @@ def _sniff(data: bytes) -> str:
         return "gzip-compressed data"
     if b"\0" in data[:4096]:
         return "binary data"
-    start = data[:4096].removeprefix(_BYTE_ORDER_MARK).lstrip()
+    start = data[:4096].removeprefix(BYTE_ORDER_MARK).lstrip()
     if start.startswith((b"{", b"[")):
         return "JSON Lines"
     return "CSV"

@@ -1,73 +1,128 @@
 """Reading JSON Lines: one object a line, a key a column.
 
-Arrow parses a well-formed file with the known columns typed. Where that fails, or where an object does not have a line
-of its own, the lines are parsed one by one and every cell becomes text, so that `columns` can name row and column.
+Arrow parses well-formed lines with the known columns typed. Where that fails, or where an object does not have a line of its
+own, the lines of the piece are parsed one by one and every cell becomes text, so that `columns` can name row and column.
+Cells of other columns are kept as they were written, which takes a look at every line. Only the end of the file tells which
+columns it has; a file of more than one piece is therefore read twice.
 """
 
 from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import orjson
 import pyarrow as pa
 import pyarrow.json as arrow_json
 
-from boresight.telemetry.formats import blank_rows, worth_threads
+from boresight.telemetry.formats import worth_threads
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import FLOAT_COLUMNS, INTEGER_COLUMNS
+from boresight.telemetry.tables import FormFaults, Tables
+from boresight.telemetry.text_pieces import text_pieces
 
 #: There is no header.
 FIRST_ROW = 1
 
+_MOST_COLUMNS = 1000
+_TYPES = {column: pa.float64() for column in FLOAT_COLUMNS} | {column: pa.int64() for column in INTEGER_COLUMNS}
+_TYPES["time_utc"] = pa.string()
+_KEYS = {column: re.compile(rf'"{column}"\s*:'.encode()) for column in _TYPES}
 
-def read_json_lines(name: str, text: bytes) -> pa.Table:
-    """Read JSON Lines into a table whose known columns are numbers or, where some cell is not one, text.
+
+def json_tables(path: Path, name: str, *, as_text: bool = False) -> Tables:
+    """Open a JSON Lines file whose known columns are read as numbers or, in a piece where some cell is not one, as text.
 
     Parameters
     ----------
+    path
+        Where it is.
     name
-        The file's name, for refusals.
-    text
-        UTF-8, lines ended by a line feed.
+        Its name, for refusals.
+    as_text
+        Read every cell as text.
 
     Raises
     ------
     RefusedInputError
         For blank lines and lines that are not one JSON object.
     """
-    blank = Faults(name)
-    for row in blank_rows(text):
-        blank.add("is blank: delete it", row=row)
-    blank.refuse()
-    types = {column: pa.float64() for column in FLOAT_COLUMNS} | {column: pa.int64() for column in INTEGER_COLUMNS}
-    types["time_utc"] = pa.string()
-    known = {column: kind for column, kind in types.items() if f'"{column}"'.encode() in text}
-    table = _read(text, known)
-    if table is not None and any(pa.types.is_timestamp(field.type) for field in table.schema):
-        looks_like_time = [field.name for field in table.schema if pa.types.is_timestamp(field.type)]
-        table = _read(text, known | dict.fromkeys(looks_like_time, pa.string()))
-    if table is None or table.num_rows != text.count(b"\n") + 1:
-        return _read_line_by_line(name, text)
-    return table
+    form = FormFaults(name)
+    tables = _tables(path, name, form, as_text=as_text)
+    first = next(tables)
+    columns, is_all = dict.fromkeys(first.column_names), True
+    for table in tables:
+        columns, is_all = columns | dict.fromkeys(table.column_names), False
+    form.refuse()
+    known = [column for column in _TYPES if column in columns]
+    return Tables(
+        columns=(*known, *(column for column in columns if column not in _TYPES)),
+        first_row=FIRST_ROW,
+        read=partial(iter, (first,)) if is_all else partial(_tables, path, name, form, as_text=as_text),
+        form=form,
+    )
 
 
-def _read(text: bytes, types: dict[str, pa.DataType]) -> pa.Table | None:
-    """Read with the given types, others as they are found; None when some cell does not fit."""
+def _tables(path: Path, name: str, form: FormFaults, *, as_text: bool) -> Iterator[pa.Table]:
+    """Yield a table a piece."""
+    row = FIRST_ROW
+    for text in text_pieces(path, name):
+        form.look_for_blank_rows(text, row)
+        rows = text.count(b"\n") + 1
+        table = None if as_text else _typed(text)
+        if table is None or table.num_rows != rows:
+            table = _line_by_line(text, row, form.rows)
+        yield table
+        row += rows
+
+
+def _typed(text: bytes) -> pa.Table | None:
+    """Read with the known columns typed; None when some cell does not fit."""
+    known = {column: kind for column, kind in _TYPES.items() if _KEYS[column].search(text)}
+    table = _read(text, known, "error")
+    if table is not None:
+        return table
+    table = _read(text, known, "ignore")  # there are other columns, or some cell does not fit
+    return None if table is None else _with_other_columns(table, text)
+
+
+def _read(text: bytes, types: dict[str, pa.DataType], others: str) -> pa.Table | None:
+    """Read the columns of the given types; None when some cell does not fit, or others are there and are an error."""
     try:
         return arrow_json.read_json(
             pa.BufferReader(text),
-            read_options=arrow_json.ReadOptions(use_threads=worth_threads(text)),
-            parse_options=arrow_json.ParseOptions(explicit_schema=pa.schema(list(types.items()))),
+            read_options=arrow_json.ReadOptions(use_threads=worth_threads(len(text))),
+            parse_options=arrow_json.ParseOptions(
+                explicit_schema=pa.schema(list(types.items())), unexpected_field_behavior=others
+            ),
         )
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
         return None
 
 
-def _read_line_by_line(name: str, text: bytes) -> pa.Table:
-    """Read every cell as text, refusing lines that are not one object."""
-    faults = Faults(name)
+def _with_other_columns(table: pa.Table, text: bytes) -> pa.Table | None:
+    """Add the columns the contract does not name, as text; None when a line cannot be read by itself."""
+    faults = Faults("")
+    other = _line_by_line(text, FIRST_ROW, faults)
+    if faults.count or other.num_rows != table.num_rows:
+        return None
+    for column in other.column_names:
+        if column not in _TYPES:
+            table = table.append_column(column, other[column])
+    return table
+
+
+def _line_by_line(text: bytes, first_row: int, faults: Faults) -> pa.Table:
+    """Read every cell as text, noting lines that are not one object."""
     objects = []
-    for row, line in enumerate(text.split(b"\n"), start=FIRST_ROW):
+    for row, line in enumerate(text.split(b"\n"), start=first_row):
         try:
-            cells = orjson.loads(line)
+            cells = _json(line)
         except orjson.JSONDecodeError as error:
             faults.add(f"is not JSON ({error.msg}): write one object a line, without NaN", row=row)
             continue
@@ -75,11 +130,32 @@ def _read_line_by_line(name: str, text: bytes) -> pa.Table:
             objects.append(cells)
         else:
             faults.add("is not a JSON object: write one object a line, its keys the columns", row=row)
-    faults.refuse()
     columns = dict.fromkeys(key for cells in objects for key in cells)
+    if len(columns) > _MOST_COLUMNS:
+        faults.add(f"there are over {_MOST_COLUMNS} different keys: give every object the same ones")
+        columns = {}
     return pa.table({key: pa.array([_text(cells.get(key)) for cells in objects], pa.string()) for key in columns})
+
+
+def _json(line: bytes) -> Any:
+    """Parse a line; NaN and infinity are read as Arrow reads them, for `columns` to refuse by their row."""
+    try:
+        return orjson.loads(line)
+    except orjson.JSONDecodeError:
+        if b"NaN" not in line and b"Infinity" not in line:
+            raise
+        try:
+            cells = json.loads(line)
+            orjson.dumps(cells)  # fails on text that is no text
+        except (ValueError, RecursionError, orjson.JSONEncodeError):
+            cells = None
+        if cells is None:
+            raise
+        return cells
 
 
 def _text(cell: object) -> str | None:
     """Return a JSON value as the text a CSV cell would hold; None for null."""
-    return cell if cell is None or isinstance(cell, str) else orjson.dumps(cell).decode()
+    if cell is None or isinstance(cell, str):
+        return cell
+    return str(cell) if isinstance(cell, float) and not math.isfinite(cell) else orjson.dumps(cell).decode()

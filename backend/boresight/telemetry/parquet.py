@@ -1,6 +1,11 @@
-"""Reading and writing Parquet, the form in which telemetry is kept."""
+"""Reading Parquet, the form in which telemetry is kept."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
@@ -8,40 +13,66 @@ import pyarrow.parquet as arrow_parquet
 from boresight.errors import RefusedInputError
 from boresight.telemetry.formats import worth_threads
 from boresight.telemetry.refusals import Faults
+from boresight.telemetry.tables import FormFaults, Tables
 
 #: There is no header; a viewer counts from 1.
 FIRST_ROW = 1
 
 _MOST_ROWS = 100_000_000
+#: Decoded at a time, however large the groups are in which the file was compressed.
+_BATCH_ROWS = 131_072
+#: Read at a time of each column, so that a group of rows as large as the file is not in memory either.
+_BUFFER_BYTES = 1_000_000
 
 
-def read_parquet(name: str, data: bytes) -> pa.Table:
-    """Read a Parquet file.
+def parquet_tables(path: Path, name: str) -> Tables:
+    """Open a Parquet file.
 
     Parameters
     ----------
+    path
+        Where it is.
     name
-        The file's name, for refusals.
-    data
-        The file's bytes.
+        Its name, for refusals.
 
     Raises
     ------
     RefusedInputError
-        When the file is truncated or damaged, has a column twice, or claims more rows than fit into memory.
+        When the file is truncated or damaged, has a column twice, claims more rows than can be worked on, or none.
     """
+    with _open(path, name) as file:
+        columns, rows = file.schema_arrow.names, file.metadata.num_rows
+    _refuse_repeated_columns(name, columns)
+    if rows > _MOST_ROWS:
+        raise RefusedInputError(f"{name} has {rows} rows: split it below {_MOST_ROWS}.")
+    return Tables(columns=tuple(columns), first_row=FIRST_ROW, read=partial(_tables, path, name), form=FormFaults(name))
+
+
+def rows_of_parquet(path: Path, name: str) -> int:
+    """Return how many rows a Parquet file says it has; refuses as `parquet_tables`."""
+    with _open(path, name) as file:
+        return int(file.metadata.num_rows)
+
+
+def _tables(path: Path, name: str) -> Iterator[pa.Table]:
+    """Yield the rows, a batch at a time."""
+    with _open(path, name) as file:
+        threads = worth_threads(path.stat().st_size)
+        for batch in file.iter_batches(batch_size=_BATCH_ROWS, use_threads=threads):
+            batch.validate(full=True)  # text that is not UTF-8 would only be noticed where it is used
+            yield pa.Table.from_batches([batch])
+
+
+@contextmanager
+def _open(path: Path, name: str) -> Iterator[arrow_parquet.ParquetFile]:
+    """Open a file, refusing one that is damaged wherever that shows."""
     try:
-        file = arrow_parquet.ParquetFile(pa.BufferReader(data))
-        _refuse_repeated_columns(name, file.schema_arrow.names)
-        if file.metadata.num_rows > _MOST_ROWS:
-            raise RefusedInputError(f"{name} has {file.metadata.num_rows} rows: split it below {_MOST_ROWS}.")
-        table = file.read(use_threads=worth_threads(data))
-        table.validate(full=True)  # text that is not UTF-8 would only be noticed where it is used
+        with arrow_parquet.ParquetFile(path, buffer_size=_BUFFER_BYTES, pre_buffer=False) as file:
+            yield file
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise RefusedInputError(
             f"{name} is a truncated or damaged Parquet file: download or export it again."
         ) from error
-    return table
 
 
 def _refuse_repeated_columns(name: str, columns: list[str]) -> None:

@@ -1,6 +1,7 @@
 """Collecting what is wrong with an input before refusing it, so that one reading names every fault.
 
-The first twenty faults are kept and the rest counted: a file exported in the wrong units has one fault a row.
+The first twenty faults are kept and the rest counted: a file exported in the wrong units has one fault a row. A file read
+in parts collects into the same faults part by part, `first_row` moving on: which faults are kept does not depend on the parts.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from boresight.errors import Fault, RefusedInputError
 
 MOST_FAULTS = 20
+_MOST_HELD = 50 * MOST_FAULTS
 
 
 class Faults:
@@ -35,14 +37,18 @@ class Faults:
     def add(self, detail: str, *, column: str | None = None, row: int | None = None) -> None:
         """Add one fault; `row` as an editor counts."""
         self.count += 1
-        self._kept.append(Fault(row, column, detail))
+        self._keep([Fault(row, column, detail)])
 
     def add_entries(self, wrong: NDArray[np.bool_], column: str | None, detail: Callable[[int], str]) -> None:
         """Add a fault for every entry of the (n,) mask; `detail` writes the sentence of one entry."""
         entries = np.flatnonzero(wrong)
         self.count += len(entries)
-        for entry in entries[:MOST_FAULTS].tolist():
-            self._kept.append(Fault(entry + self.first_row, column, detail(entry)))
+        self._keep([Fault(entry + self.first_row, column, detail(entry)) for entry in entries[:MOST_FAULTS].tolist()])
+
+    def absorb(self, other: Faults) -> None:
+        """Take over the faults of another collection; at the same row they come after those that are here."""
+        self.count += other.count
+        self._keep(other._kept)
 
     def refuse(self) -> None:
         """Raise what was collected, if anything was.
@@ -54,7 +60,18 @@ class Faults:
         """
         if not self.count:
             return
-        kept = sorted(self._kept, key=lambda fault: fault.row or 0)[:MOST_FAULTS]
+        kept = _first(self._kept)
         others = self.count - 1
         more = f" (and {others} more {'fault' if others == 1 else 'faults'})" if others else ""
         raise RefusedInputError(f"{self.subject}: {kept[0]}{more}", tuple(kept))
+
+    def _keep(self, faults: list[Fault]) -> None:
+        """Hold faults, and of very many only those that can be among the first."""
+        self._kept += faults
+        if len(self._kept) > _MOST_HELD:
+            self._kept = _first(self._kept)
+
+
+def _first(faults: list[Fault]) -> list[Fault]:
+    """Return the first twenty by row; those of one row in the order in which they came."""
+    return sorted(faults, key=lambda fault: fault.row or 0)[:MOST_FAULTS]

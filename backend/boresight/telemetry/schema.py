@@ -16,7 +16,9 @@ Absent columns are None; an absent cell in a present float column is NaN, in `st
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,3 +111,13 @@ def rows_of(telemetry: Telemetry, rows: slice) -> Telemetry:
     parts = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
     unknown = {name: values[rows] for name, values in telemetry.unknown.items()}
     return replace(telemetry, **parts, unknown=unknown, first_row=telemetry.first_row + rows.start)
+
+
+def joined(parts: Sequence[Telemetry]) -> Telemetry:
+    """Return consecutive parts of a set, which have the same columns, as one set."""
+    if len(parts) == 1:
+        return parts[0]
+    names = [item.name for item in fields(Telemetry) if isinstance(getattr(parts[0], item.name), np.ndarray)]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    unknown = {name: [cell for part in parts for cell in part.unknown[name]] for name in parts[0].unknown}
+    return replace(parts[0], **arrays, unknown=unknown)

@@ -1,0 +1,214 @@
+"""A file read in chunks is the file, or refused as the file is, wherever chunks and pieces are cut."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import orjson
+import pyarrow as pa
+import pyarrow.parquet as arrow_parquet
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from boresight.errors import RefusedInputError
+from boresight.telemetry import chunks, parquet, text_pieces
+from boresight.telemetry.chunks import read_chunks, rows_in
+from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
+from boresight.telemetry.schema import Telemetry, joined
+from tests.strategies import telemetry_tables
+from tests.telemetry.files import GOOD, MINIMAL, parquet_bytes
+from tests.telemetry.test_readers import assert_same
+
+EXAMPLES = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
+
+
+def write_json_lines(telemetry, path):
+    write_parquet(telemetry, path)
+    rows = arrow_parquet.read_table(path).to_pylist()
+    present = [{key: cell for key, cell in row.items() if cell is not None} for row in rows]  # absent, not null
+    path.write_bytes(b"".join(orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE) for row in present))
+
+
+def write_in_small_groups(telemetry, path):
+    write_parquet(telemetry, path)
+    arrow_parquet.write_table(arrow_parquet.read_table(path), path, row_group_size=3)
+
+
+WRITERS = {"csv": write_csv, "jsonl": write_json_lines, "parquet": write_in_small_groups}
+
+
+@pytest.fixture
+def in_small_pieces(monkeypatch):
+    """Let text come by some rows at a time and Parquet by two."""
+    monkeypatch.setattr(parquet, "_BATCH_ROWS", 2)
+    monkeypatch.setattr(text_pieces, "PIECE_BYTES", 700)
+
+
+def whole_frames(parts):
+    """Check that no frame is in two parts."""
+    return all(one.frame[-1] != other.frame[0] for one, other in pairwise(parts))
+
+
+@pytest.mark.usefixtures("in_small_pieces")
+@EXAMPLES
+@given(telemetry=telemetry_tables(), form=st.sampled_from(sorted(WRITERS)), frames=st.integers(1, 6))
+def test_the_chunks_put_together_are_the_file(telemetry, form, frames, tmp_path):
+    path = tmp_path / f"pass.{form}"
+    WRITERS[form](telemetry, path)
+
+    parts = list(read_chunks(path, frames=frames))
+
+    assert whole_frames(parts)
+    assert [len(np.unique(part.frame)) for part in parts[:-1]] == [frames] * (len(parts) - 1)
+    assert [part.first_row for part in parts] == [
+        parts[0].first_row + sum(len(part) for part in parts[:k]) for k in range(len(parts))
+    ]
+    assert_same(joined(parts), read_telemetry(path))
+
+
+PLACES = [(frame, exposure, star) for frame in range(9) for exposure in (0, 1) for star in range(1, 5)]
+LINES = [f"{frame},{exposure},{star * 3}.5,{frame * 7 + star},{star}" for frame, exposure, star in PLACES]
+FAULTS = [
+    "abc", "nan", "-inf", "1e999", "", " ", '"', '"a', 'a"b', '""', "0x1F", "3.0", "1.5", "9007199254740993", "-1", "-7", ",",
+    "1,2", "99999999999999999999", "2,0,6.5,16,2\n2,0,6.5,16,2", "0,0,1,2,3\n4", "\n\n", "+5", "1_0", "\n  \n", "é",
+]  # fmt: skip
+
+
+@settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
+@given(
+    spoils=st.lists(st.tuples(st.integers(0, 71), st.integers(0, 4), st.sampled_from(FAULTS)), min_size=1, max_size=4),
+    form=st.sampled_from(["csv", "jsonl"]),
+    piece_bytes=st.integers(300, 1500),
+    frames=st.integers(1, 12),
+)
+def test_a_refusal_is_the_same_wherever_the_file_is_cut(spoils, form, piece_bytes, frames, tmp_path):
+    lines = [line.split(",") for line in LINES]
+    for line, cell, fault in spoils:
+        lines[line][cell] = fault
+    path = tmp_path / f"pass.{form}"
+    path.write_text(as_csv(lines) if form == "csv" else as_json(lines), encoding="utf-8")
+
+    with pytest.MonkeyPatch.context() as patch:
+        whole = outcome(lambda: [read_telemetry(path)])
+        patch.setattr(text_pieces, "PIECE_BYTES", piece_bytes)
+        parts = outcome(lambda: list(read_chunks(path, frames=frames)))
+
+    if isinstance(whole, RefusedInputError):
+        assert (str(parts), getattr(parts, "faults", None)) == (str(whole), whole.faults)
+    else:
+        assert_same(joined(parts), whole[0])
+
+
+def outcome(reading):
+    try:
+        return reading()
+    except RefusedInputError as error:
+        return error
+
+
+def as_csv(lines):
+    return "\n".join(["frame,exposure,row_px,col_px,star_id", *(",".join(cells) for cells in lines)]) + "\n"
+
+
+def as_json(lines):
+    keys = [f'"{key}":' for key in ("frame", "exposure", "row_px", "col_px", "star_id")]
+    return "\n".join(f"{{{','.join(map(''.join, zip(keys, cells, strict=True)))}}}" for cells in lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "words"),
+    [
+        ("frame", {5: 0}, "frame 0 follows frame 2: sort the rows by frame"),
+        ("row_px", {1: None, 9: float("nan")}, "the cell is empty"),
+        ("row_px", {7: 12.0, 6: 12.0}, "the centroid is that of row 7"),
+    ],
+)
+def test_parquet_is_refused_alike_in_any_batches(column, change, words, tmp_path, monkeypatch):
+    columns = {
+        "frame": [k // 2 for k in range(12)],
+        "exposure": [0] * 12,
+        "row_px": [float(k) for k in range(12)],
+        "col_px": [1.0] * 12,
+    }
+    for row, cell in change.items():
+        columns[column][row] = cell
+    path = tmp_path / "pass.parquet"
+    arrow_parquet.write_table(pa.table(columns), path, row_group_size=5)
+
+    whole = outcome(lambda: read_telemetry(path))
+    for batch_rows in (1, 2, 3, 7):
+        monkeypatch.setattr(parquet, "_BATCH_ROWS", batch_rows)
+        parts = outcome(lambda: list(read_chunks(path, frames=1)))
+        assert (str(parts), parts.faults) == (str(whole), whole.faults)
+    assert words in str(whole)
+
+
+@pytest.mark.usefixtures("in_small_pieces")
+def test_a_column_that_only_a_late_line_has_is_in_every_chunk(tmp_path):
+    lines = [f'{{"frame":{k},"exposure":0,"row_px":{k}.5,"col_px":2}}' for k in range(40)]
+    lines[-1] = lines[-1][:-1] + ',"star_id":5,"note":"late"}'
+    (tmp_path / "pass.jsonl").write_text("\n".join(lines))
+
+    parts = list(read_chunks(tmp_path / "pass.jsonl", frames=10))
+
+    assert [part.star_id.tolist() for part in parts[:-1]] == [[0] * 10] * 3
+    assert parts[-1].star_id[-1] == 5
+    assert joined(parts).unknown == {"note": [""] * 39 + ["late"]}
+
+
+@pytest.mark.usefixtures("in_small_pieces")
+def test_nothing_comes_out_after_the_first_fault_and_all_faults_are_counted(tmp_path):
+    rows = [f"{k},0,{'x' if k % 10 == 9 else k},2" for k in range(500)]
+    (tmp_path / "pass.csv").write_text("\n".join(["frame,exposure,row_px,col_px", *rows]))
+    seen = []
+
+    with pytest.raises(RefusedInputError, match=r"row 11, column row_px: 'x' is not a number.*and 49 more"):
+        seen.extend(read_chunks(tmp_path / "pass.csv", frames=2))
+
+    assert all(part.frame[-1] < 9 for part in seen)
+
+
+@pytest.mark.usefixtures("in_small_pieces")
+def test_frames_of_very_many_rows_come_out_as_soon_as_they_are_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr(chunks, "MOST_ROWS", 10)
+    n = np.arange(64)
+    telemetry = Telemetry(frame=n // 8, exposure=0 * n, row_px=n * 1.0, col_px=n * 1.0)
+    write_parquet(telemetry, tmp_path / "pass.parquet")
+
+    parts = list(read_chunks(tmp_path / "pass.parquet"))
+
+    assert whole_frames(parts)
+    assert max(map(len, parts)) <= 16
+    assert_same(joined(parts), telemetry)
+
+
+@pytest.mark.usefixtures("in_small_pieces")
+def test_a_frame_without_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(chunks, "MOST_ROWS", 10)
+    n = np.arange(64)
+    write_parquet(Telemetry(frame=0 * n, exposure=n, row_px=n * 1.0, col_px=n * 1.0), tmp_path / "pass.parquet")
+
+    with pytest.raises(RefusedInputError, match="frame 0 has over 10 rows: give every reading"):
+        list(read_chunks(tmp_path / "pass.parquet"))
+
+
+@pytest.mark.usefixtures("in_small_pieces")
+def test_a_line_without_end_is_refused(tmp_path):
+    (tmp_path / "pass.csv").write_text(GOOD + "1,0,9,9," + "9" * 5000)
+
+    with pytest.raises(RefusedInputError, match="row 6: is over 700 bytes long"):
+        list(read_chunks(tmp_path / "pass.csv"))
+
+
+def test_only_parquet_tells_its_rows_at_once(tmp_path):
+    (tmp_path / "pass.parquet").write_bytes(parquet_bytes(MINIMAL))
+    (tmp_path / "pass.csv").write_text(GOOD)
+
+    assert rows_in(tmp_path / "pass.parquet") == 2
+    assert rows_in(tmp_path / "pass.csv") is None
