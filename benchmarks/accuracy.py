@@ -3,13 +3,10 @@
     python benchmarks/accuracy.py --seeds 60
 
 Each seed is a new simulated calibration set of the sensor (200 frames, two exposures, about eleven stars each, real catalogue).
-The bound knows nothing of arcs: it is the Fisher information of the centroids with each exposure's attitude as nuisance,
-
-    I = sum over exposures of  J^T J - J^T K (K^T K)^-1 K^T J,     J = d(pixel)/dx / sigma,  K = d(pixel)/d(attitude) / sigma,
-
-at the truth. Per seed each parameter's error is divided by its bound; the table shows the root mean square over seeds, whose
-geometric mean over the eight parameters is the figure to judge by, the mean NEES with the 95 % bounds it should lie in, and the
-ratio of predicted to empirical sigma.
+The bound knows nothing of arcs: it is the Fisher information of the centroids with each exposure's attitude as nuisance, at the
+truth (`boresight.measurements.bound`). Per seed each parameter's error is divided by its bound; the table shows the root mean
+square over seeds, whose geometric mean over the eight parameters is the figure to judge by, the mean NEES with the 95 % bounds
+it should lie in, and the ratio of predicted to empirical sigma.
 """
 
 from __future__ import annotations
@@ -27,6 +24,7 @@ from boresight.calibration.problem import build_problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.consistency import chi_square
+from boresight.measurements.bound import cramer_rao
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky.catalogue import load_catalogue
@@ -39,35 +37,12 @@ ESTIMATORS = {
 }
 
 
-def cramer_rao(problem, truth):
-    """Standard deviations (n_parameters,) that no unbiased estimate from these centroids can beat."""
-    camera, arcs = problem.camera, problem.arcs
-    s, ds_dx = camera.directions_and_jacobian(truth, arcs.row_px, arcs.col_px, arcs.pitch)
-    half = 0.5
-    down, right = (
-        camera.directions(truth, arcs.row_px + a, arcs.col_px + b, arcs.pitch)
-        - camera.directions(truth, arcs.row_px - a, arcs.col_px - b, arcs.pitch)
-        for a, b in ((half, 0), (0, half))
-    )
-    to_pixels = np.linalg.pinv(np.stack([down, right], axis=-1)) / arcs.sigma_px[:, None, None]
-    J = -to_pixels @ ds_dx
-    axes = np.eye(3)
-    K = to_pixels @ np.stack([np.cross(axis, s) for axis in axes], axis=-1)
-    information = np.zeros((J.shape[-1], J.shape[-1]))
-    for first, last in zip(arcs.star_start[:-1], arcs.star_start[1:], strict=True):
-        j, k = J[first:last].reshape(-1, J.shape[-1]), K[first:last].reshape(-1, 3)
-        mixed = k.T @ j
-        information += j.T @ j - mixed.T @ np.linalg.solve(k.T @ k, mixed)
-    scale = problem.sensor.typical_sigma
-    return scale * np.sqrt(np.diag(np.linalg.inv(information * np.outer(scale, scale))))
-
-
 def trial(number, seed, catalogue):
     """Simulate one set and run every estimator; returns the bound and per estimator (error, sigma, NEES)."""
     scenario = calibration_scenario(number)
     telemetry = simulate(scenario, np.random.default_rng([number, seed]), catalogue)
     sensor, truth = st16_sensor(number), st16_truth(number)
-    bound = cramer_rao(build_problem(telemetry, sensor, catalogue), truth)
+    bound = cramer_rao(build_problem(telemetry, sensor, catalogue).arcs, sensor, truth)
     found = {}
     for estimator, settings in ESTIMATORS.items():
         document = calibrate(telemetry, sensor, catalogue, settings)

@@ -30,6 +30,14 @@ exposure at a time, one fixed tolerance, no doubt between two stars).
 svd_update: singular values of one exposure of so many stars taken in, from given rays on, on one thread. numpy decomposes
 one combination at a time by numpy.linalg.svd; numpy_lean all at once, by eigh of prefix sums and LAPACK's pivoted Cholesky."""
 
+#: What a key ends in, and the unit in words; the first that fits.
+UNITS = {
+    "_us_per_frame": "µs a frame", "_ms_per_frame": "ms a frame", "_over_ours": "", "_us": "µs", "_ms": "ms", "_mb": "MB",
+    "_gb": "GB", "_bytes": "bytes", "_px": "px", "_m": "m", "_rad": "rad", "_per_s": "a second", "_s": "s",
+}  # fmt: skip
+#: Longer words stand in the JSON alone, and so do lists.
+LONGEST_WORD = 40
+
 
 def _sizes(_context: click.Context, _option: click.Parameter, words: tuple[str, ...]) -> dict[str, dict[str, Any]]:
     """Read `part.size=value` words; values are JSON."""
@@ -68,10 +76,10 @@ def bench(parts: tuple[str, ...], frames: int | None, sizes: dict[str, dict[str,
     use_kernel_folder(read_settings())
     if not parts:
         measured = _measured("kernels", frames, sizes)
-        shown = [aligned(list(_rows(measured))), LEGEND]
+        shown = [_table(measured), LEGEND]
     else:
         measured = _all_parts(list(PARTS) if "all" in parts else list(dict.fromkeys(parts)), frames, sizes)
-        shown = [aligned(list(_rows(measured))), *_promises(measured["limits"])]
+        shown = [_table(measured), *_promises(measured["limits"])]
     write_json(measured, json_file)
     if json_file != "-":
         click.echo("\n".join(shown))
@@ -122,8 +130,14 @@ def _in_its_own_process(part: str, frames: int | None, sizes: dict[str, Any]) ->
         return found
 
 
-def _rows(measured: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Every figure with its place in the document; limits stand apart."""
+def _table(measured: Mapping[str, Any]) -> str:
+    """Lay out every figure with its unit; words and lists stand in the JSON alone."""
+    rows = [("figure", "", "unit"), *_rows(measured)]
+    return aligned(rows, left=(0, 2))
+
+
+def _rows(measured: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str, str]]:
+    """Every number with its place in the document and its unit; limits stand apart."""
     for key, value in measured.items():
         if key == "limits":
             continue
@@ -132,8 +146,15 @@ def _rows(measured: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
         elif isinstance(value, list) and value and all(isinstance(row, Mapping) for row in value):
             for place, row in enumerate(value):
                 yield from _rows(row, f"{prefix}{key}.{place}.")
-        else:
-            yield f"{prefix}{key}", f"{value:,.4g}" if isinstance(value, float) else str(value)
+        elif isinstance(value, (int, float)):
+            yield f"{prefix}{key}", _number(value), _unit(key)
+        elif isinstance(value, str) and len(value) <= LONGEST_WORD:
+            yield f"{prefix}{key}", value, ""
+
+
+def _unit(key: str) -> str:
+    """Unit that a key ends in; a ratio has none."""
+    return next((unit for end, unit in UNITS.items() if key.endswith(end)), "")
 
 
 def _promises(limits: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:

@@ -51,6 +51,10 @@ class Part:
 
 PARTS: dict[str, Part] = {
     "kernels": Part("boresight.studies.speed", "the compiled loops, beside C, NumPy, SciPy and hand-written filters"),
+    "accuracy": Part(
+        "boresight.measurements.accuracy",
+        "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars",
+    ),
 }
 
 

@@ -1,0 +1,150 @@
+"""Accuracy beside time: Boresight and its peers on the same simulated stars (`boresight bench --part accuracy`).
+
+Every estimator starts from the ground calibration of the first ST-16 of E Table III and gets the same centroids of the same known
+stars, several sets of them; `peers` says what problem each solves. Three figures tell how right it is:
+
+- `error_over_bound`: root mean square over the sets of each parameter's error over its Cramér-Rao bound, and of these the
+  geometric mean over the eight parameters. One is perfection. Only for those that estimate the same parameters;
+- `detector_px`, `corner_px`: how far the calibrated camera puts a star from where it falls, over the detector and in the worst
+  corner, whatever its parameters are called (`detector_errors`);
+- `focal_over_claimed`: the focal length's error over the standard deviation that the estimator claims for it. One is honest, a
+  hundred is confidently wrong; NEES says the same of all parameters together, and should lie near eight.
+
+`rms_px` is the residual that each is left with: by it alone the right and the wrong cannot be told apart.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.measurements import Report
+from boresight.measurements.peers import PEERS
+from boresight.measurements.peers.trial import root_mean_square, trial
+from boresight.measurements.views import Views, simulated_views
+from boresight.simulation.sensors import ST16_CENTROID_SIGMA_PX
+from boresight.sky.catalogue import load_catalogue
+from boresight.studies.processes import THREADS
+
+OURS = "boresight_batch"
+#: Most that the batch may err over the bound: with a dozen sets the figure itself scatters by a tenth.
+OVER_BOUND = 1.25
+#: Most that it may err over the best of the peers on the same frames.
+OVER_BEST_PEER = 1.1
+NEES_CHANCE = 0.999
+
+
+def measure(report: Report, frames: int = 200, sets: int = 12, peers: list[str] | None = None) -> dict[str, Any]:
+    """Run every installed peer on the same sets.
+
+    Parameters
+    ----------
+    report
+        Told the fraction done and what is measured next.
+    frames
+        Frames a set; a peer that cannot bear so many gets the first of them, and Boresight the same once more.
+    sets
+        Simulated sets.
+    peers
+        Names of those to run, all by default.
+    """
+    chosen = [OURS, *(name for name in peers or PEERS if name != OURS)]
+    report(0.0, "simulating the sets")
+    catalogue = load_catalogue(None)
+    views = [simulated_views(frames, seed, catalogue) for seed in range(sets)]
+    found = dict[str, dict[str, Any]]()
+    ours = dict[int, dict[str, Any]]()
+    for turn, name in enumerate(chosen):
+        report(0.05 + 0.95 * turn / len(chosen), PEERS[name].title)
+        if not PEERS[name].installed:
+            found[name] = _described(name) | {
+                "missing": f"{_package(name)} is not installed (pip install boresight[bench])"
+            }
+            continue
+        size = min(frames, PEERS[name].frames)
+        part = [one.first(size) for one in views]
+        ours.setdefault(size, _summary(_in_its_own_process(OURS, part)))
+        summary = ours[size] if name == OURS else _summary(_in_its_own_process(name, part))
+        found[name] = _described(name) | summary | _beside(summary, ours[size])
+    return {
+        "frames": frames, "sets": sets, "centroid_sigma_px": ST16_CENTROID_SIGMA_PX,
+        "parameters": list(CAMERA_MODELS["inverted_wang"].parameter_names), "estimators": found, "limits": _limits(found, sets),
+    }  # fmt: skip
+
+
+def _described(name: str) -> dict[str, Any]:
+    peer = PEERS[name]
+    return {"title": peer.title, "problem": peer.problem, "unfair": peer.unfair}
+
+
+def _package(name: str) -> str:
+    needs = PEERS[name].needs
+    return needs[1] if needs else name
+
+
+def _in_its_own_process(name: str, sets: list[Views]) -> dict[str, Any]:
+    """Run a trial in a process whose linear algebra keeps to one thread."""
+    before = {key: os.environ.get(key) for key in (*THREADS, "NUMBA_NUM_THREADS")}
+    os.environ |= dict.fromkeys(before, "1")
+    try:
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            return pool.submit(trial, name, sets).result()
+    finally:
+        for key, value in before.items():
+            if value is None:
+                del os.environ[key]
+            else:
+                os.environ[key] = value
+
+
+def _summary(found: dict[str, Any]) -> dict[str, Any]:
+    """Root mean squares over the sets that were answered."""
+    errors, size = found["errors"], found["frames"]
+    summary: dict[str, Any] = {key: found[key] for key in ("frames", "sets", "peak_rss_mb", "work_rss_mb")}
+    summary["failures"] = found["failures"]
+    if not errors:
+        return summary
+    summary["us_per_frame"] = min(found["seconds"]) / size * 1e6
+    for key in ("detector_px", "corner_px", "focal_error_m", "focal_over_claimed", "rms_px"):
+        if errors[0][key] is not None:
+            value = root_mean_square([one[key] for one in errors])
+            summary[key] = value if np.isfinite(value) else None
+    if "error" in errors[0]:
+        over = np.sqrt(np.mean(np.square([one["over_bound"] for one in errors]), axis=0))
+        summary["error"] = np.sqrt(np.mean(np.square([one["error"] for one in errors]), axis=0)).tolist()
+        summary["error_over_bound"] = float(np.exp(np.mean(np.log(over))))
+        summary["each_over_bound"] = over.tolist()
+    if "nees" in errors[0]:
+        summary["nees"] = float(np.mean([one["nees"] for one in errors]))
+    return summary | {"notes": errors[-1]["notes"]}
+
+
+def _beside(summary: dict[str, Any], ours: dict[str, Any]) -> dict[str, Any]:
+    """Ratios to Boresight's batch on the same frames."""
+    keys = ("us_per_frame", "detector_px", "work_rss_mb")
+    return {f"{key}_over_ours": summary[key] / ours[key] for key in keys if summary.get(key) and ours.get(key)}
+
+
+def _limits(found: dict[str, dict[str, Any]], sets: int) -> dict[str, dict[str, Any]]:
+    """What is promised of the batch: it meets the bound, claims what it errs, and no peer is nearer to the truth."""
+    batch = found[OURS]
+    most_nees = float(chi2.ppf(NEES_CHANCE, 8 * sets) / sets)
+    beside = (row for name, row in found.items() if not name.startswith("boresight"))
+    nearer = [1 / row["detector_px_over_ours"] for row in beside if "detector_px_over_ours" in row]
+    limits = {
+        "batch error over the Cramér-Rao bound": _limit(OVER_BOUND, batch["error_over_bound"]),
+        "batch NEES of eight parameters": _limit(most_nees, batch["nees"]),
+    }
+    if nearer:
+        limits["batch error over the best peer's"] = _limit(OVER_BEST_PEER, max(nearer))
+    return limits
+
+
+def _limit(limit: float, measured: float) -> dict[str, Any]:
+    return {"limit": limit, "measured": measured, "kept": measured <= limit}
