@@ -19,6 +19,7 @@ from boresight.store.sessions import migrate, open_engine
 
 PROGRAMS = os.pathsep.join([os.environ["PATH"], *map(str, Path("/usr/lib/postgresql").glob("*/bin"))])  # Debian's place
 TEMPLATE = "migrated"
+FIRST_WITH_STRATEGY = 150000  # before, copying files was the only way to copy a database
 COLLATION = ("--locale", "C.UTF-8", "--locale-provider", "icu", "--icu-locale", "en-US")  # sorts a, B: unlike SQLite
 OPTIONS = {
     "fsync": "off",
@@ -44,6 +45,7 @@ class Server:
             "initdb", "-D", f"{self.folder}/data", "-U", "boresight", "-A", "trust", "-N", "-E", "UTF8", *COLLATION
         )
         self.start()
+        self._quickly = "" if self._version() < FIRST_WITH_STRATEGY else "STRATEGY file_copy"
         self.make(TEMPLATE, "template0")
         engine = open_engine(self.url(TEMPLATE))
         migrate(engine)
@@ -71,7 +73,7 @@ class Server:
     def make(self, name: str, template: str = TEMPLATE) -> str:
         """Make a database, a copy of another one that nobody is connected to after this; return its address."""
         end = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = %s"
-        self._execute((end, (template,)), (f'CREATE DATABASE "{name}" TEMPLATE "{template}"', None))
+        self._execute((end, (template,)), (f'CREATE DATABASE "{name}" TEMPLATE "{template}" {self._quickly}', None))
         return self.url(name)
 
     def drop(self, name: str) -> None:
@@ -84,6 +86,12 @@ class Server:
         with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
             for statement, values in statements:
                 connection.execute(statement, values)
+
+    def _version(self) -> int:
+        import psycopg  # noqa: PLC0415 - likewise
+
+        with psycopg.connect(self.url("postgres")) as connection:
+            return connection.info.server_version
 
     def _run(self, program: str, *words: str) -> None:
         """Run a program without pipes, which a server that is started would keep open."""

@@ -81,6 +81,18 @@ class TooManyAttemptsError(BoresightError):
         self.wait_s = wait_s
 
 
+class OverloadedError(BoresightError):
+    """More is asked at once than can be answered soon; may be asked again after `wait_s` whole seconds."""
+
+    def __init__(self, sentence: str, wait_s: int) -> None:
+        super().__init__(sentence)
+        self.wait_s = wait_s
+
+
+class UnavailableError(BoresightError):
+    """What the work stands on, the database or the object store, does not answer; says which, and may be tried again."""
+
+
 class TooLargeError(BoresightError):
     """The upload is over the size limit."""
 

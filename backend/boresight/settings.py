@@ -12,6 +12,7 @@ from pathlib import Path
 
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Policy
+from boresight.store.blob_places import BlobPlace, parse_address
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,18 @@ class Setting:
 SETTINGS = (
     Setting("data_folder", "", "path", "Database, blobs, catalogue, compiled kernels; empty = your data folder.", str),
     Setting("database_url", "", "URL", "SQLAlchemy address of the store; empty = SQLite in the data folder.", str),
+    Setting("blobs", "", "path or URL", "Folder of files, or s3://bucket/prefix; empty = in the data folder.", str),
+    Setting("blob_cache_mb", "10240", "MB", "Files of an object store kept here; the least used go.", float),
     Setting("host", "127.0.0.1", "address", "Address the server listens on.", str),
     Setting("port", "8000", "", "Port the server listens on.", int),
     Setting("mode", "OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.", str),
     Setting("scheduler", "", "address", "Dask scheduler, tcp://host:port; empty = our own worker processes.", str),
-    Setting("tls_authority", "", "path", "Authority (PEM) that signed every machine's certificate, for tls:// links.", str),
-    Setting("tls_certificate", "", "path", "This machine's certificate and key in one PEM file, for tls:// links.", str),
+    Setting(
+        "tls_authority", "", "path", "Authority (PEM) that signed every machine's certificate, for tls:// links.", str
+    ),
+    Setting(
+        "tls_certificate", "", "path", "This machine's certificate and key in one PEM file, for tls:// links.", str
+    ),
     Setting("workers", "2", "processes", "Worker processes started when no scheduler is given; 0 = none here.", int),
     Setting("lease_s", "10", "s", "How long a run belongs to the server that claimed it without a renewal.", float),
     Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
@@ -61,6 +68,8 @@ class Settings:
 
     data_folder: Path
     database_url: str
+    blobs: str
+    blob_cache_mb: float
     host: str
     port: int
     mode: str
@@ -98,9 +107,22 @@ class Settings:
         return self.data_folder / "catalogue"
 
     @property
+    def blob_place(self) -> BlobPlace:
+        """Where content-addressed files are kept.
+
+        Raises
+        ------
+        RefusedInputError
+            When the setting names no place for files.
+        """
+        address = parse_address(self.blobs or str(self.data_folder / "blobs"))
+        return BlobPlace(address, self.data_folder / "blob-cache", int(self.blob_cache_mb * 1e6))
+
+    @property
     def blob_folder(self) -> Path:
-        """Where content-addressed files are kept."""
-        return self.data_folder / "blobs"
+        """Folder of content-addressed files, or that in which those of an object store are kept here."""
+        place = self.blob_place
+        return Path(place.address) if place.is_folder else place.cache_folder
 
     @property
     def kernel_folder(self) -> Path:

@@ -28,7 +28,7 @@ from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import BlobStore
+from boresight.store.blobs import open_blobs
 from boresight.store.sessions import migrate, open_engine, utc_now, writing
 from boresight.store.tables import Blob, Run, Sensor, TelemetrySet
 from boresight.telemetry.sensors import sensor_document
@@ -79,7 +79,7 @@ def _settings(folder: Path) -> Settings:
 def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any]) -> Path:
     """Make the store once: people, sensor 1, a calibration and a validation set, runs 1 (batch) and 2 (filter)."""
     settings = _settings(tmp_path_factory.mktemp("furnished"))
-    engine, blobs = open_engine(settings.database_url), BlobStore(settings.blob_folder)
+    engine, blobs = open_engine(settings.database_url), open_blobs(settings.blob_place)
     migrate(engine)
     with writing(engine) as session:
         for name, (printed_name, roles) in PEOPLE.items():

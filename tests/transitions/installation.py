@@ -20,7 +20,7 @@ from argon2 import PasswordHasher
 from boresight.services import api_keys, audit, parameter_sets, sensors, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.settings import Settings
-from boresight.store.blobs import BlobStore, register_blob
+from boresight.store.blobs import BlobStore, open_blobs, register_blob
 from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import ParameterSet, Run, Sensor
 
@@ -55,7 +55,7 @@ class Installation:
     def __post_init__(self) -> None:
         """Make the store and its people."""
         self.engine = open_engine(self.settings.database_url)
-        self.blobs = BlobStore(self.settings.blob_folder)
+        self.blobs = open_blobs(self.settings.blob_place)
         migrate(self.engine)
         with writing(self.engine) as session:
             for name, roles in self.people.items():

@@ -13,7 +13,7 @@ from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
 from boresight.store import chain, runs
-from boresight.store.blobs import BlobStore, register_blob
+from boresight.store.blobs import open_blobs, register_blob
 from boresight.store.run_events import events_of_run
 from boresight.store.sessions import migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import TERMINAL_RUN_STATES, Run, Sensor, TelemetrySet
@@ -41,7 +41,7 @@ class Store:
         self.environment |= environment_in(folder)
         self.settings: Settings = read_settings(self.environment)
         self.database = open_engine(self.settings.database_url)
-        self.blobs = BlobStore(self.settings.blob_folder)
+        self.blobs = open_blobs(self.settings.blob_place)
         self.marks = folder / "marks"
         self.marks.mkdir()
         migrate(self.database)

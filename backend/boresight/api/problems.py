@@ -47,6 +47,8 @@ KINDS: Mapping[type[Exception], Kind] = {
     errors.UnauthenticatedError: Kind(401, "Unauthenticated"),
     errors.TooManyAttemptsError: Kind(429, "Too many attempts"),
     errors.TooLargeError: Kind(413, "Too large"),
+    errors.OverloadedError: Kind(503, "Overloaded"),
+    errors.UnavailableError: Kind(503, "Unavailable"),
     errors.CancelledError: Kind(409, "Cancelled"),
 }
 UNFORESEEN = Kind(500, "Unforeseen error")
@@ -109,7 +111,7 @@ def _faults(error: Exception) -> list[dict[str, Any]]:
 
 def _headers(error: Exception) -> dict[str, str] | None:
     """Say how to authenticate where that is what is missing, and how long to wait where that helps."""
-    if isinstance(error, errors.TooManyAttemptsError):
+    if isinstance(error, errors.TooManyAttemptsError | errors.OverloadedError):
         return {"Retry-After": str(error.wait_s)}
     return {"WWW-Authenticate": "Bearer"} if isinstance(error, errors.UnauthenticatedError) else None
 

@@ -25,13 +25,13 @@ def export(parameter_set: str, file: str, flight_software: str | None, table_id:
     check_writable(file)
     from boresight.services import packages
     from boresight.services.actors import COMMAND_LINE
-    from boresight.store.blobs import BlobStore
+    from boresight.store.blobs import open_blobs
     from boresight.store.sessions import migrate, open_engine, writing
 
     settings = read_settings()
     engine = open_engine(settings.database_url)
     migrate(engine)
-    blobs = BlobStore(settings.blob_folder)
+    blobs = open_blobs(settings.blob_place)
     with writing(engine) as session:
         row = packages.set_named(session, parameter_set)
         package = packages.build(

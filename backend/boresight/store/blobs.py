@@ -17,7 +17,8 @@ from typing import Any
 import orjson
 import sqlalchemy as sa
 
-from boresight.errors import ConflictError, NotFoundError
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.store.blob_places import BlobPlace
 from boresight.store.recent import Recent
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Blob
@@ -28,6 +29,8 @@ PARSED_BYTES = 64 << 20  # of JSON: twenty results of 100,000 frames; in memory 
 
 class BlobStore:
     """The folder of blobs; many threads and processes may use it at once."""
+
+    whole = True  # all there is lies in the folder
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -51,12 +54,12 @@ class BlobStore:
                     file.write(chunk)
                 file.flush()
                 os.fsync(file.fileno())
-            self._name(Path(name), digest.hexdigest())
+            self._keep(Path(name), digest.hexdigest())
         finally:
             Path(name).unlink(missing_ok=True)
         return digest.hexdigest()
 
-    def _name(self, written: Path, sha256: str) -> None:
+    def _keep(self, written: Path, sha256: str) -> None:
         """Give a complete file its address, and make the name itself survive a power cut."""
         place = self._place(sha256)
         if place.exists():
@@ -121,6 +124,23 @@ class BlobStore:
             return orjson.loads(place.read_bytes()), written.st_size
 
         return self._parsed.get((sha256, written.st_mtime_ns, written.st_size), parse)
+
+
+def open_blobs(place: BlobPlace) -> BlobStore:
+    """Open the files at a place; those of an object store are opened once a process.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is an object store, and the library that speaks to it is not installed.
+    """
+    if place.is_folder:
+        return BlobStore(Path(place.address))
+    try:
+        from boresight.store.object_blobs import open_object_blobs  # noqa: PLC0415 - an optional part
+    except ImportError as error:
+        raise RefusedInputError("An object store needs its library: pip install 'boresight[object-store]'.") from error
+    return open_object_blobs(place)
 
 
 def _chunks(content: bytes | Path) -> Iterator[bytes]:

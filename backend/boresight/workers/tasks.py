@@ -2,8 +2,8 @@
 
 A worker opens no database. It gets the addresses of files and values, puts the result into the blob folder under its
 content address, and returns the address and the figures a list shows. So nothing is lost when whoever asked is gone,
-and an attempt that is computed twice leaves the same bytes in the same place. The blob folder must be visible to
-every worker under the same path.
+and an attempt that is computed twice leaves the same bytes in the same place. A folder of blobs must be visible to every
+worker under the same path; of an object store a worker gets the address, and has credentials and cache of its own.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -20,8 +21,10 @@ import orjson
 
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import BoresightError, CancelledError
+from boresight.settings import read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.store.blobs import BlobStore
+from boresight.store.blob_places import BlobPlace
+from boresight.store.blobs import BlobStore, open_blobs
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor
 from boresight.workers.link import Link
@@ -33,7 +36,7 @@ CALCULATION = "boresight.calibration.calibrate:calibrate"
 class Inputs(TypedDict):
     """All that the computation of a run needs."""
 
-    blob_folder: str
+    blob_address: str
     catalogue_folder: str
     table_sha256: str
     validation_sha256: str | None
@@ -91,7 +94,7 @@ def execute(run_id: int, attempt: int, inputs: Inputs, calculation: str = CALCUL
 def _succeeded(run_id: int, attempt: int, inputs: Inputs, calculation: str, link: Link) -> Outcome:
     """Calibrate, put the result, and describe it."""
     begun_s = time.perf_counter()
-    blobs = BlobStore(Path(inputs["blob_folder"]))
+    blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]))
     document = _calibrated(blobs, inputs, calculation, link)
     content = orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
     seconds = time.perf_counter() - begun_s
@@ -127,6 +130,12 @@ def _ended(run_id: int, attempt: int, state: str, reason: str | None, log: list[
         summary=None,
         log=log or [],
     )
+
+
+@cache
+def _own_place() -> BlobPlace:
+    """Where this process would keep files by its own settings: what it fetches is kept there."""
+    return read_settings().blob_place
 
 
 @cache
