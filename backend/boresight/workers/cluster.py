@@ -81,7 +81,8 @@ class Cluster:
             )
         client.subscribe_topic(TOPIC, lambda event: on_progress(event[1]))
         if settings.scheduler:
-            client.register_plugin(Fitness(boresight.__version__, str(settings.blob_folder)))
+            place = settings.blob_place
+            client.register_plugin(Fitness(boresight.__version__, place.address if place.is_folder else ""))
         client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
         return cls(client, local)
 
