@@ -113,7 +113,7 @@ def test_frames_matched_one_by_one_are_those_of_the_whole_set(field):
     sets = matched_set(field, field.blanked(0.3))
     frames, state = RematchedFrames(sets), start(field.sensor.initial, 8, 10.0)
 
-    parts = [frames.arcs(k, k + 1, state) for k in range(len(frames.frame))]
+    parts = [frames.arcs(k, k + 1, state) for k in range(frames.n_frames)]
     whole = sets.at_start().problem.arcs
 
     assert sum(part.n_stars for part in parts) == whole.n_stars

@@ -60,7 +60,7 @@ def test_each_chunk_is_taken_at_the_state_that_the_frames_before_it_left(problem
     history, updated = filtered(problem, frames)
 
     for first, _, x in (chunk for chunk in frames.asked if chunk[0] > 0):
-        before = np.searchsorted(updated, frames.frame[first]) - 1
+        before = np.searchsorted(updated, problem.arcs.frame[first]) - 1
         np.testing.assert_allclose(x, history.states[before])
 
 

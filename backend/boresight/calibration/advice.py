@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from boresight.calibration.estimate import Estimate, Parameters, claim
-from boresight.calibration.problem import Problem
+from boresight.calibration.problem import AnyProblem
 from boresight.calibration.settings import CalibrationSettings
+from boresight.estimation.arcs import ArcSet
 from boresight.estimation.consistency import ChiSquare
 from boresight.estimation.filters.angular import MOST_PAIRS
 from boresight.estimation.observability import Observability
@@ -22,7 +23,7 @@ OVERCLAIM = 1.5
 
 
 def advice(
-    problem: Problem,
+    problem: AnyProblem,
     parameters: Parameters,
     settings: CalibrationSettings,
     estimate: Estimate,
@@ -42,7 +43,7 @@ def advice(
     ]
 
 
-def too_few(problem: Problem, minimum_stars: int) -> list[str]:
+def too_few(problem: AnyProblem, minimum_stars: int) -> list[str]:
     """Say that nothing can be estimated, and what was missing."""
     reasons = [
         f"{item.count} {item.what[: -1 if item.count == 1 else None]}: {item.reason}" for item in problem.left_out
@@ -79,12 +80,12 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
 
 
 def _of_consistency(
-    fit: ChiSquare, nis: ChiSquare, problem: Problem, settings: CalibrationSettings, estimate: Estimate
+    fit: ChiSquare, nis: ChiSquare, problem: AnyProblem, settings: CalibrationSettings, estimate: Estimate
 ) -> Iterator[str]:
     """Sentences on whether the sigmas can be believed."""
     if estimate.status == "diverged":
         return
-    implied = float(np.median(problem.arcs.sigma_px)) * np.sqrt(fit.mean)
+    implied = _centroid_sigma_px(problem) * np.sqrt(fit.mean)
     if fit.mean > fit.upper and estimate.robust is not None:
         yield (
             f"The residuals are larger than the stated centroid noise explains (chi-square {fit.mean:.4g} per degree of "
@@ -119,7 +120,17 @@ def _of_consistency(
         )
 
 
-def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> Iterator[str]:
+def _centroid_sigma_px(problem: AnyProblem) -> float:
+    """Root mean square of the stated centroid sigmas."""
+    return float(np.sqrt(sum(problem.arcs.over_blocks(_variance_in_block)) / problem.arcs.n_stars))
+
+
+def _variance_in_block(block: ArcSet) -> float:
+    """Sum of the stated variances of one block, px^2."""
+    return float(np.sum(block.sigma_px**2))
+
+
+def _of_shift(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> Iterator[str]:
     """Name parameters that went far from where they started."""
     if estimate.status == "diverged":
         return
@@ -134,18 +145,27 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> I
         yield f"Moved far from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma."
 
 
-def _of_data(problem: Problem) -> Iterator[str]:
+def _of_data(problem: AnyProblem) -> Iterator[str]:
     """Sentences on what the data lack."""
     if problem.arcs.n_frames < 20:
         yield f"Only {problem.arcs.n_frames} frames took part: the result follows these few fields closely."
 
 
-def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[str]:
+def _of_gain_form(problem: AnyProblem, settings: CalibrationSettings) -> Iterator[str]:
     """Say where the printed inverse of all pairs gave way to a smaller one."""
-    stars = np.diff(problem.arcs.star_start)
-    pairs = stars * (stars - 1) // 2
-    if settings.method == "angular" and settings.gain_form == "gain" and pairs.max() > MOST_PAIRS:
+    if settings.method != "angular" or settings.gain_form != "gain":
+        return
+    parts = problem.arcs.over_blocks(_pairs_in_block)
+    most, many = max(part[0] for part in parts), sum(part[1] for part in parts)
+    if many:
         yield (
-            f"{np.sum(pairs > MOST_PAIRS)} of {len(pairs)} exposures have more than {MOST_PAIRS:,} pairs (up to {pairs.max():,}): "
+            f"{many} of {problem.arcs.n_exposures} exposures have more than {MOST_PAIRS:,} pairs (up to {most:,}): "
             "their gain was taken over two numbers a star, which gives the same but takes less time than the printed inverse."
         )
+
+
+def _pairs_in_block(block: ArcSet) -> tuple[int, int]:
+    """Most pairs of an exposure of one block, and how many exposures have more than `MOST_PAIRS`."""
+    stars = np.diff(block.star_start)
+    pairs = stars * (stars - 1) // 2
+    return int(pairs.max()), int(np.sum(pairs > MOST_PAIRS))

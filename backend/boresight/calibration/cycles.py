@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, run_batch
-from boresight.calibration.matched import Matched, MatchedSet, RematchedFrames
+from boresight.calibration.matched import Judged, Matched
+from boresight.calibration.problem import AnyProblem
 from boresight.calibration.sequence import Frames, ProblemFrames, finished, run_sequential
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.metrics import rms
+
+FloatArray = NDArray[np.float64]
 
 MOST_CYCLES = 3
 
@@ -47,6 +51,54 @@ class Cycle:
     rms_arc_rad: float | None
 
 
+class AnyMatched(Protocol):
+    """A set under one state, in memory or in files."""
+
+    @property
+    def problem(self) -> AnyProblem:
+        """Its arcs."""
+
+
+class MatchedFrames(Frames, Protocol):
+    """Frames that are matched with the state of the filter that takes them; `matching_s` is the processor time that took."""
+
+    matching_s: float
+
+
+class Renewed(Protocol):
+    """A set that can be matched under any state."""
+
+    def at(self, estimate: Estimate, problem: AnyProblem) -> AnyMatched:
+        """Match with an estimate made from a problem."""
+
+    def at_covariance(self, x: FloatArray, P: FloatArray) -> AnyMatched:
+        """Match with a state and its covariance in typical sigmas."""
+
+    def matched_frames(self) -> MatchedFrames:
+        """Its frames for a filter."""
+
+    def changed(self, before: Any, after: Any) -> int:
+        """Count the detections whose star differs between two of its matchings."""
+
+
+class AnySet(Protocol):
+    """A set in memory (`MatchedSet`) or in files."""
+
+    @property
+    def settings(self) -> CalibrationSettings:
+        """How it is matched."""
+
+    @property
+    def renewed(self) -> Renewed | None:
+        """What matches it under other states; None where the given matches stand."""
+
+    def at_start(self) -> AnyMatched:
+        """The set under the sensor's own parameters."""
+
+    def judged(self, first: Any, last: Any) -> Judged:
+        """What of two of its matchings is judged in memory."""
+
+
 @dataclass(frozen=True)
 class Ended:
     """Where the cycles ended: the set and estimate that belong together, every cycle, and whether the matches rest.
@@ -61,61 +113,77 @@ class Ended:
     method_s: float = 0.0
 
 
+@dataclass(frozen=True)
+class Cycled:
+    """The same of a set that may be in files."""
+
+    matched: AnyMatched
+    estimate: Estimate
+    cycles: tuple[Cycle, ...] = ()
+    rested: bool = True
+    method_s: float = 0.0
+
+    def judged_by(self, matched: Matched) -> Ended:
+        """Put what is in memory of the set, all or a sample, in its place."""
+        return Ended(matched, self.estimate, self.cycles, self.rested, self.method_s)
+
+
 def fit_in_cycles(
-    sets: MatchedSet,
-    first: Matched,
+    sets: AnySet,
+    first: AnyMatched,
     parameters: Parameters,
     settings: CalibrationSettings,
     listen: Listener,
     cancelled: Asked,
-) -> Ended:
+) -> Cycled:
     """Run the batch estimator until its matches rest."""
-    matched, cycles = first, list[Cycle]()
+    matched, cycles, renewed = first, list[Cycle](), sets.renewed
     while True:
         began = time.thread_time()
         estimate = run_batch(matched.problem, parameters, settings, listen, cancelled)
         method_s = time.thread_time() - began
-        if sets.matcher is None or estimate.status == "diverged":
-            return Ended(matched, estimate, tuple(cycles), sets.matcher is None, method_s)
-        again = sets.at(estimate, matched.problem)
-        cycles.append(_cycle(len(cycles) + 1, matched, again, estimate))
+        if renewed is None or estimate.status == "diverged":
+            return Cycled(matched, estimate, tuple(cycles), renewed is None, method_s)
+        again = renewed.at(estimate, matched.problem)
+        cycles.append(_cycle(len(cycles) + 1, renewed.changed(matched, again), matched, again, estimate))
         rested = cycles[-1].changed == 0
         if rested or len(cycles) == MOST_CYCLES or again.problem.arcs.n_exposures == 0:
-            return Ended(matched, estimate, tuple(cycles), rested, method_s)
+            return Cycled(matched, estimate, tuple(cycles), rested, method_s)
         matched = again
 
 
 def filter_set(
-    sets: MatchedSet,
-    first: Matched,
+    sets: AnySet,
+    first: AnyMatched,
     parameters: Parameters,
     settings: CalibrationSettings,
     listen: Listener,
     cancelled: Asked,
-) -> Ended:
+) -> Cycled:
     """Run a filter, on the baseline's matches or on those of its latest state."""
-    follows = sets.matcher is not None and settings.matched_with == "latest"
-    frames: Frames = RematchedFrames(sets) if follows else ProblemFrames(first.problem)
+    renewed = sets.renewed if settings.matched_with == "latest" else None
+    matched = None if renewed is None else renewed.matched_frames()
+    frames = ProblemFrames(first.problem) if matched is None else matched
     began = time.thread_time()
     history, updated = run_sequential(frames, first.problem, parameters, settings, listen, cancelled)
-    method_s = time.thread_time() - began - (frames.matching_s if isinstance(frames, RematchedFrames) else 0.0)
-    if not follows or not history.finite:
-        return Ended(first, finished(first.problem, parameters, history, updated), method_s=method_s)
-    last = sets.at_covariance(history.last.x, history.last.P)
+    method_s = time.thread_time() - began - (0.0 if matched is None else matched.matching_s)
+    if renewed is None or not history.finite:
+        return Cycled(first, finished(first.problem, parameters, history, updated), method_s=method_s)
+    last = renewed.at_covariance(history.last.x, history.last.P)
     if last.problem.arcs.n_exposures == 0:
-        return Ended(first, finished(first.problem, parameters, history, updated), rested=False, method_s=method_s)
+        return Cycled(first, finished(first.problem, parameters, history, updated), rested=False, method_s=method_s)
     estimate = finished(last.problem, parameters, history, updated)
-    return Ended(last, estimate, (_cycle(1, first, last, estimate),), method_s=method_s)
+    return Cycled(last, estimate, (_cycle(1, renewed.changed(first, last), first, last, estimate),), method_s=method_s)
 
 
-def _cycle(number: int, before: Matched, after: Matched, estimate: Estimate) -> Cycle:
+def _cycle(number: int, changed: int, before: AnyMatched, after: AnyMatched, estimate: Estimate) -> Cycle:
     """Count what a result changed in its matches."""
     value = rms(before.problem.weighed(estimate.x), estimate.x)
     return Cycle(
         cycle=number,
         matched=before.problem.arcs.n_stars,
         rematched=after.problem.arcs.n_stars,
-        changed=int(np.sum(before.telemetry.star_id != after.telemetry.star_id)),
+        changed=changed,
         rms_arc_rad=value if np.isfinite(value) else None,
     )
 

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.flight import flight_tolerance, flight_view
-from boresight.calibration.problem import Problem, build_problem
+from boresight.calibration.problem import AnyProblem, Problem, build_problem
 from boresight.calibration.rematch import Matches, Rematcher, ground_covariance, matched_telemetry
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import GivenMatches, given_matches
+from boresight.calibration.streaming.sample import JUDGED_WHOLE, judged_telemetry
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterState
 from boresight.sky.catalogue import Catalogue
@@ -54,6 +55,15 @@ class Matched:
     matches: Matches | GivenMatches
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What of a set is judged in memory, all of it or a sample: as it is matched first, and last."""
+
+    sets: MatchedSet
+    first: Matched
+    last: Matched
+
+
 class MatchedSet:
     """A set that can be matched under any state, or whose given matches stand.
 
@@ -77,7 +87,8 @@ class MatchedSet:
         cache_folder: Path | None,
     ) -> None:
         self.telemetry, self.sensor, self.catalogue = telemetry, sensor, catalogue
-        self._parameters, self._settings = parameters, settings
+        self._parameters, self.settings = parameters, settings
+        self._cache_folder = cache_folder
         self._ground = ground_covariance(sensor, settings.initial_sigma_scale)
         self._tolerance = flight_tolerance(sensor, settings)
         self.matcher: Rematcher | None = None
@@ -87,14 +98,35 @@ class MatchedSet:
             problem = build_problem(telemetry, sensor, catalogue, settings.minimum_stars)
             self._standing = Matched(problem, telemetry, given_matches(telemetry, catalogue))
 
+    @property
+    def renewed(self) -> MatchedSet | None:
+        """The set where its matches follow the state."""
+        return None if self.matcher is None else self
+
+    def matched_frames(self) -> RematchedFrames:
+        """Its frames for a filter, each matched with the state that the filter has when it comes to it."""
+        return RematchedFrames(self)
+
+    def changed(self, before: Matched, after: Matched) -> int:
+        """Count the detections whose star differs between two of its matchings."""
+        return int(np.sum(before.telemetry.star_id != after.telemetry.star_id))
+
+    def judged(self, first: Matched, last: Matched) -> Judged:
+        """What of it is judged."""
+        if first.problem.arcs.n_stars <= JUDGED_WHOLE or self.matcher is not None:
+            return Judged(self, first, last)
+        telemetry = judged_telemetry(first.problem.arcs, lambda: [self.telemetry])
+        sets = MatchedSet(telemetry, self.sensor, self.catalogue, self._parameters, self.settings, self._cache_folder)
+        return Judged(sets, sets.at_start(), sets.at_start())
+
     def at_start(self) -> Matched:
         """Match with the sensor's own parameters."""
         return self._at(self.sensor.initial, self._ground)
 
-    def at(self, estimate: Estimate, problem: Problem) -> Matched:
+    def at(self, estimate: Estimate, problem: AnyProblem) -> Matched:
         """Match with an estimate made from a problem."""
         n = len(self._parameters.free)
-        held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self._settings.initial_sigma_scale**2), np.float64)
+        held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self.settings.initial_sigma_scale**2), np.float64)
         dof = 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures - n
         excess = max(1.0, estimate.chi2 / max(dof, 1))
         return self._at(estimate.x, self._covariance(held * excess), noise=float(np.sqrt(excess)))
@@ -121,15 +153,15 @@ class MatchedSet:
         matches = self.matcher(x, P, frames, noise)
         part = rows_of(self.telemetry, self.matcher.rows(frames))
         kept = matches
-        if self._settings.match_rule == "flight":
+        if self.settings.match_rule == "flight":
             kept = self._flown(part, matches, x)
         telemetry = matched_telemetry(part, kept)
-        problem = build_problem(telemetry, self.sensor, self.catalogue, self._settings.minimum_stars)
+        problem = build_problem(telemetry, self.sensor, self.catalogue, self.settings.minimum_stars)
         return Matched(problem, telemetry, matches)
 
     def _flown(self, telemetry: Telemetry, matches: Matches, x: FloatArray) -> Matches:
         """Keep what the flight code would accept at x."""
-        view = flight_view(telemetry, self.sensor, matches, x, self._tolerance, self._settings.minimum_stars)
+        view = flight_view(telemetry, self.sensor, matches, x, self._tolerance, self.settings.minimum_stars)
         taken = view.accepted & np.repeat(view.valid, np.diff(matches.exposure_start))
         return replace(
             matches,
@@ -150,9 +182,13 @@ class RematchedFrames:
         self._frame = np.unique(matched_set.telemetry.frame)
 
     @property
-    def frame(self) -> IntArray:
-        """(n_frames,) frame numbers."""
-        return self._frame
+    def n_frames(self) -> int:
+        """How many there are."""
+        return len(self._frame)
+
+    def place_of(self, frame: int) -> int:
+        """Place of a frame number among them."""
+        return int(np.searchsorted(self._frame, frame))
 
     def arcs(self, first: int, last: int, state: FilterState) -> ArcSet:
         """Match the frames first <= k < last at this state."""

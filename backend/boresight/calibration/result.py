@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from boresight import __version__
 from boresight.calibration.advice import advice, too_few
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import Problem
+from boresight.calibration.problem import AnyProblem
 from boresight.calibration.robust import robust_view
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.views import coverage_view, history_view, radial_view, trace_view
-from boresight.estimation.arcs import ArcSet
+from boresight.estimation.arcs import Arcs
 from boresight.estimation.batch import sigma_in_scale
 from boresight.estimation.consistency import ChiSquare, chi_square
-from boresight.estimation.metrics import rms
+from boresight.estimation.metrics import tail_rms
 from boresight.estimation.observability import observability
 
 FloatArray = NDArray[np.float64]
@@ -39,7 +39,7 @@ def numbers(values: FloatArray) -> list[Any]:
 
 
 def header(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
+    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
 ) -> dict[str, Any]:
     """Everything that is known before estimating."""
     sensor, camera = problem.sensor, problem.camera
@@ -73,7 +73,7 @@ def header(
 
 
 def document(
-    problem: Problem,
+    problem: AnyProblem,
     parameters: Parameters,
     settings: CalibrationSettings,
     estimate: Estimate,
@@ -81,12 +81,13 @@ def document(
 ) -> dict[str, Any]:
     """Write an estimate, finished or on its way, as the contract's JSON; `validation` and `timing_s` come from the caller."""
     arcs = problem.weighed(estimate.x)
+    initial, final = tail_rms(arcs, np.stack([problem.sensor.initial, estimate.x]))
     sigma = _sigma(problem, parameters, estimate)
     return {
         **header(problem, parameters, settings, sha256s),
         **_estimated(problem, parameters, estimate, sigma),
         **_judged(problem, parameters, settings, estimate, arcs),
-        "rms_arc_rad": {"initial": rms(arcs, problem.sensor.initial), "final": _finite(rms(arcs, estimate.x))},
+        "rms_arc_rad": {"initial": float(initial), "final": _finite(float(final))},
         "robust": None
         if estimate.robust is None
         else robust_view(estimate.robust, problem.camera.parameter_names, sigma),
@@ -103,6 +104,7 @@ def document(
 def _not_yet() -> dict[str, Any]:
     """What `judgement` fills in when the estimate has ended."""
     return {
+        "judged_on": None,
         "evaluation": None,
         "matching": None,
         "alignment": None,
@@ -117,7 +119,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> FloatArray:
+def _sigma(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> FloatArray:
     """(n_parameters,) one-sigma in SI, NaN where not estimated or not determined."""
     sigma = np.full(len(problem.camera.parameter_names), np.nan)
     in_scale = np.sqrt(np.diag(estimate.P))
@@ -127,7 +129,7 @@ def _sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> Floa
     return sigma
 
 
-def _estimated(problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> dict[str, Any]:
+def _estimated(problem: AnyProblem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> dict[str, Any]:
     """Parameters with sigma, covariance and shift."""
     names = problem.camera.parameter_names
     known = np.isfinite(sigma[parameters.free])
@@ -148,7 +150,7 @@ def _estimated(problem: Problem, parameters: Parameters, estimate: Estimate, sig
 
 
 def _judged(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, arcs: ArcSet
+    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, arcs: Arcs
 ) -> dict[str, Any]:
     """Chi-square, innovations, observability and advice; nulls while the estimate is on its way."""
     dof = arcs.n_arcs - len(parameters.free)
@@ -206,7 +208,7 @@ def _innovations_so_far(estimate: Estimate) -> dict[str, Any] | None:
 
 
 def nothing_estimated(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
+    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
 ) -> dict[str, Any]:
     """The document of a set with too few stars everywhere: the start's values, no sigma, and why."""
     names: Sequence[str] = problem.camera.parameter_names

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, claim
-from boresight.calibration.problem import Problem, weighed
+from boresight.calibration.problem import AnyProblem, weighed
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import CancelledError
 from boresight.estimation import batch
@@ -47,8 +47,11 @@ class Frames(Protocol):
     """The frames of a set as a filter takes them in."""
 
     @property
-    def frame(self) -> IntArray:
-        """(n_frames,) frame numbers, ascending."""
+    def n_frames(self) -> int:
+        """How many there are."""
+
+    def place_of(self, frame: int) -> int:
+        """Place of a frame number among them."""
 
     def arcs(self, first: int, last: int, state: FilterState) -> ArcSet:
         """Unweighed arcs of the frames first <= k < last, for a filter at this state; frames without usable stars are not in it."""
@@ -57,29 +60,33 @@ class Frames(Protocol):
 class ProblemFrames:
     """Frames whose matches stand."""
 
-    def __init__(self, problem: Problem) -> None:
-        self._arcs = problem.arcs
+    def __init__(self, problem: AnyProblem) -> None:
+        self._problem = problem
 
     @property
-    def frame(self) -> IntArray:
-        """(n_frames,) frame numbers."""
-        return self._arcs.frame
+    def n_frames(self) -> int:
+        """How many take part."""
+        return self._problem.arcs.n_frames
+
+    def place_of(self, frame: int) -> int:
+        """Place of a frame number among them."""
+        return int(self._problem.place_of(np.array([frame]))[0])
 
     def arcs(self, first: int, last: int, state: FilterState) -> ArcSet:  # noqa: ARG002 - these matches do not follow the state
         """Return the frames first <= k < last."""
-        return self._arcs.frames(first, last)
+        return self._problem.arcs.frames(first, last)
 
 
 def run_sequential(
     frames: Frames,
-    problem: Problem,
+    problem: AnyProblem,
     parameters: Parameters,
     settings: CalibrationSettings,
     listen: Listener,
     cancelled: Asked,
 ) -> tuple[FilterHistory, IntArray]:
     """Run a filter over frames; returns its history and the frame number of each update, both empty where no frame has stars."""
-    run_filter, n_frames = FILTERS[settings.method], len(frames.frame)
+    run_filter, n_frames = FILTERS[settings.method], frames.n_frames
     first_tuning, tuning = _tunings(settings)
     state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
     parts: list[FilterHistory] = []
@@ -114,7 +121,7 @@ def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
     return replace(tuning, linearisations=most), tuning
 
 
-def finished(problem: Problem, parameters: Parameters, history: FilterHistory, updated: IntArray) -> Estimate:
+def finished(problem: AnyProblem, parameters: Parameters, history: FilterHistory, updated: IntArray) -> Estimate:
     """Judge a filter's end by a whole set: its information, its chi-square and whether it improved on the start."""
     x = history.last.x
     ended = batch.normal_equations(problem.weighed(x), x, parameters.free, parameters.scale)
@@ -133,7 +140,7 @@ def finished(problem: Problem, parameters: Parameters, history: FilterHistory, u
     )  # fmt: skip
 
 
-def _of_one_update(problem: Problem, history: FilterHistory) -> Iterator[str]:
+def _of_one_update(problem: AnyProblem, history: FilterHistory) -> Iterator[str]:
     """Say that a set was too small to be taken in frame by frame."""
     n_frames = problem.arcs.n_frames
     if history.finite and len(history.nis) == 1 and n_frames > 1:
@@ -143,7 +150,7 @@ def _of_one_update(problem: Problem, history: FilterHistory) -> Iterator[str]:
         )
 
 
-def _of_blindness(problem: Problem, parameters: Parameters, history: FilterHistory) -> Iterator[str]:
+def _of_blindness(problem: AnyProblem, parameters: Parameters, history: FilterHistory) -> Iterator[str]:
     """Say whose spread took a filter beyond the range of the lens, and what can be done."""
     names = [problem.camera.parameter_names[parameters.free[place]] for place in history.blind]
     if names:
@@ -164,7 +171,7 @@ def _on_its_way(history: FilterHistory, updated: IntArray) -> Estimate:
 
 
 def _first_frames(
-    frames: Frames, problem: Problem, parameters: Parameters, settings: CalibrationSettings, state: FilterState
+    frames: Frames, problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, state: FilterState
 ) -> tuple[ArcSet, int]:
     """Take the frames of the first update as one; returns them and their number."""
     tuning, n_free = _tunings(settings)[0], len(parameters.free)
@@ -173,7 +180,7 @@ def _first_frames(
     wanted = START_ARCS_PER_PARAMETER * n_free
     while True:
         pooled, done = _pooled(frames, state, wanted)
-        if done == len(frames.frame) or wanted >= MOST_START_ARCS_PER_PARAMETER * n_free:
+        if done == frames.n_frames or wanted >= MOST_START_ARCS_PER_PARAMETER * n_free:
             return pooled, done
         chunk = weighed(pooled, problem.camera, state.x)
         ended = FILTERS[settings.method](chunk, state, parameters.free, parameters.scale, tuning)
@@ -183,7 +190,7 @@ def _first_frames(
 
 
 def _bend(
-    arcs: ArcSet, problem: Problem, parameters: Parameters, settings: CalibrationSettings, state: FilterState
+    arcs: ArcSet, problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, state: FilterState
 ) -> float:
     """Largest ratio of a filter's information to that of its arcs and start one sigma off along its weakest direction."""
     variances, directions = np.linalg.eigh(state.P)
@@ -200,7 +207,7 @@ def _bend(
 
 def _pooled(frames: Frames, state: FilterState, n_arcs: int) -> tuple[ArcSet, int]:
     """Take so many first frames that they hold `n_arcs` arcs, as one; returns them and their number."""
-    n_frames, last = len(frames.frame), 1
+    n_frames, last = frames.n_frames, 1
     while True:
         arcs = frames.arcs(0, last, state)
         enough = 2 * arcs.n_stars - 3 * arcs.n_exposures >= n_arcs
@@ -210,7 +217,7 @@ def _pooled(frames: Frames, state: FilterState, n_arcs: int) -> tuple[ArcSet, in
     if not arcs.n_exposures:
         return arcs, n_frames
     pooled = pool_start(arcs, n_arcs).frames(0, 1)
-    return pooled, int(np.searchsorted(frames.frame, pooled.frame[0])) + 1 if enough else n_frames
+    return pooled, frames.place_of(int(pooled.frame[0])) + 1 if enough else n_frames
 
 
 def pool_start(arcs: ArcSet, n_arcs: int) -> ArcSet:

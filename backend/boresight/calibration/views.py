@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import Problem
-from boresight.estimation.arcs import ArcSet
+from boresight.calibration.problem import AnyProblem
+from boresight.estimation.arcs import Arcs, ArcSet
 from boresight.estimation.metrics import aggregate_rms, tail_rms
 from boresight.estimation.uncertainty import displacement_px, radial_difference
 
@@ -36,7 +36,7 @@ def kept_points(n_updates: int, n_frames: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, n_updates - 1, most).round().astype(np.int64))
 
 
-def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, arcs: ArcSet) -> dict[str, Any] | None:
+def history_view(problem: AnyProblem, parameters: Parameters, estimate: Estimate, arcs: Arcs) -> dict[str, Any] | None:
     """A filter's history: state, sigma, tail and aggregate RMS, innovations; None for the batch."""
     history = estimate.history
     if history is None or estimate.updated is None or not len(history.nis):
@@ -45,12 +45,10 @@ def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, a
     sigma = np.full((len(kept), history.states.shape[1]), np.nan)
     sigma[:, parameters.free] = history.sigmas[kept] * parameters.scale
     frame = estimate.updated[kept]
-    times = None
-    if problem.time_utc is not None:
-        times = [str(value) + "Z" for value in problem.time_utc[np.searchsorted(problem.arcs.frame, frame)]]
+    times = problem.time_of(problem.place_of(frame))
     return {
         "frame": _list(frame),
-        "time_utc": times,
+        "time_utc": None if times is None else [f"{value}Z" for value in times],
         "parameters": _list(history.states[kept]),
         "sigma": _list(sigma),
         "tail_rms_rad": _list(tail_rms(arcs, history.states[kept])),
@@ -61,7 +59,7 @@ def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, a
     }
 
 
-def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: Problem) -> dict[str, Any] | None:
+def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: AnyProblem) -> dict[str, Any] | None:
     """The batch's iterates; None for a filter."""
     if not estimate.steps:
         return None
@@ -79,7 +77,7 @@ def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem:
 
 
 def radial_view(
-    problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray
+    problem: AnyProblem, parameters: Parameters, estimate: Estimate, sigma: FloatArray
 ) -> dict[str, Any] | None:
     """Radial displacement of the estimate against its start, one-sigma, and where the data are (E Figure 5)."""
     sensor, camera = problem.sensor, problem.camera
@@ -93,8 +91,8 @@ def radial_view(
     scaled = estimate.P * np.outer(parameters.scale, parameters.scale)
     P[np.ix_(parameters.free, parameters.free)] = np.nan_to_num(scaled)
     curve = radial_difference(camera, estimate.x, sensor.initial, P, radius, sensor.pixel_pitch_m)
-    reach = np.hypot(problem.arcs.row_px - row_0, problem.arcs.col_px - col_0)
     edges = np.linspace(0, corner, 25)
+    seen = problem.arcs.over_blocks(_reach_in_block, row_0, col_0, edges)
     return {
         "radius_px": _list(curve.radius_px),
         "difference_px": _list(curve.difference_px),
@@ -105,19 +103,27 @@ def radial_view(
             "initial": _list(displacement_px(camera, sensor.initial, sensor.initial, radius, sensor.pixel_pitch_m)),
             "final": _list(displacement_px(camera, estimate.x, sensor.initial, radius, sensor.pixel_pitch_m)),
         },
-        "data_radius_px": float(reach.max()),
-        "counts": {"edges_px": _list(edges), "stars": np.histogram(reach, edges)[0].tolist()},
+        "data_radius_px": max(farthest for farthest, _ in seen),
+        "counts": {"edges_px": _list(edges), "stars": np.sum([counts for _, counts in seen], axis=0).tolist()},
     }
 
 
-def coverage_view(problem: Problem) -> dict[str, Any]:
+def _reach_in_block(block: ArcSet, row_0: float, col_0: float, edges: FloatArray) -> tuple[float, NDArray[np.int64]]:
+    """Largest distance of a star of one block from the principal point, and how many are between the edges, pixels."""
+    reach = np.hypot(block.row_px - row_0, block.col_px - col_0)
+    return float(reach.max()), np.histogram(reach, edges)[0]
+
+
+def coverage_view(problem: AnyProblem) -> dict[str, Any]:
     """Star counts over the detector."""
     sensor = problem.sensor
     row_edges = np.linspace(-0.5, sensor.rows - 0.5, COVERAGE_ROWS + 1)
     col_edges = np.linspace(-0.5, sensor.columns - 0.5, COVERAGE_COLUMNS + 1)
-    counts, _, _ = np.histogram2d(problem.arcs.row_px, problem.arcs.col_px, bins=(row_edges, col_edges))
-    return {
-        "row_edges_px": _list(row_edges),
-        "col_edges_px": _list(col_edges),
-        "counts": counts.astype(int).tolist(),
-    }
+    counts = np.sum(problem.arcs.over_blocks(_counts_in_block, row_edges, col_edges), axis=0)
+    return {"row_edges_px": _list(row_edges), "col_edges_px": _list(col_edges), "counts": counts.tolist()}
+
+
+def _counts_in_block(block: ArcSet, row_edges: FloatArray, col_edges: FloatArray) -> NDArray[np.int64]:
+    """Stars of one block in the cells between the edges."""
+    counts, _, _ = np.histogram2d(block.row_px, block.col_px, bins=(row_edges, col_edges))
+    return counts.astype(np.int64)

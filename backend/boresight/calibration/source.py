@@ -1,0 +1,55 @@
+"""Where a calibration's telemetry comes from: memory, or a file that may be larger than it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from boresight.telemetry.chunks import CHUNK_FRAMES, read_chunks, rows_in
+from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.schema import Telemetry
+
+#: Detections from which a file is calibrated piece by piece. In memory such a set and its arcs take about 400 MB.
+LARGE_ROWS = 500_000
+#: A row of CSV is about as long; of JSON Lines three times.
+BYTES_A_ROW = 100
+
+
+@dataclass(frozen=True)
+class TelemetryFile:
+    """A telemetry file that has not been read.
+
+    Parameters
+    ----------
+    path
+        Where it is.
+    name
+        What refusals call it; None for the name it has.
+    large_rows
+        Detections from which it is taken piece by piece; no number of the result depends on it.
+    chunk_frames
+        Frames of a piece; nor does it on this.
+    """
+
+    path: Path
+    name: str | None = None
+    large_rows: int = LARGE_ROWS
+    chunk_frames: int = CHUNK_FRAMES
+
+    def about_rows(self) -> int:
+        """How many rows it has; a guess from its size where it is text."""
+        rows = rows_in(self.path)
+        return self.path.stat().st_size // BYTES_A_ROW if rows is None else rows
+
+    def large(self) -> bool:
+        """Whether it is to be taken piece by piece."""
+        return self.about_rows() >= self.large_rows
+
+    def read(self) -> Telemetry:
+        """Read all of it; refuses as `telemetry.readers.read_telemetry`."""
+        return read_telemetry(self.path, self.name)
+
+    def chunks(self) -> Iterator[Telemetry]:
+        """Read it piece by piece; refuses as `telemetry.chunks.read_chunks`, at the end."""
+        return read_chunks(self.path, self.name, frames=self.chunk_frames)

@@ -1,0 +1,11 @@
+"""Calibrating a set larger than memory: a working copy of it in pieces, and the same estimators over them.
+
+=====================  ================================================================================================
+`columns`              arrays in one file, mapped when asked for
+`telemetry_pieces`     the set as it came, whole frames a piece
+`stored_arcs`          the arcs of all pieces, in the place of an `ArcSet`
+`ordering`             from telemetry to arcs, piece by piece
+=====================  ================================================================================================
+
+The scratch folder holds all state. Pieces go through a `Spread`, so that other machines can do them.
+"""

@@ -1,0 +1,133 @@
+"""A set in files under given matches, in the place of a `MatchedSet`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from boresight.calibration.estimate import Parameters
+from boresight.calibration.matched import Judged, MatchedSet
+from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.source import TelemetryFile
+from boresight.calibration.spread import Spread
+from boresight.calibration.streaming.ordering import order_set, write_catalogue
+from boresight.calibration.streaming.sample import judged_telemetry
+from boresight.calibration.streaming.stored_problem import StoredProblem
+from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece, write_pieces
+from boresight.errors import CancelledError
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+#: Told how far the copying and ordering of a set is: fraction and a line for a log.
+Prepared = Callable[[float, str], None]
+#: Share of the preparation that reading takes.
+READING = 0.6
+
+
+@dataclass(frozen=True)
+class WorkingCopy:
+    """A set in a scratch folder.
+
+    Parameters
+    ----------
+    pieces
+        As it came.
+    folder
+        Where everything else goes.
+    spread
+        What computes over it.
+    """
+
+    pieces: tuple[TelemetryPiece, ...]
+    folder: Path
+    spread: Spread
+
+    def parts(self) -> Iterator[Telemetry]:
+        """Map the pieces one after the other."""
+        return (piece.read() for piece in self.pieces)
+
+
+def copied(
+    file: TelemetryFile,
+    sensor: Sensor,
+    folder: Path,
+    spread: Spread,
+    told: Prepared,
+    cancelled: Callable[[], bool],
+) -> WorkingCopy:
+    """Read a file into pieces.
+
+    Raises
+    ------
+    RefusedInputError
+        As reading the whole file and checking it against the sensor would.
+    CancelledError
+        When `cancelled` says so.
+    """
+    rows = max(file.about_rows(), 1)
+    pieces: list[TelemetryPiece] = []
+    for piece in write_pieces(file.chunks(), sensor, folder):
+        if cancelled():
+            raise CancelledError(f"Stopped as asked after reading {piece.begins} rows")
+        pieces.append(piece)
+        done = piece.begins + piece.rows
+        told(READING * min(done / rows, 1.0), f"read {done:,} detections")
+    return WorkingCopy(tuple(pieces), folder, spread)
+
+
+@dataclass(frozen=True)
+class StreamedMatched:
+    """A set in files under one state: its problem."""
+
+    problem: StoredProblem
+
+
+class StreamedSet:
+    """A set in files whose given matches stand.
+
+    Parameters
+    ----------
+    copy
+        The set.
+    sensor, catalogue, parameters, settings, cache_folder
+        As of a `MatchedSet`.
+    told
+        How far the ordering is.
+    """
+
+    def __init__(
+        self,
+        copy: WorkingCopy,
+        sensor: Sensor,
+        catalogue: Catalogue,
+        parameters: Parameters,
+        settings: CalibrationSettings,
+        cache_folder: Path | None,
+        told: Prepared,
+    ) -> None:
+        self.settings = settings
+        self._copy, self._sensor, self._catalogue = copy, sensor, catalogue
+        self._parameters, self._cache_folder = parameters, cache_folder
+        stars = write_catalogue(catalogue, copy.folder)
+        problem = order_set(
+            copy.pieces, sensor, stars, settings.minimum_stars, copy.folder, copy.spread,
+            lambda k, n: told(READING + (1 - READING) * k / n, f"ordered {k} of {n} pieces"),
+        )  # fmt: skip
+        self._standing = StreamedMatched(problem)
+
+    @property
+    def renewed(self) -> None:
+        """Nothing matches it anew."""
+        return
+
+    def at_start(self) -> StreamedMatched:
+        """The set under the sensor's own parameters."""
+        return self._standing
+
+    def judged(self, first: StreamedMatched, last: StreamedMatched) -> Judged:  # noqa: ARG002 - they are the same
+        """What of it is judged in memory."""
+        telemetry = judged_telemetry(first.problem.arcs, self._copy.parts)
+        sets = MatchedSet(telemetry, self._sensor, self._catalogue, self._parameters, self.settings, self._cache_folder)
+        return Judged(sets, sets.at_start(), sets.at_start())

@@ -1,0 +1,47 @@
+"""Calibrating one set in memory and from a file in pieces, for the tests that hold the two against each other."""
+
+from __future__ import annotations
+
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.source import TelemetryFile
+from boresight.telemetry.readers import write_parquet
+
+#: Of the document, what depends on the clock.
+TIMED = ("timing_s",)
+
+
+def streamed(telemetry, sensor, catalogue, folder, chunk_frames, validation=None, **choices):
+    """Calibrate a set from a file, so many frames a piece; keyword arguments beyond settings go to `calibrate`."""
+    path = folder / "set.parquet"
+    write_parquet(telemetry, path)
+    file = TelemetryFile(path, large_rows=0, chunk_frames=chunk_frames)
+    return calibrate(
+        file, sensor, catalogue, *_settings(choices), validation=validation, scratch_folder=folder, **choices
+    )
+
+
+def in_memory(telemetry, sensor, catalogue, validation=None, **choices):
+    """Calibrate a set in memory."""
+    return calibrate(telemetry, sensor, catalogue, *_settings(choices), validation=validation, **choices)
+
+
+def _settings(choices):
+    """Take the settings out of keyword arguments."""
+    names = set(CalibrationSettings.__dataclass_fields__) & set(choices)
+    return [CalibrationSettings(**{name: choices.pop(name) for name in names})]
+
+
+def differences(one, other, path=""):
+    """Where two documents differ, as paths; equal to the last bit is what equal means."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        if one.keys() != other.keys():
+            return [f"{path}: {sorted(one.keys() ^ other.keys())}"]
+        return [
+            found for key in one if key not in TIMED for found in differences(one[key], other[key], f"{path}.{key}")
+        ]
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        return [
+            found for k, pair in enumerate(zip(one, other, strict=True)) for found in differences(*pair, f"{path}[{k}]")
+        ]
+    return [] if one == other else [f"{path}: {str(one)[:60]} != {str(other)[:60]}"]
