@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
 from importlib import import_module
@@ -20,14 +21,16 @@ from typing import Any, TypedDict, cast
 import orjson
 
 from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.source import TelemetryFile
 from boresight.errors import BoresightError, CancelledError
 from boresight.settings import read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blob_places import BlobPlace
 from boresight.store.blobs import BlobStore, open_blobs
-from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor
 from boresight.workers.link import Link
+from boresight.workers.scratch import scratch_of
+from boresight.workers.spread import ClusterSpread
 from boresight.workers.summary import summary_of
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
@@ -104,18 +107,29 @@ def _succeeded(run_id: int, attempt: int, inputs: Inputs, calculation: str, link
 
 
 def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> dict[str, Any]:
-    """Read the inputs and call the calculation."""
+    """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
     validation = inputs["validation_sha256"]
-    return _function(calculation)(
-        read_telemetry(blobs.path(inputs["table_sha256"])),
-        parse_sensor(inputs["sensor_document"]),
-        _catalogue(inputs["catalogue_folder"]),
-        CalibrationSettings.parse(inputs["settings"]),
-        validation=None if validation is None else read_telemetry(blobs.path(validation)),
-        report=link.report,
-        cancelled=link.cancelled,
-        cache_folder=Path(inputs["catalogue_folder"]),
-    )
+    source = TelemetryFile(blobs.path(inputs["table_sha256"]))
+    held_out = None if validation is None else TelemetryFile(blobs.path(validation))
+    large = source.large()
+    with ExitStack() as stack:
+        folders: dict[str, Any] = {}
+        if large:
+            scratch = Path(inputs["catalogue_folder"]).parent / "scratch"
+            folder = stack.enter_context(scratch_of(scratch, link.run_id, link.attempt))
+            spread = ClusterSpread(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
+            folders = {"scratch_folder": folder, "spread": spread}
+        return _function(calculation)(
+            source if large else source.read(),
+            parse_sensor(inputs["sensor_document"]),
+            _catalogue(inputs["catalogue_folder"]),
+            CalibrationSettings.parse(inputs["settings"]),
+            validation=held_out if held_out is None or held_out.large() else held_out.read(),
+            report=link.report,
+            cancelled=link.cancelled,
+            cache_folder=Path(inputs["catalogue_folder"]),
+            **folders,
+        )
 
 
 def _ended(run_id: int, attempt: int, state: str, reason: str | None, log: list[str] | None = None) -> Outcome:
