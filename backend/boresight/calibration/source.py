@@ -46,6 +46,10 @@ class TelemetryFile:
         """Whether it is to be taken piece by piece."""
         return self.about_rows() >= self.large_rows
 
+    def opened(self) -> Telemetry | TelemetryFile:
+        """Read a small file; leave a large one to whoever takes it piece by piece. Refuses what cannot be used in the first case."""
+        return self if self.large() else self.read()
+
     def read(self) -> Telemetry:
         """Read all of it; refuses as `telemetry.readers.read_telemetry`."""
         return read_telemetry(self.path, self.name)

@@ -58,13 +58,13 @@ def _settings(choices: dict[str, Any]) -> Any:
 def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settings: Any, report: Any) -> dict[str, Any]:
     """Read the files and run the estimator."""
     from boresight.calibration import calibrate as estimator
+    from boresight.calibration.source import TelemetryFile
     from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.readers import read_telemetry
     from boresight.telemetry.sensors import read_sensor
 
     sensor = read_sensor(sensor_file)
-    stars = read_telemetry(telemetry)
-    held_out = None if validate is None else read_telemetry(validate)
+    stars = TelemetryFile(telemetry).opened()
+    held_out = None if validate is None else TelemetryFile(validate).opened()
     report("loading the star catalogue")
     catalogue = load_catalogue(read_settings().catalogue_folder)
     report("building arcs and loading the compiled loops")
@@ -75,10 +75,16 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
         catalogue,
         settings,
         validation=held_out,
-        sha256s={role: hashlib.sha256(path.read_bytes()).hexdigest() for role, path in files.items()},
+        sha256s={role: _sha256(path) for role, path in files.items()},
         report=lambda step: report(step.message, step.fraction),
         cache_folder=read_settings().catalogue_folder,
     )
+
+
+def _sha256(path: Path) -> str:
+    """Content address of a file, read in pieces."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _lines(result: dict[str, Any]) -> Iterator[str]:

@@ -55,6 +55,7 @@ PARTS: dict[str, Part] = {
         "boresight.measurements.accuracy",
         "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars",
     ),
+    "growth": Part("boresight.measurements.growth", "time and memory from a thousand frames to a million"),
 }
 
 
