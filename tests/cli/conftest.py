@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from boresight.cli import main
-from tests.stores import url_in
+from tests.stores import environment_in, url_in
 
 FRAMES = 40
 
@@ -24,6 +24,8 @@ def boresight(data_folder, monkeypatch):
     """Run a command; returns exit code, standard output and standard error."""
     monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(data_folder))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # the compiled loops stay where they are
+    for name, value in environment_in(data_folder).items():
+        monkeypatch.setenv(name, value)
 
     def run(*words, stdin=None):
         return CliRunner().invoke(main, [str(word) for word in words], input=stdin, catch_exceptions=False)

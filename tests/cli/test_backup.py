@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from boresight.store.blobs import BlobStore
+from tests.stores import environment_in, on_postgresql
 
 PASSWORD = "correct horse battery"
 ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--password-stdin")
@@ -19,7 +20,7 @@ ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--pa
 @pytest.fixture
 def filled(boresight, monkeypatch, tmp_path) -> Any:
     """A data folder with a person and a blob, and its backup."""
-    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(tmp_path / "first"))
+    _into(monkeypatch, tmp_path / "first")
     (tmp_path / "first").mkdir()
     added = boresight(*ADD, stdin=f"{PASSWORD}\n")
     assert added.exit_code == 0, added.stderr
@@ -32,6 +33,8 @@ def filled(boresight, monkeypatch, tmp_path) -> Any:
 
 def _into(monkeypatch, folder: Path) -> Path:
     monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(folder))
+    for name, value in environment_in(folder).items():
+        monkeypatch.setenv(name, value)
     return folder
 
 
@@ -42,7 +45,7 @@ def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypat
     assert done.exit_code == 0, done.stderr
     assert "are as they were written" in done.stdout
     assert BlobStore(folder / "blobs").read(sha256, verify=True) == b"telemetry"
-    assert stat.S_IMODE((folder / "boresight.sqlite3").stat().st_mode) == 0o600
+    assert on_postgresql() or stat.S_IMODE((folder / "boresight.sqlite3").stat().st_mode) == 0o600
     assert boresight("audit", "verify").exit_code == 0
     again = boresight(*ADD, stdin=f"{PASSWORD}\n")
     assert "There is a user 'ana' already" in again.stderr
@@ -52,7 +55,7 @@ def test_nothing_is_written_over(filled):
     boresight, archive, _ = filled
     restored = boresight("restore", archive)
     assert restored.exit_code == 1
-    assert "already; restore into an empty data folder" in restored.stderr
+    assert "already; restore into an empty" in restored.stderr
     saved = boresight("backup", "--out", archive)
     assert saved.exit_code == 1
     assert "a backup is never written over" in saved.stderr
@@ -71,6 +74,7 @@ def test_a_file_that_is_not_as_it_was_backed_up_is_refused_and_no_database_appea
     assert done.exit_code == 1
     assert "is not as it was backed up" in done.stderr
     assert not (folder / "boresight.sqlite3").exists()
+    assert boresight(*ADD, stdin=f"{PASSWORD}\n").exit_code == 0  # nobody of the backup is there
 
 
 @pytest.mark.parametrize("manifest", [None, "[]", json.dumps({"schema": "another/1"})])
@@ -92,11 +96,39 @@ def test_what_is_no_zip_is_refused_in_one_sentence(boresight, monkeypatch, tmp_p
     assert "cannot be read as a backup" in done.stderr
 
 
-def test_postgresql_is_referred_to_its_own_way(boresight, monkeypatch, tmp_path):
-    monkeypatch.setenv("BORESIGHT_DATABASE_URL", "postgresql://boresight@localhost/boresight")
-    done = boresight("backup", "--out", tmp_path / "a.zip")
-    assert done.exit_code == 1
-    assert "pg_dump" in done.stderr
+def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monkeypatch, tmp_path, postgresql):
+    boresight, archive, sha256 = filled
+    _into(monkeypatch, tmp_path / "second")
+    monkeypatch.setenv("BORESIGHT_DATABASE_URL", postgresql.url.render_as_string(hide_password=False))
+    there = boresight("restore", archive)
+    assert there.exit_code == 0, there.stderr
+    assert "are as they were written" in there.stdout
+    added = boresight(*ADD[:2], "bo", *ADD[3:], stdin=f"{PASSWORD}\n")  # numbered after those that came over
+    assert added.exit_code == 0, added.stderr
+    again = boresight("restore", archive)
+    assert (again.exit_code, "rows in the database already" in again.stderr) == (1, True)
+    saved = boresight("backup", "--out", tmp_path / "moved.zip")
+    assert saved.exit_code == 0, saved.stderr
+    folder = _into(monkeypatch, tmp_path / "third")
+    monkeypatch.setenv("BORESIGHT_DATABASE_URL", f"sqlite:///{folder}/own.sqlite3")
+    back = boresight("restore", tmp_path / "moved.zip")
+    assert back.exit_code == 0, back.stderr
+    assert BlobStore(folder / "blobs").read(sha256, verify=True) == b"telemetry"
+    heads = [line.split()[-1] for line in saved.stdout.splitlines() if line.startswith("audit head")]
+    assert boresight("audit", "verify", "--head", *heads).exit_code == 0
+    for name in ("ana", "bo"):
+        assert f"There is a user '{name}' already" in boresight(*ADD[:2], name, *ADD[3:], stdin=f"{PASSWORD}\n").stderr
+
+
+def test_files_of_an_object_store_stay_there_and_are_named(filled, monkeypatch, tmp_path):
+    boresight, _, _ = filled
+    monkeypatch.setenv("BORESIGHT_BLOBS", "memory:///flight")
+    saved = boresight("backup", "--out", tmp_path / "rows.zip")
+    assert "0 files" in saved.stdout
+    assert "stay in memory:///flight" in saved.stdout
+    _into(monkeypatch, tmp_path / "sixth")
+    monkeypatch.setenv("BORESIGHT_BLOBS", "")
+    assert "Its stored files are in memory:///flight" in boresight("restore", tmp_path / "rows.zip").stdout
 
 
 def test_the_log_is_exported_with_its_verifier_or_alone(filled, tmp_path):

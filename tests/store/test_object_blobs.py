@@ -189,4 +189,4 @@ def test_a_folder_or_nothing_means_a_folder(tmp_path: Path) -> None:
     shared = read_settings({"BORESIGHT_BLOBS": f"{tmp_path}/x/../shared"}).blob_place
     assert (own.address, shared.address) == (f"{tmp_path}/blobs", f"{tmp_path}/shared")
     assert open_blobs(shared).folder == tmp_path / "shared"
-    assert open_blobs(shared).whole
+    assert open_blobs(shared).kept_at is None

@@ -30,9 +30,12 @@ def verify(context: click.Context, head: str | None) -> None:
     from boresight.store.sessions import open_engine, reading
 
     engine = open_engine(read_settings().database_url)
-    _require_schema(engine)  # and change nothing: a migration may stumble over what is to be named here
-    with reading(engine) as session:
-        found = chain.verify(session, head)
+    try:
+        _require_schema(engine)  # and change nothing: a migration may stumble over what is to be named here
+        with reading(engine) as session:
+            found = chain.verify(session, head)
+    finally:
+        engine.dispose()
     if not found.ok:
         click.echo(f"boresight: {found.sentence}", err=True)
         context.exit(REFUSED)
@@ -67,14 +70,12 @@ def export(file: str) -> None:
     """Write the whole log to FILE, for others to keep and to verify without Boresight."""
     check_writable(file)
     from boresight.services.audit_export import write_export
-    from boresight.store.sessions import migrate, open_engine, reading
+    from boresight.store.sessions import opened, reading
 
     settings = read_settings()
-    engine = open_engine(settings.database_url)
-    migrate(engine)
     form = "jsonl" if Path(file).suffix.lower() == ".jsonl" else "zip"
     try:
-        with reading(engine) as session, Path(file).open("wb") as stream:
+        with opened(settings.database_url) as engine, reading(engine) as session, Path(file).open("wb") as stream:
             write_export(session, stream, form, settings.policy)
     except OSError as error:
         raise RefusedInputError(f"{file} cannot be written: {error.strerror}; choose another place.") from error

@@ -1,4 +1,4 @@
-"""`boresight backup` and `boresight restore`: database and blobs in one file, and back into an empty data folder."""
+"""`boresight backup` and `boresight restore`: database and blobs in one file, and back into an empty installation."""
 
 from __future__ import annotations
 
@@ -25,36 +25,38 @@ def backup(file: str) -> None:
         raise RefusedInputError(f"{file} exists already; name another file, a backup is never written over.")
     from boresight.services import audit
     from boresight.store import backup as backups
-    from boresight.store.blobs import BlobStore
-    from boresight.store.sessions import migrate, open_engine, reading
+    from boresight.store.blobs import open_blobs
+    from boresight.store.sessions import opened, reading
 
     settings = read_settings()
-    database = backups.database_file(settings.database_url)
-    engine = open_engine(settings.database_url)
-    migrate(engine)
-    with reading(engine) as session:
+    with opened(settings.database_url) as engine, reading(engine) as session:
         head = audit.head(session)
-    taken = backups.write_backup(database, BlobStore(settings.blob_folder), head, Path(file))
+    taken = backups.write_backup(settings.database_url, open_blobs(settings.blob_place), head, Path(file))
     click.echo(f"{file}: the database and {taken.blobs} files, {taken.size_bytes / MB:.1f} MB\naudit head {head}")
+    if taken.blobs_at is not None:
+        click.echo(f"The stored files stay in {taken.blobs_at}: let the store keep versions or a copy of that bucket.")
 
 
 @click.command()
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 def restore(file: Path) -> None:
-    """Lay the backup FILE down in an empty data folder, and verify its audit log."""
+    """Lay the backup FILE down in an empty data folder or PostgreSQL database, and verify its audit log.
+
+    The settings may name the other engine than that of the backup: so an installation moves from one to the other.
+    """
     from boresight.services import audit
     from boresight.store import backup as backups
-    from boresight.store.blobs import BlobStore
-    from boresight.store.sessions import migrate, open_engine, reading
+    from boresight.store.blobs import open_blobs
+    from boresight.store.sessions import opened, reading
 
     settings = read_settings()
-    database = backups.database_file(settings.database_url)
-    taken = backups.read_backup(file, database, BlobStore(settings.blob_folder))
-    engine = open_engine(settings.database_url)
-    migrate(engine)
-    with reading(engine) as session:
+    blobs = open_blobs(settings.blob_place)
+    taken = backups.read_backup(file, settings.database_url, blobs)
+    with opened(settings.database_url) as engine, reading(engine) as session:
         found = audit.verify(session, taken.head)
-    click.echo(f"{database}: restored, with {taken.blobs} files. Everybody logs in anew.")
+    click.echo(f"{engine.url.render_as_string()}: restored, with {taken.blobs} files. Everybody logs in anew.")
+    if taken.blobs_at not in {None, blobs.kept_at}:
+        click.echo(f"Its stored files are in {taken.blobs_at}: set BORESIGHT_BLOBS to that, or copy them from there.")
     if not found.ok:
         raise ConflictError(f"The backup is whole, but its audit log does not hold: {found.sentence}")
     click.echo(found.sentence)

@@ -26,13 +26,11 @@ def export(parameter_set: str, file: str, flight_software: str | None, table_id:
     from boresight.services import packages
     from boresight.services.actors import COMMAND_LINE
     from boresight.store.blobs import open_blobs
-    from boresight.store.sessions import migrate, open_engine, writing
+    from boresight.store.sessions import opened, writing
 
     settings = read_settings()
-    engine = open_engine(settings.database_url)
-    migrate(engine)
     blobs = open_blobs(settings.blob_place)
-    with writing(engine) as session:
+    with opened(settings.database_url) as engine, writing(engine) as session:
         row = packages.set_named(session, parameter_set)
         package = packages.build(
             session,

@@ -15,10 +15,13 @@ def migrate(revision: str | None) -> None:
 
     settings = read_settings()
     engine = sessions.open_engine(settings.database_url)
-    before = sessions.current_revision(engine)
-    if revision is None:
-        sessions.migrate(engine)
-    else:
-        sessions.downgrade(engine, revision)
-    after = sessions.current_revision(engine)
+    try:
+        before = sessions.current_revision(engine)
+        if revision is None:
+            sessions.migrate(engine)
+        else:
+            sessions.downgrade(engine, revision)
+        after = sessions.current_revision(engine)
+    finally:
+        engine.dispose()
     click.echo(f"schema {before or 'empty'} -> {after or 'empty'}")

@@ -49,10 +49,8 @@ def _stored(run_id: int) -> dict[str, Any]:
     """Read a run's calibration from the store."""
     from boresight.services import runs
     from boresight.store.blobs import open_blobs
-    from boresight.store.sessions import migrate, open_engine, reading
+    from boresight.store.sessions import opened, reading
 
     settings = read_settings()
-    engine = open_engine(settings.database_url)
-    migrate(engine)
-    with reading(engine) as session:
+    with opened(settings.database_url) as engine, reading(engine) as session:
         return runs.final_result(session, open_blobs(settings.blob_place), run_id)

@@ -29,11 +29,9 @@ def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin:
     password = _password(from_stdin=password_stdin)
     from boresight.services import users
     from boresight.services.actors import COMMAND_LINE
-    from boresight.store.sessions import migrate, open_engine, writing
+    from boresight.store.sessions import opened, writing
 
-    engine = open_engine(read_settings().database_url)
-    migrate(engine)
-    with writing(engine) as session:
+    with opened(read_settings().database_url) as engine, writing(engine) as session:
         made = users.create_user(
             session, COMMAND_LINE, name=name, printed_name=printed_name, password=password, roles=roles
         )

@@ -30,7 +30,7 @@ PARSED_BYTES = 64 << 20  # of JSON: twenty results of 100,000 frames; in memory 
 class BlobStore:
     """The folder of blobs; many threads and processes may use it at once."""
 
-    whole = True  # all there is lies in the folder
+    kept_at: str | None = None  # the object store that holds what the folder may lack
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -38,11 +38,9 @@ ANSWERS_WITHIN, ENDS_WITHIN, TRIED_FOR = (timedelta(seconds=number) for number i
 class ObjectBlobStore(BlobStore):
     """The blobs of a bucket; `folder` holds what was fetched or put lately."""
 
-    whole = False
-
     def __init__(self, place: BlobPlace, store: ObjectStore) -> None:
         super().__init__(place.cache_folder)
-        self.address = place.address
+        self.kept_at = self.address = place.address
         self.limit_bytes = place.cache_bytes
         self._store = store
         self._added_bytes = self.limit_bytes  # measured once at first

@@ -1,4 +1,4 @@
-"""Opening the database and its transactions; the schema is brought up to date here too.
+"""The database's transactions; the schema is brought up to date here too.
 
 One request or job is one transaction: the door that starts it opens `reading` or `writing`, and everything inside sees
 one state of the database. There is one writer at a time in both engines (`BEGIN IMMEDIATE` on SQLite, an advisory lock
@@ -8,8 +8,7 @@ on PostgreSQL), so that a rule proven by reading and then writing inside one tra
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any
 
 import sqlalchemy as sa
@@ -24,6 +23,7 @@ from sqlalchemy.orm import Session as OrmSession
 from boresight.errors import BoresightError, ConflictError, RefusedInputError
 from boresight.resources import folder
 from boresight.store.chain import forget, seal, seal_everything, write_before_reading
+from boresight.store.engines import be_the_only_writer, open_engine
 from boresight.store.seals import note_flushed, refuse_bulk
 from boresight.store.times import utc_after, utc_now, utc_text
 
@@ -37,6 +37,7 @@ __all__ = [
     "migrate",
     "only_try",
     "open_engine",
+    "opened",
     "reading",
     "utc_after",
     "utc_now",
@@ -44,14 +45,7 @@ __all__ = [
     "writing",
 ]
 
-PRAGMAS = (
-    "PRAGMA journal_mode=WAL",
-    "PRAGMA synchronous=NORMAL",
-    "PRAGMA foreign_keys=ON",
-    "PRAGMA busy_timeout=10000",
-    "PRAGMA journal_size_limit=67108864",
-)
-WRITER_LOCK = 0x626F7265  # "bore": the advisory lock that makes one writer at a time on PostgreSQL
+MIGRATION_WAIT_S = 600  # for another server that starts at the same time and migrates
 KEPT = "kept despite refusal"
 TRIED = "only tried"
 FIRST_WITH_SEALS = "0003"
@@ -68,58 +62,25 @@ sa.event.listen(Session, "before_commit", seal)
 sa.event.listen(Session, "after_rollback", forget)
 
 
-def open_engine(url: str) -> Engine:
-    """Open the store at a SQLAlchemy address, `sqlite:///path` or `postgresql://user@host/name`.
+@contextmanager
+def opened(url: str) -> Iterator[Engine]:
+    """Open the store at an address for one command, its schema brought up to date; it is closed at the end.
 
     Raises
     ------
     RefusedInputError
-        When the address is not one of these two engines, or the PostgreSQL driver is not installed.
+        When there can be no store at the address.
+    ConflictError
+        When the database was written by a newer version of Boresight.
+    UnavailableError
+        When the database does not answer.
     """
+    engine = open_engine(url)
     try:
-        address = sa.make_url(url)
-    except sa.exc.ArgumentError as error:
-        raise RefusedInputError(f"The database address {url!r} cannot be read; expected sqlite:///path.") from error
-    backend = address.get_backend_name()
-    if backend == "sqlite" and address.database:
-        return _open_sqlite(address)
-    if backend in {"postgresql", "postgres"}:
-        return _open_postgresql(address)
-    raise RefusedInputError(f"The database address {url!r} names neither a SQLite file nor a PostgreSQL database.")
-
-
-def _open_sqlite(address: sa.URL) -> Engine:
-    """Open a SQLite file, making its folder, with the pragmas on every connection."""
-    path = Path(str(address.database)).expanduser()
-    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not path.exists():
-        path.touch(mode=0o600)
-    with suppress(PermissionError):  # of a file that another account owns and shares
-        path.chmod(0o600)  # it holds password hashes; SQLite gives its journals the same mode
-    engine = sa.create_engine(address)
-    sa.event.listen(engine, "connect", _on_sqlite_connect)
-    sa.event.listen(engine, "begin", _on_sqlite_begin)
-    return engine
-
-
-def _on_sqlite_connect(connection: Any, record: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives both
-    """Set the pragmas, and take transactions out of the driver's hands: it would begin them too late."""
-    connection.isolation_level = None
-    for pragma in PRAGMAS:
-        connection.execute(pragma).close()
-
-
-def _on_sqlite_begin(connection: sa.Connection) -> None:
-    """Begin as the session asked: a writer takes the lock now, not at its first write, when it might be too late."""
-    connection.exec_driver_sql(f"BEGIN {connection.get_execution_options().get('begin', 'DEFERRED')}")
-
-
-def _open_postgresql(address: sa.URL) -> Engine:
-    """Open a PostgreSQL database through psycopg."""
-    try:
-        return sa.create_engine(address.set(drivername="postgresql+psycopg"), pool_pre_ping=True)
-    except ImportError as error:
-        raise RefusedInputError("PostgreSQL needs its driver: pip install 'boresight[postgresql]'.") from error
+        migrate(engine)
+        yield engine
+    finally:
+        engine.dispose()
 
 
 @contextmanager
@@ -139,7 +100,7 @@ def writing(engine: Engine) -> Iterator[Session]:
     A refusal that a service marked with `keep_despite_refusal` is committed and passed on all the same.
     """
     with Session(engine.execution_options(begin="IMMEDIATE"), expire_on_commit=False) as session:
-        _be_the_only_writer(session.connection())
+        be_the_only_writer(session.connection())
         try:
             yield session
         except BoresightError:
@@ -177,12 +138,6 @@ def keep_despite_refusal(session: Session, *, of_a_trial: bool = False) -> None:
         session.info[KEPT] = True
 
 
-def _be_the_only_writer(connection: sa.Connection) -> None:
-    """Wait until no other writer is at work; SQLite's `BEGIN IMMEDIATE` already did."""
-    if connection.dialect.name == "postgresql":
-        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(WRITER_LOCK)))
-
-
 def _config(connection: sa.Connection | None = None) -> Config:
     """Configure Alembic from the folder that travels with the package; users need no file for it."""
     config = Config()
@@ -209,7 +164,7 @@ def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
             driver.execute("PRAGMA foreign_keys=OFF")
         try:
             with connection.begin():
-                _be_the_only_writer(connection)
+                be_the_only_writer(connection, wait_s=MIGRATION_WAIT_S)
                 yield connection
                 if sqlite and (broken := connection.exec_driver_sql("PRAGMA foreign_key_check").fetchall()):
                     raise ConflictError(f"The migration would leave rows that refer to nothing: {broken[:3]}.")

@@ -1,0 +1,131 @@
+"""Opening the database on either engine, and what is said when it does not answer.
+
+On SQLite a writer takes the file's lock when it begins. On PostgreSQL it takes an advisory lock, which lasts as long as
+its transaction and is of one database: installations that share a server do not wait for each other. A server that died in
+the middle holds the lock until PostgreSQL ends its idle transaction. Connections are tried before they are used, so
+after a restart of PostgreSQL the next request finds a new one.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import Engine
+
+from boresight.errors import RefusedInputError, UnavailableError
+
+PRAGMAS = (
+    "PRAGMA journal_mode=WAL",
+    "PRAGMA synchronous=NORMAL",
+    "PRAGMA foreign_keys=ON",
+    "PRAGMA busy_timeout=10000",
+    "PRAGMA journal_size_limit=67108864",
+)
+WRITER_LOCK = 0x626F7265  # "bore": the advisory lock that makes one writer at a time on PostgreSQL
+WAIT_S = 30  # for the writer before; a migration waits longer
+IDLE_S = 600  # in a transaction that holds the lock, after which its server is taken for dead
+CONNECTIONS, MORE_AT_TIMES = 8, 16  # of one server; PostgreSQL allows a hundred in all unless told otherwise
+CONNECT = {
+    "connect_timeout": 10,
+    "keepalives_idle": 30,
+    "keepalives_interval": 10,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 60_000,  # ms
+}
+GONE = (
+    "The database does not answer: check that PostgreSQL runs and that BORESIGHT_DATABASE_URL names it, and try again."
+)
+BUSY = "The database is held by another writer for longer than usual; try again in a moment."
+
+
+def open_engine(url: str) -> Engine:
+    """Open the store at a SQLAlchemy address, `sqlite:///path` or `postgresql://user@host/name`.
+
+    What is executed on it raises UnavailableError when the database does not answer, or stays locked.
+
+    Raises
+    ------
+    RefusedInputError
+        When the address is not one of these two engines, or the PostgreSQL driver is not installed.
+    """
+    try:
+        address = sa.make_url(url)
+    except sa.exc.ArgumentError as error:
+        raise RefusedInputError(f"The database address {url!r} cannot be read; expected sqlite:///path.") from error
+    backend = address.get_backend_name()
+    if backend == "sqlite" and address.database:
+        return _open_sqlite(address)
+    if backend in {"postgresql", "postgres"}:
+        return _open_postgresql(address)
+    raise RefusedInputError(f"The database address {url!r} names neither a SQLite file nor a PostgreSQL database.")
+
+
+def _open_sqlite(address: sa.URL) -> Engine:
+    """Open a SQLite file, making its folder, with the pragmas on every connection."""
+    path = Path(str(address.database)).expanduser()
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not path.exists():
+        path.touch(mode=0o600)
+    with suppress(PermissionError):  # of a file that another account owns and shares
+        path.chmod(0o600)  # it holds password hashes; SQLite gives its journals the same mode
+    engine = sa.create_engine(address)
+    sa.event.listen(engine, "connect", _on_sqlite_connect)
+    sa.event.listen(engine, "begin", _on_sqlite_begin)
+    sa.event.listen(engine, "handle_error", _say_that_it_is_locked)
+    return engine
+
+
+def _on_sqlite_connect(connection: Any, record: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives both
+    """Set the pragmas, and take transactions out of the driver's hands: it would begin them too late."""
+    connection.isolation_level = None
+    for pragma in PRAGMAS:
+        connection.execute(pragma).close()
+
+
+def _on_sqlite_begin(connection: sa.Connection) -> None:
+    """Begin as the session asked: a writer takes the lock now, not at its first write, when it might be too late."""
+    connection.exec_driver_sql(f"BEGIN {connection.get_execution_options().get('begin', 'DEFERRED')}")
+
+
+def _say_that_it_is_locked(context: sa.engine.ExceptionContext) -> UnavailableError | None:
+    """Put a wait in vain into words."""
+    locked = getattr(context.original_exception, "sqlite_errorname", "").startswith(("SQLITE_BUSY", "SQLITE_LOCKED"))
+    return UnavailableError(BUSY) if locked else None
+
+
+def _open_postgresql(address: sa.URL) -> Engine:
+    """Open a PostgreSQL database through psycopg."""
+    try:
+        engine = sa.create_engine(
+            address.set(drivername="postgresql+psycopg"),
+            pool_pre_ping=True,
+            pool_size=CONNECTIONS,
+            max_overflow=MORE_AT_TIMES,
+            connect_args=CONNECT,
+        )
+    except ImportError as error:
+        raise RefusedInputError("PostgreSQL needs its driver: pip install 'boresight[postgresql]'.") from error
+    sa.event.listen(engine, "handle_error", _say_what_postgresql_lacks)
+    return engine
+
+
+def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> UnavailableError | None:
+    """Put a lost or refused connection, and a wait in vain, into words; states are those of SQL (class 08, 57, 53)."""
+    state = getattr(context.original_exception, "sqlstate", None)
+    if state == "55P03":  # lock not available
+        return UnavailableError(BUSY)
+    unconnected = context.connection is None and isinstance(context.sqlalchemy_exception, sa.exc.OperationalError)
+    gone = context.is_disconnect or unconnected or (state or "").startswith(("08", "57P", "53"))
+    return UnavailableError(GONE) if gone else None
+
+
+def be_the_only_writer(connection: sa.Connection, *, wait_s: int = WAIT_S) -> None:
+    """Wait until no other writer is at work; SQLite's `BEGIN IMMEDIATE` already did."""
+    if connection.dialect.name != "postgresql":
+        return
+    limits = {"lock_timeout": wait_s, "idle_in_transaction_session_timeout": IDLE_S}
+    connection.execute(sa.select(*(sa.func.set_config(name, f"{limit}s", True) for name, limit in limits.items())))
+    connection.execute(sa.select(sa.func.pg_advisory_xact_lock(WRITER_LOCK)))
