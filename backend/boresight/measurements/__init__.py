@@ -56,6 +56,9 @@ PARTS: dict[str, Part] = {
         "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars",
     ),
     "growth": Part("boresight.measurements.growth", "time and memory from a thousand frames to a million"),
+    "footprint": Part(
+        "boresight.measurements.footprint", "what one more frame, run, sensor and record costs in time, files and rows"
+    ),
 }
 
 
