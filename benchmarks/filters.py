@@ -20,12 +20,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from accuracy import cramer_rao
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.problem import build_problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.consistency import chi_square
 from boresight.estimation.filters import FILTERS
+from boresight.measurements.bound import cramer_rao
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky.catalogue import load_catalogue
@@ -45,7 +45,7 @@ def trial(number, seed, catalogue):
     rng = np.random.default_rng([number, seed])
     telemetry = simulate(calibration_scenario(number), rng, catalogue)
     sensor, truth = st16_sensor(number), st16_truth(number)
-    bound = cramer_rao(build_problem(telemetry, sensor, catalogue), truth)
+    bound = cramer_rao(build_problem(telemetry, sensor, catalogue).arcs, sensor, truth)
     near = replace(sensor, initial=truth + NEAR_SIGMA * sensor.typical_sigma * rng.normal(size=len(truth)))
     found = {}
     for start, of_sensor, sigma in (("far", sensor, 10.0), ("near", near, NEAR_SIGMA)):
