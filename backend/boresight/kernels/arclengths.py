@@ -31,12 +31,14 @@ _THIN = 0.1  # sine of an angle: orders with a thinner triangle are mended
 _STAR = 20  # numbers kept a star: s (3), 1 / |t| = s_z, d t_x / dx (8), d t_y / dx (8)
 _T_X, _T_Y = 4, 12  # where those derivatives begin
 _INVERTED_WANG = 0
+_FEW = 7  # stars of which every order is tried
 _STEPS = 60  # of a bracketed Newton search, which takes about five
 _SETTLED = 1e-11  # share of the root that the last step may be: its error is the square of that
 
 # Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
 _FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
 _jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+_inlined = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
 
 
 @_jit
@@ -91,8 +93,8 @@ def _pinhole_tangents(x, pitch, row_px, col_px):
 
 
 @_jit
-def _pinhole_star(x, pitch, row_px, col_px, w):
-    """Fill `w` (20,) with one star of `pinhole_radial`; d(t_x, t_y) / d(p, q) is ((xx, xy), (xy, yy))."""
+def _pinhole_star(x, pitch, row_px, col_px, w, i):
+    """Fill `w[i]` (20,) with one star of `pinhole_radial`; d(t_x, t_y) / d(p, q) is ((xx, xy), (xy, yy))."""
     s, f, u0, v0, k1, k2 = x[0], x[1], x[2], x[3], x[4], x[5]
     tx, ty, r2, B = _pinhole_tangents(x, pitch, row_px, col_px)
     T = 1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2)
@@ -102,14 +104,14 @@ def _pinhole_star(x, pitch, row_px, col_px, w):
     across = scale * (row_px - v0)
     p, q = s * across, scale * (col_px - u0)
     norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
-    w[0], w[1], w[2], w[3] = tx * norm, ty * norm, norm, norm
-    w[4], w[12] = xx * across, xy * across
-    w[5], w[13] = -(xx * p + xy * q) * over_f, -(xy * p + yy * q) * over_f
-    w[6], w[14] = -scale * xy, -scale * yy
-    w[7], w[15] = -s * scale * xx, -s * scale * xy
-    w[8], w[16] = -tx * r2 / T, -ty * r2 / T
-    w[9], w[17] = -tx * r2 * r2 / T, -ty * r2 * r2 / T
-    w[10], w[11], w[18], w[19] = 0.0, 0.0, 0.0, 0.0
+    w[i, 0], w[i, 1], w[i, 2], w[i, 3] = tx * norm, ty * norm, norm, norm
+    w[i, 4], w[i, 12] = xx * across, xy * across
+    w[i, 5], w[i, 13] = -(xx * p + xy * q) * over_f, -(xy * p + yy * q) * over_f
+    w[i, 6], w[i, 14] = -scale * xy, -scale * yy
+    w[i, 7], w[i, 15] = -s * scale * xx, -s * scale * xy
+    w[i, 8], w[i, 16] = -tx * r2 / T, -ty * r2 / T
+    w[i, 9], w[i, 17] = -tx * r2 * r2 / T, -ty * r2 * r2 / T
+    w[i, 10], w[i, 11], w[i, 18], w[i, 19] = 0.0, 0.0, 0.0, 0.0
 
 
 @_jit
@@ -125,8 +127,8 @@ def _wang_tangents(x, pitch, row_px, col_px):
 
 
 @_jit
-def _wang_star(x, pitch, row_px, col_px, w):
-    """Fill `w` (20,) with one star of `inverted_wang` (E Eqs 44-77).
+def _wang_star(x, pitch, row_px, col_px, w, i):
+    """Fill `w[i]` (20,) with one star of `inverted_wang` (E Eqs 44-77).
 
     t = (B U, B V) / f depends on the pixel through (U, V) alone, and dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what
     E Eq 43 means, without its 0/0 on the principal point. The slope of t over (U, V) is ((xx, xy), (xy, yy)).
@@ -145,56 +147,83 @@ def _wang_star(x, pitch, row_px, col_px, w):
     radial_x, radial_y = rho2 * U * over_f, rho2 * V * over_f
     dn = col_px - x[2]
     norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
-    w[0], w[1], w[2], w[3] = tx * norm, ty * norm, norm, norm
-    w[4], w[12] = tilted * along_x - tx * over_f, tilted * along_y - ty * over_f
-    w[5], w[13] = -pitch * (xx * u_u + xy * v_u), -pitch * (xy * u_u + yy * v_u)
-    w[6], w[14] = -g_y * col_x, -g_y * col_y
-    w[7], w[15] = rho2 * radial_x, rho2 * radial_y
-    w[8], w[16] = radial_x, radial_y
-    w[9], w[17] = -fd2 * v * along_x, -fd2 * v * along_y
-    w[10], w[18] = -fd2 * u * along_x, -fd2 * u * along_y
-    w[11], w[19] = dn * col_x, dn * col_y
+    w[i, 0], w[i, 1], w[i, 2], w[i, 3] = tx * norm, ty * norm, norm, norm
+    w[i, 4], w[i, 12] = tilted * along_x - tx * over_f, tilted * along_y - ty * over_f
+    w[i, 5], w[i, 13] = -pitch * (xx * u_u + xy * v_u), -pitch * (xy * u_u + yy * v_u)
+    w[i, 6], w[i, 14] = -g_y * col_x, -g_y * col_y
+    w[i, 7], w[i, 15] = rho2 * radial_x, rho2 * radial_y
+    w[i, 8], w[i, 16] = radial_x, radial_y
+    w[i, 9], w[i, 17] = -fd2 * v * along_x, -fd2 * v * along_y
+    w[i, 10], w[i, 18] = -fd2 * u * along_x, -fd2 * u * along_y
+    w[i, 11], w[i, 19] = dn * col_x, dn * col_y
+
+
+@_jit
+def _eight(x):
+    """Return the state of `inverted_wang` as numbers: the compiler then knows that no store changes them, and keeps them."""
+    return x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
+
+
+@_jit
+def _six(x):
+    """Return the state of `pinhole_radial` as numbers."""
+    return x[0], x[1], x[2], x[3], x[4], x[5]
 
 
 @_jit
 def _stars(model, x, pitch, row_px, col_px, first, n, w):
     """Fill the first rows of `w` (at least n, 20) with n stars from `first` on; asking the model once keeps this fast."""
     if model == _INVERTED_WANG:
+        wang = _eight(x)
         for i in range(n):
-            _wang_star(x, pitch, row_px[first + i], col_px[first + i], w[i])
+            _wang_star(wang, pitch, row_px[first + i], col_px[first + i], w, i)
     else:
+        pinhole = _six(x)
         for i in range(n):
-            _pinhole_star(x, pitch, row_px[first + i], col_px[first + i], w[i])
+            _pinhole_star(pinhole, pitch, row_px[first + i], col_px[first + i], w, i)
 
 
 @_jit
 def _directions(model, x, pitch, row_px, col_px, first, n, w):
     """Fill the directions alone, the first three numbers of each row of `w`, where no derivative is asked for."""
-    for i in range(n):
-        if model == _INVERTED_WANG:
-            tx, ty, _, _, _, _, _ = _wang_tangents(x, pitch, row_px[first + i], col_px[first + i])
-        else:
-            tx, ty, _, _ = _pinhole_tangents(x, pitch, row_px[first + i], col_px[first + i])
-        norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
-        w[i, 0], w[i, 1], w[i, 2] = tx * norm, ty * norm, norm
+    if model == _INVERTED_WANG:
+        wang = _eight(x)
+        for i in range(n):
+            tx, ty, _, _, _, _, _ = _wang_tangents(wang, pitch, row_px[first + i], col_px[first + i])
+            _direction(tx, ty, w, i)
+    else:
+        pinhole = _six(x)
+        for i in range(n):
+            tx, ty, _, _ = _pinhole_tangents(pinhole, pitch, row_px[first + i], col_px[first + i])
+            _direction(tx, ty, w, i)
 
 
 @_jit
-def _free_columns(w, n, free, scale):
-    """Turn the derivatives of n stars into those by the free parameters in units of `scale`, zero beyond; `free` ascends."""
+def _direction(tx, ty, w, i):
+    """Fill the direction of star i from its tangents."""
+    norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+    w[i, 0], w[i, 1], w[i, 2] = tx * norm, ty * norm, norm
+
+
+@_jit
+def _free_columns(w, n, free):
+    """Move the derivatives of n stars by the free parameters, whose places ascend, to the front; zero beyond."""
     n_free = free.shape[0]
     if n_free == N_PARAMETERS:
-        for i in range(n):
-            for p in range(N_PARAMETERS):
-                w[i, _T_X + p] *= scale[p]
-                w[i, _T_Y + p] *= scale[p]
         return
     for i in range(n):
         for p in range(n_free):  # nothing is overwritten before it is read
-            w[i, _T_X + p] = w[i, _T_X + free[p]] * scale[p]
-            w[i, _T_Y + p] = w[i, _T_Y + free[p]] * scale[p]
+            w[i, _T_X + p], w[i, _T_Y + p] = w[i, _T_X + free[p]], w[i, _T_Y + free[p]]
         for p in range(n_free, N_PARAMETERS):
             w[i, _T_X + p], w[i, _T_Y + p] = 0.0, 0.0
+
+
+@_jit
+def _padded(scale):
+    """Return the typical sigmas of the free parameters (8,), zero beyond."""
+    eight = np.zeros(N_PARAMETERS)
+    eight[: scale.shape[0]] = scale
+    return eight
 
 
 @_jit
@@ -208,7 +237,7 @@ def _arclength(w, i, j):
     return math.atan2(sine, cosine), cosine, sine
 
 
-@_jit
+@_inlined
 def _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scale, w, e, H, at):
     """Whitened residuals `e` and scaled Jacobian `H` (., 8) of one exposure, from row `at` on; returns its sum of squares.
 
@@ -217,7 +246,7 @@ def _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, 
     constant length: a slice counts references, a loop of unknown length is not unrolled, and both cost half as much again.
     """
     _stars(model, x, pitch, row_px, col_px, s0, n, w)
-    _free_columns(w, n, free, scale)
+    _free_columns(w, n, free)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
@@ -234,12 +263,13 @@ def _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, 
             l4, l3, l2, l1 = band[a0 + a, 0], band[a0 + a, 1], band[a0 + a, 2], band[a0 + a, 3]
             for p in range(N_PARAMETERS):
                 h = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
-                h -= l4 * H[row - 4, p] + l3 * H[row - 3, p] + l2 * H[row - 2, p] + l1 * H[row - 1, p]
+                h = h * scale[p] - l4 * H[row - 4, p] - l3 * H[row - 3, p] - l2 * H[row - 2, p] - l1 * H[row - 1, p]
                 H[row, p] = h * inverse
             residual -= l4 * e[row - 4] + l3 * e[row - 3] + l2 * e[row - 2] + l1 * e[row - 1]
         else:
             for p in range(N_PARAMETERS):
                 h = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
+                h *= scale[p]
                 for b in range(a):
                     h -= band[a0 + a, 4 - a + b] * H[at + b, p]
                 H[row, p] = h * inverse
@@ -249,7 +279,7 @@ def _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, 
     return total
 
 
-@_jit
+@_inlined
 def _exposure_residuals(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, w, e, at):
     """Whitened residuals `e` of one exposure, from row `at` on, without derivatives; returns its unweighted sum of squares."""
     _directions(model, x, pitch, row_px, col_px, s0, n, w)
@@ -258,9 +288,14 @@ def _exposure_residuals(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, w
         i = a // 2
         residual = _arclength(w, i, i + 1 + a % 2)[0] - phi[a0 + a]
         total += residual * residual
-        for b in range(max(0, a - HALF_BANDWIDTH), a):
-            residual -= band[a0 + a, 4 - a + b] * e[at + b]
-        e[at + a] = residual / band[a0 + a, 4]
+        row = at + a
+        if a >= HALF_BANDWIDTH:
+            l4, l3, l2, l1 = band[a0 + a, 0], band[a0 + a, 1], band[a0 + a, 2], band[a0 + a, 3]
+            residual -= l4 * e[row - 4] + l3 * e[row - 3] + l2 * e[row - 2] + l1 * e[row - 1]
+        else:
+            for b in range(a):
+                residual -= band[a0 + a, 4 - a + b] * e[at + b]
+        e[row] = residual / band[a0 + a, 4]
     return total
 
 
@@ -279,15 +314,11 @@ def solid_angles(model, x, pitch, row_px, col_px, omega):
 
     Called by `estimation.cameras`: |det d(t_x, t_y) / d(m, n)| / |t|^3, where moving the pixel is moving the principal point back.
     """
-    w = np.empty(_STAR)
-    if model == _INVERTED_WANG:
-        for i in range(row_px.shape[0]):
-            _wang_star(x, pitch, row_px[i], col_px[i], w)
-            omega[i] = abs(w[5] * w[14] - w[6] * w[13]) * w[3] * w[3] * w[3]
-    else:
-        for i in range(row_px.shape[0]):
-            _pinhole_star(x, pitch, row_px[i], col_px[i], w)
-            omega[i] = abs(w[6] * w[15] - w[7] * w[14]) * w[3] * w[3] * w[3]
+    w = np.empty((1, _STAR))
+    p, q = (5, 6) if model == _INVERTED_WANG else (6, 7)
+    for i in range(row_px.shape[0]):
+        _stars(model, x, pitch, row_px, col_px, i, 1, w)
+        omega[i] = abs(w[0, p] * w[0, 8 + q] - w[0, q] * w[0, 8 + p]) * w[0, 3] * w[0, 3] * w[0, 3]
 
 
 @_jit
@@ -307,6 +338,24 @@ def rays_and_jacobians(model, x, pitch, row_px, col_px, s, D):
             D[i, 0, p], D[i, 1, p], D[i, 2, p] = x_p - w[0] * along, y_p - w[1] * along, -w[2] * along
 
 
+@_inlined
+def _add_products(e, H, n_arcs, g, C):
+    """Add H^T e to g (8,) and H^T H to C (8, 8), three rows at a time; e and H have room for two more rows than `n_arcs`.
+
+    The whole square, for a triangle is not unrolled; and three rows a turn, for a turn loads and stores every sum once.
+    """
+    for a in range(n_arcs, n_arcs + 2):
+        e[a] = 0.0
+        for p in range(N_PARAMETERS):
+            H[a, p] = 0.0
+    for a in range(0, n_arcs, 3):
+        for p in range(N_PARAMETERS):
+            h0, h1, h2 = H[a, p], H[a + 1, p], H[a + 2, p]
+            g[p] += h0 * e[a] + h1 * e[a + 1] + h2 * e[a + 2]
+            for q in range(N_PARAMETERS):
+                C[p, q] += h0 * H[a, q] + h1 * H[a + 1, q] + h2 * H[a + 2, q]
+
+
 @_jit
 def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, free, scale, threshold, A, b):
     """Accumulate A = H'^T W H' (n_free, n_free) and b = H'^T W e' (n_free,); return (cost, unweighted sum of squares).
@@ -317,14 +366,14 @@ def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, fre
     most = _largest_exposure(star_start)
     n_free = free.shape[0]
     w, e, H = np.empty((most, _STAR)), np.empty(2 * most), np.empty((2 * most, N_PARAMETERS))
-    C, g = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
+    C, g, scales = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS), _padded(scale)
     chi2 = 0.0
     total = 0.0
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n = star_start[k + 1] - s0
         total += _exposure_rows(
-            model, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, free, scale, w, e, H, 0
+            model, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, free, scales, w, e, H, 0
         )
         for a in range(2 * n - 3):
             size = abs(e[a])
@@ -336,13 +385,7 @@ def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, fre
             e[a] *= root
             for p in range(N_PARAMETERS):
                 H[a, p] *= root
-        for a in range(2 * n - 3):
-            value = e[a]
-            for p in range(N_PARAMETERS):
-                h = H[a, p]
-                g[p] += h * value
-                for q in range(N_PARAMETERS):  # the whole square: a triangle is not unrolled
-                    C[p, q] += h * H[a, q]
+        _add_products(e, H, 2 * n - 3, g, C)
     for p in range(n_free):
         b[p] = g[p]
         for q in range(p + 1):
@@ -406,12 +449,14 @@ def whitened_rows(model, x, pitch, star_start, row_px, col_px, phi, band, free, 
     """Fill whitened `e` (n_arcs,) and `H` (n_arcs, n_free) of several exposures. Called by `estimation.filters.extended`."""
     most, n_free = _largest_exposure(star_start), free.shape[0]
     w, one = np.empty((most, _STAR)), np.empty((2 * most, N_PARAMETERS))
-    whitened = np.empty(2 * most)
+    whitened, scales = np.empty(2 * most), _padded(scale)
     total = 0.0
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n, a0 = star_start[k + 1] - s0, 2 * s0 - 3 * k
-        total += _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scale, w, whitened, one, 0)
+        total += _exposure_rows(
+            model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scales, w, whitened, one, 0
+        )
         for a in range(2 * n - 3):
             e[a0 + a] = whitened[a]
             for p in range(n_free):
@@ -419,7 +464,7 @@ def whitened_rows(model, x, pitch, star_start, row_px, col_px, phi, band, free, 
     return total
 
 
-@_jit
+@_inlined
 def carlson_update(z, S, h, innovation, f, gain):
     """Take in one whitened scalar measurement; z (8,) and upper triangular S (8, 8) change in place.
 
@@ -494,7 +539,7 @@ def _prior_cost(S, z, z_prior, n_free, y):
     return cost
 
 
-@_jit
+@_inlined
 def _frame_residuals(model, x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
     """Whitened residuals `e` of the exposures first <= m < last, one after another; returns their unweighted sum of squares."""
     total = 0.0
@@ -505,6 +550,15 @@ def _frame_residuals(model, x, pitch, first, last, star_start, row_px, col_px, p
         total += _exposure_residuals(model, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, w, e, n_arcs)
         n_arcs += 2 * n - 3
     return total
+
+
+@_inlined
+def _copy(z, S, z_to, S_to):
+    """Copy a mean (8,) and a root of its covariance (8, 8) with columns contiguous; assigning slices takes ten times as long."""
+    for j in range(N_PARAMETERS):
+        z_to[j] = z[j]
+        for i in range(N_PARAMETERS):
+            S_to[i, j] = S[i, j]
 
 
 @_jit
@@ -543,28 +597,28 @@ def square_root_filter(
         np.empty((N_PARAMETERS, N_PARAMETERS)),
         np.empty(n_free),
     )
+    scales = _padded(scale)
     for p in range(n_free):
         x0[p] = x[free[p]] - scale[p] * z[p]
     for k in range(n_frames):
         _between_frames(S, q, widening, M)
-        z_prior[:] = z
-        S_prior[:] = S
+        _copy(z, S, z_prior, S_prior)
         n_arcs = 0
         total = 0.0
         frame_nis = 0.0
         done = 0
         for turn in range(linearisations):
-            z_at[:] = z
+            for p in range(N_PARAMETERS):
+                z_at[p] = z[p]
             n_arcs = 0
             for m in range(frame_start[k], frame_start[k + 1]):
                 s0 = star_start[m]
                 n = star_start[m + 1] - s0
                 _exposure_rows(
-                    model, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, free, scale, w, e, H, n_arcs
+                    model, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, free, scales, w, e, H, n_arcs
                 )
                 n_arcs += 2 * n - 3
-            z[:] = z_prior
-            S[:] = S_prior
+            _copy(z_prior, S_prior, z, S)
             frame_nis = 0.0
             for a in range(n_arcs):
                 innovation = e[a]
@@ -845,35 +899,33 @@ def _fatness(x, y, a, b, c):
 
 
 @_jit
-def _greedy(x, y, pool, window, order):
-    """Order the stars of `pool` so that each new triangle is fat, looking `window` candidates ahead; return the thinnest."""
-    n = pool.shape[0]
+def _greedy(x, y, pool, n, window, order):
+    """Order the n stars of `pool` so that each new triangle is fat, looking `window` candidates ahead; return the thinnest.
+
+    The candidates are pool[head:n], in their order; the one taken makes room at the head.
+    """
     order[0], order[1] = pool[0], pool[1]
-    left = n - 2
-    pool[:left] = pool[2:]
     thinnest = 1.0
-    for place in range(2, n):
-        best, best_fatness = 0, -1.0
-        for c in range(min(window, left)):
-            fat = _fatness(x, y, order[place - 2], order[place - 1], pool[c])
+    for head in range(2, n):
+        best, best_fatness = head, -1.0
+        for c in range(head, min(head + window, n)):
+            fat = _fatness(x, y, order[head - 2], order[head - 1], pool[c])
             if fat > best_fatness:
                 best, best_fatness = c, fat
             if fat > 0.5:  # 30 degrees is fat enough: leave the rest for later triangles
                 break
-        order[place] = pool[best]
-        for c in range(best, 0, -1):
+        order[head] = pool[best]
+        for c in range(best, head, -1):
             pool[c] = pool[c - 1]
-        left -= 1
-        pool[:left] = pool[1 : left + 1]
         thinnest = min(thinnest, best_fatness)
     return thinnest
 
 
 @_jit
-def _thinnest(x, y, order, first, last):
+def _thinnest(x, y, order, n, first, last):
     """Return the thinnest of the triangles that begin at places first <= place < last of an order, and where it begins."""
     worst, place = 2.0, -1
-    for p in range(max(first, 0), min(last, order.shape[0] - 2)):
+    for p in range(max(first, 0), min(last, n - 2)):
         fat = _fatness(x, y, order[p], order[p + 1], order[p + 2])
         if fat < worst:
             worst, place = fat, p
@@ -881,38 +933,35 @@ def _thinnest(x, y, order, first, last):
 
 
 @_jit
-def _mend(x, y, order, wanted):
+def _mend(x, y, order, n, wanted):
     """Swap stars of the thinnest triangle with others while that makes all it touches fatter; return the thinnest left.
 
     A greedy order leaves its last stars no choice: two lines of stars end with three on one line. Each swap looks at six
     triangles, and ends with none as thin as the one it was made for, so at most as many swaps are made as there are thin triangles.
     """
-    n = order.shape[0]
     for _ in range(n):
-        worst, place = _thinnest(x, y, order, 0, n - 2)
+        worst, place = _thinnest(x, y, order, n, 0, n - 2)
         if worst > wanted:
             return worst
         best, best_a, best_b = worst, 0, 0
         for a in range(place, place + 3):
             for b in range(n):
                 order[a], order[b] = order[b], order[a]
-                fat = min(_thinnest(x, y, order, a - 2, a + 1)[0], _thinnest(x, y, order, b - 2, b + 1)[0])
+                fat = min(_thinnest(x, y, order, n, a - 2, a + 1)[0], _thinnest(x, y, order, n, b - 2, b + 1)[0])
                 order[a], order[b] = order[b], order[a]
                 if fat > best:
                     best, best_a, best_b = fat, a, b
         if best <= worst:
             return worst
         order[best_a], order[best_b] = order[best_b], order[best_a]
-    return _thinnest(x, y, order, 0, n - 2)[0]
+    return _thinnest(x, y, order, n, 0, n - 2)[0]
 
 
 @_jit
-def _exhaustive(x, y, n, order):
+def _exhaustive(x, y, n, order, trial, choice, used, limit):
     """Try every order of at most seven stars, cutting branches that are already worse; return the best thinnest triangle."""
-    trial = np.zeros(n, np.int64)
-    choice = np.full(n, -1, np.int64)
-    used = np.zeros(n, np.bool_)
-    limit = np.ones(n + 1)
+    for i in range(n):
+        choice[i], used[i], limit[i] = -1, False, 1.0
     best = -1.0
     depth = 0
     while depth >= 0:
@@ -934,7 +983,8 @@ def _exhaustive(x, y, n, order):
             continue
         if depth == n - 1:
             best = limit[n]
-            order[:] = trial
+            for i in range(n):
+                order[i] = trial[i]
             continue
         depth += 1
     return best
@@ -949,33 +999,76 @@ def order_stars(star_start, s, order, fatness):
     """
     most = _largest_exposure(star_start)
     x, y, azimuth = np.empty(most), np.empty(most), np.empty(most)
-    pool, trial = np.empty(most, np.int64), np.empty(most, np.int64)
+    ranked, pool, trial = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
+    few_trial, choice = np.empty(_FEW, np.int64), np.empty(_FEW, np.int64)
+    used, limit = np.empty(_FEW, np.bool_), np.empty(_FEW + 1)
     for k in range(star_start.shape[0] - 1):
         s0, n = star_start[k], star_start[k + 1] - star_start[k]
-        _flatten(s[s0 : s0 + n], x, y, azimuth)
-        if n <= 7:
-            fatness[k] = _exhaustive(x, y, n, trial[:n])
-            order[s0 : s0 + n] = s0 + trial[:n]
+        _flatten(s, s0, n, x, y, azimuth)
+        if n <= _FEW:
+            fatness[k] = _exhaustive(x, y, n, trial, few_trial, choice, used, limit)
+            _take(trial, s0, n, order)
             continue
-        ranked = np.argsort(azimuth[:n])
+        _rank(azimuth, n, ranked)
         fatness[k] = -1.0
         for attempt in range(24 if n <= 20 else 6):
-            _interleave(ranked, attempt, pool[:n])
-            thinnest = _greedy(x, y, pool[:n], 12, trial[:n])
+            _interleave(ranked, n, attempt, pool)
+            thinnest = _greedy(x, y, pool, n, 12, trial)
             if thinnest < _THIN:
-                thinnest = _mend(x, y, trial[:n], _THIN)
+                thinnest = _mend(x, y, trial, n, _THIN)
             if thinnest > fatness[k]:
                 fatness[k] = thinnest
-                order[s0 : s0 + n] = s0 + trial[:n]
+                _take(trial, s0, n, order)
             if thinnest > 0.25:
                 break
 
 
 @_jit
-def _flatten(s, x, y, azimuth):
-    """Project directions onto the tangent plane of their mean; azimuth is about that mean."""
-    n = s.shape[0]
-    cx, cy, cz = s[:, 0].sum(), s[:, 1].sum(), s[:, 2].sum()
+def _take(trial, s0, n, order):
+    """Keep an order of the n stars from `s0` on."""
+    for i in range(n):
+        order[s0 + i] = s0 + trial[i]
+
+
+@_jit
+def _rank(values, n, ranked):
+    """Fill `ranked` with the places of the first n values, ascending, equal ones by their place: a heap sort, in no other space."""
+    for i in range(n):
+        ranked[i] = i
+    for root in range(n // 2 - 1, -1, -1):
+        _sift(values, ranked, root, n)
+    for last in range(n - 1, 0, -1):
+        ranked[0], ranked[last] = ranked[last], ranked[0]
+        _sift(values, ranked, 0, last)
+
+
+@_jit
+def _sift(values, ranked, root, n):
+    """Let the place at `root` sink until both below it have smaller values."""
+    while 2 * root + 1 < n:
+        child = 2 * root + 1
+        if child + 1 < n and _before(values, ranked[child], ranked[child + 1]):
+            child += 1
+        if not _before(values, ranked[root], ranked[child]):
+            return
+        ranked[root], ranked[child] = ranked[child], ranked[root]
+        root = child
+
+
+@_jit
+def _before(values, a, b):
+    """Whether the value at place a comes before that at place b."""
+    return values[a] < values[b] or (values[a] == values[b] and a < b)
+
+
+@_jit
+def _flatten(s, s0, n, x, y, azimuth):
+    """Project the n directions from `s0` on onto the tangent plane of their mean; azimuth is about that mean."""
+    cx, cy, cz = 0.0, 0.0, 0.0
+    for i in range(s0, s0 + n):
+        cx += s[i, 0]
+        cy += s[i, 1]
+        cz += s[i, 2]
     norm = math.sqrt(cx * cx + cy * cy + cz * cz)
     cx, cy, cz = cx / norm, cy / norm, cz / norm
     ax, ay, az = (0.0, -cz, cy) if abs(cx) < 0.7 else (cz, 0.0, -cx)
@@ -983,15 +1076,14 @@ def _flatten(s, x, y, azimuth):
     ax, ay, az = ax / norm, ay / norm, az / norm
     bx, by, bz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
     for i in range(n):
-        x[i] = s[i, 0] * ax + s[i, 1] * ay + s[i, 2] * az
-        y[i] = s[i, 0] * bx + s[i, 1] * by + s[i, 2] * bz
+        x[i] = s[s0 + i, 0] * ax + s[s0 + i, 1] * ay + s[s0 + i, 2] * az
+        y[i] = s[s0 + i, 0] * bx + s[s0 + i, 1] * by + s[s0 + i, 2] * bz
         azimuth[i] = math.atan2(y[i], x[i])
 
 
 @_jit
-def _interleave(ranked, turn, pool):
+def _interleave(ranked, n, turn, pool):
     """Take stars in turn from three sectors of azimuth, so that neighbours in `pool` lie about 120 degrees apart."""
-    n = ranked.shape[0]
     third = (n + 2) // 3
     place = 0
     for i in range(third):
