@@ -57,7 +57,7 @@ clean:  ## remove what was built, cached and demonstrated; the virtual environme
 
 lock: $(MADE)/dev  ## resolve the newest versions that pyproject.toml allows into the two lock files
 	$(LOCK) --extra lost-in-space --output-file requirements.lock pyproject.toml
-	$(LOCK) --extra bench --extra dev --extra lost-in-space --extra postgresql --constraint requirements.lock --output-file requirements-dev.lock pyproject.toml
+	$(LOCK) --extra bench --extra dev --extra lost-in-space --extra object-store --extra postgresql --constraint requirements.lock --output-file requirements-dev.lock pyproject.toml
 
 machine: $(MADE)/dev
 	@.ci/machine browser
