@@ -57,7 +57,8 @@ def test_every_frame_is_asked_for_once_and_in_order_after_the_pooled_start(probl
 
 def test_each_chunk_is_taken_at_the_state_that_the_frames_before_it_left(problem):
     frames = Listened(problem)
-    history, updated = filtered(problem, frames)
+    history = filtered(problem, frames)
+    updated = history.frame
 
     for first, _, x in (chunk for chunk in frames.asked if chunk[0] > 0):
         before = np.searchsorted(updated, problem.arcs.frame[first]) - 1
@@ -76,8 +77,8 @@ def test_the_start_pools_as_many_frames_as_hold_the_arcs_it_needs(problem):
 
 
 def test_the_filter_as_printed_pools_nothing(problem):
-    _, updated = filtered(problem, ProblemFrames(problem), linearisations=1)
-    np.testing.assert_array_equal(updated, problem.arcs.frame)
+    history = filtered(problem, ProblemFrames(problem), linearisations=1)
+    np.testing.assert_array_equal(history.frame, problem.arcs.frame)
 
 
 def test_frames_without_a_usable_star_are_passed_over(field, catalogue):
@@ -100,8 +101,8 @@ def test_progress_ends_at_the_last_frame(problem):
 
 def test_a_filter_that_ended_worse_than_it_began_is_called_diverged(problem):
     parameters = Parameters(FREE, problem.sensor.typical_sigma)
-    history, updated = filtered(problem, ProblemFrames(problem))
-    assert finished(problem, parameters, history, updated).status == "converged"
+    history = filtered(problem, ProblemFrames(problem))
+    assert finished(problem, parameters, history).status == "converged"
 
-    off = replace(history, last=replace(history.last, x=problem.sensor.initial * [1.3, 1, 1, 1, 1, 1, 1, 1]))
-    assert finished(problem, parameters, off, updated).status == "diverged"
+    history.last = replace(history.last, x=problem.sensor.initial * [1.3, 1, 1, 1, 1, 1, 1, 1])
+    assert finished(problem, parameters, history).status == "diverged"

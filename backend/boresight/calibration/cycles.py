@@ -8,7 +8,7 @@ frame by frame, and is judged by the set as its end state matches it.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -124,8 +124,12 @@ class Cycled:
     method_s: float = 0.0
 
     def judged_by(self, matched: Matched) -> Ended:
-        """Put what is in memory of the set, all or a sample, in its place."""
-        return Ended(matched, self.estimate, self.cycles, self.rested, self.method_s)
+        """Put what is in memory of the set, all or a sample, in its place, and of a filter's updates those that are of it."""
+        history, frame = self.estimate.history, matched.problem.arcs.frame
+        if history is not None and len(frame) < self.matched.problem.arcs.n_frames:
+            history = history.of_frames(frame)
+        estimate = replace(self.estimate, history=history)
+        return Ended(matched, estimate, self.cycles, self.rested, self.method_s)
 
 
 def fit_in_cycles(
@@ -165,14 +169,14 @@ def filter_set(
     matched = None if renewed is None else renewed.matched_frames()
     frames = ProblemFrames(first.problem) if matched is None else matched
     began = time.thread_time()
-    history, updated = run_sequential(frames, first.problem, parameters, settings, listen, cancelled)
+    history = run_sequential(frames, first.problem, parameters, settings, listen, cancelled)
     method_s = time.thread_time() - began - (0.0 if matched is None else matched.matching_s)
     if renewed is None or not history.finite:
-        return Cycled(first, finished(first.problem, parameters, history, updated), method_s=method_s)
+        return Cycled(first, finished(first.problem, parameters, history), method_s=method_s)
     last = renewed.at_covariance(history.last.x, history.last.P)
     if last.problem.arcs.n_exposures == 0:
-        return Cycled(first, finished(first.problem, parameters, history, updated), rested=False, method_s=method_s)
-    estimate = finished(last.problem, parameters, history, updated)
+        return Cycled(first, finished(first.problem, parameters, history), rested=False, method_s=method_s)
+    estimate = finished(last.problem, parameters, history)
     return Cycled(last, estimate, (_cycle(1, renewed.changed(first, last), first, last, estimate),), method_s=method_s)
 
 

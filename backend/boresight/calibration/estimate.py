@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.comparison import compared
+from boresight.calibration.course import Course
 from boresight.calibration.problem import AnyProblem
 from boresight.calibration.robust import Robustness
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch, cosine
-from boresight.estimation.filters import FilterHistory
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -51,9 +51,7 @@ class Estimate:
     steps
         Batch iterates, empty for a filter.
     history
-        A filter's frames so far; None for the batch.
-    updated
-        (n_updates,) frame number of each entry of the history.
+        A filter's updates so far; None for the batch.
     robust
         What Huber's loss changed; None for any other estimate.
     remarks
@@ -67,10 +65,14 @@ class Estimate:
     status: str
     iterations: int
     steps: tuple[batch.Step, ...] = ()
-    history: FilterHistory | None = None
-    updated: IntArray | None = None
+    history: Course | None = None
     robust: Robustness | None = None
     remarks: tuple[str, ...] = ()
+
+    @property
+    def updated(self) -> IntArray | None:
+        """(n_updates,) frame number of each update of a filter; None for the batch."""
+        return None if self.history is None else self.history.frame
 
 
 Listener = Callable[[Estimate, float, str], None]

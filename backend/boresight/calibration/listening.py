@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from boresight.calibration import result
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.problem import AnyProblem
@@ -66,6 +68,7 @@ class Listener:
 
     def _frames_done(self, estimate: Estimate) -> int | None:
         """Count the frames of the set up to the last that a filter took in; its first update may be of several."""
-        if estimate.updated is None or not len(estimate.updated):
+        if not estimate.history:
             return None
-        return int(self._of[0].place_of(estimate.updated[-1:] + 1)[0])
+        last = estimate.history.taken(np.array([len(estimate.history) - 1]))["frame"]
+        return int(self._of[0].place_of(last + 1)[0])

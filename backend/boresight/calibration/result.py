@@ -196,9 +196,9 @@ def _bounds(test: ChiSquare) -> dict[str, Any]:
 
 def _innovations(estimate: Estimate) -> ChiSquare | None:
     """A filter's normalised innovations per degree of freedom."""
-    if estimate.history is None or not len(estimate.history.nis):
+    if not estimate.history:
         return None
-    return chi_square(float(estimate.history.nis.sum()), int(estimate.history.dof.sum()))
+    return chi_square(estimate.history.nis_sum, estimate.history.dof_sum)
 
 
 def _innovations_so_far(estimate: Estimate) -> dict[str, Any] | None:

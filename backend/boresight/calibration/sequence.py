@@ -2,7 +2,8 @@
 
 A filter takes its frames from a `Frames`: those of a problem whose matches stand, or frames matched again with the
 state that the filter has when it comes to them (E section II-D.2). Weights, and matches where they are made again, are taken for a
-chunk of frames at the state before it: single frames first, then twice as many each time, at most a fortieth of the set.
+chunk of frames at the state before it: single frames first, then twice as many each time, at most a fortieth of the set or
+`MOST_IN_CHUNK`.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.calibration.course import Course
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, claim
 from boresight.calibration.problem import AnyProblem, weighed
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import CancelledError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.filters import FILTERS, FilterHistory, Tuning
+from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import FilterState, start
 
 FloatArray = NDArray[np.float64]
@@ -41,6 +43,8 @@ BENT = 2.0
 MOST_START_ARCS_PER_PARAMETER = 160
 #: A filter reports, and takes its weights anew, at least so often over a set.
 CHUNKS = 40
+#: Most frames of a chunk, for what a filter computes of one is in memory.
+MOST_IN_CHUNK = 4096
 
 
 class Frames(Protocol):
@@ -84,31 +88,28 @@ def run_sequential(
     settings: CalibrationSettings,
     listen: Listener,
     cancelled: Asked,
-) -> tuple[FilterHistory, IntArray]:
-    """Run a filter over frames; returns its history and the frame number of each update, both empty where no frame has stars."""
+) -> Course:
+    """Run a filter over frames; returns its history, empty where no frame has stars."""
     run_filter, n_frames = FILTERS[settings.method], frames.n_frames
     first_tuning, tuning = _tunings(settings)
     state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
-    parts: list[FilterHistory] = []
-    updated: list[IntArray] = []
+    course = Course(state)
     began = time.perf_counter()
     pooled, done = _first_frames(frames, problem, parameters, settings, state)
     for first, last in ((0, done), *_chunks(done, n_frames, settings.replay_frames_per_s > 0)):
         if cancelled():
             raise CancelledError(f"Stopped as asked after {first} of {n_frames} frames")
-        arcs = pooled if first == 0 else frames.arcs(first, last, state)
+        arcs = pooled if first == 0 else frames.arcs(first, last, course.last)
         if arcs.n_exposures:
-            chunk = weighed(arcs, problem.camera, state.x)
-            tuned = tuning if parts else first_tuning
-            parts.append(run_filter(chunk, state, parameters.free, parameters.scale, tuned))
-            updated.append(arcs.frame[: len(parts[-1].nis)])
-            state = parts[-1].last
-            message = f"frame {arcs.frame[-1]}: {last} of {n_frames} frames"
-            listen(_on_its_way(_joined(parts, state), np.concatenate(updated)), last / n_frames, message)
-            if not parts[-1].finite:
+            chunk = weighed(arcs, problem.camera, course.last.x)
+            tuned = tuning if course else first_tuning
+            part = run_filter(chunk, course.last, parameters.free, parameters.scale, tuned)
+            course.append(part, arcs.frame)
+            listen(_on_its_way(course), last / n_frames, f"frame {arcs.frame[-1]}: {last} of {n_frames} frames")
+            if not course.finite:
                 break
         _keep_pace(began, last, settings.replay_frames_per_s, cancelled)
-    return _joined(parts, state), np.concatenate([np.empty(0, np.int64), *updated])
+    return course
 
 
 def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
@@ -121,7 +122,7 @@ def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
     return replace(tuning, linearisations=most), tuning
 
 
-def finished(problem: AnyProblem, parameters: Parameters, history: FilterHistory, updated: IntArray) -> Estimate:
+def finished(problem: AnyProblem, parameters: Parameters, history: Course) -> Estimate:
     """Judge a filter's end by a whole set: its information, its chi-square and whether it improved on the start."""
     x = history.last.x
     ended = batch.normal_equations(problem.weighed(x), x, parameters.free, parameters.scale)
@@ -135,22 +136,21 @@ def finished(problem: AnyProblem, parameters: Parameters, history: FilterHistory
         status = "converged"
     remarks = (*_of_blindness(problem, parameters, history), *_of_one_update(problem, history))
     return Estimate(
-        x, ended.A, history.last.P, ended.chi2, status, int(history.linearisations.sum()),
-        history=history, updated=updated, remarks=remarks,
+        x, ended.A, history.last.P, ended.chi2, status, history.linearisations_sum, history=history, remarks=remarks
     )  # fmt: skip
 
 
-def _of_one_update(problem: AnyProblem, history: FilterHistory) -> Iterator[str]:
+def _of_one_update(problem: AnyProblem, history: Course) -> Iterator[str]:
     """Say that a set was too small to be taken in frame by frame."""
     n_frames = problem.arcs.n_frames
-    if history.finite and len(history.nis) == 1 and n_frames > 1:
+    if history.finite and len(history) == 1 and n_frames > 1:
         yield (
             f"All {n_frames} frames were taken in as one update, because fewer would not settle the parameters: "
             "add frames to see a course."
         )
 
 
-def _of_blindness(problem: AnyProblem, parameters: Parameters, history: FilterHistory) -> Iterator[str]:
+def _of_blindness(problem: AnyProblem, parameters: Parameters, history: Course) -> Iterator[str]:
     """Say whose spread took a filter beyond the range of the lens, and what can be done."""
     names = [problem.camera.parameter_names[parameters.free[place]] for place in history.blind]
     if names:
@@ -161,12 +161,11 @@ def _of_blindness(problem: AnyProblem, parameters: Parameters, history: FilterHi
         )
 
 
-def _on_its_way(history: FilterHistory, updated: IntArray) -> Estimate:
+def _on_its_way(history: Course) -> Estimate:
     """Make an estimate of a filter on its way; the set's information and chi-square are not known yet."""
     unknown = np.full_like(history.last.P, np.nan)
     return Estimate(
-        history.last.x, unknown, history.last.P, float("nan"), "running", int(history.linearisations.sum()),
-        history=history, updated=updated,
+        history.last.x, unknown, history.last.P, float("nan"), "running", history.linearisations_sum, history=history
     )  # fmt: skip
 
 
@@ -229,26 +228,13 @@ def pool_start(arcs: ArcSet, n_arcs: int) -> ArcSet:
 
 
 def _chunks(done: int, n_frames: int, one_by_one: bool) -> Iterator[tuple[int, int]]:
-    """Cut the frames from `done` on into chunks: one, then doubling up to a fortieth of the set; or one frame each for a replay."""
+    """Cut the frames from `done` on into chunks that double, as the module says; or one frame each for a replay."""
     first, size = done, 1
-    most = 1 if one_by_one else max(1, n_frames // CHUNKS)
+    most = 1 if one_by_one else max(1, min(n_frames // CHUNKS, MOST_IN_CHUNK))
     while first < n_frames:
         last = min(first + size, n_frames)
         yield first, last
         first, size = last, min(2 * size, most)
-
-
-def _joined(parts: list[FilterHistory], state: FilterState) -> FilterHistory:
-    """Join the histories of consecutive chunks."""
-    if not parts:
-        none, x, n_free = np.empty(0), state.x, len(state.z)
-        return FilterHistory(
-            np.empty((0, len(x))), np.empty((0, n_free)), none, none.astype(np.int64), none, none.astype(np.int64), state,
-            finite=True,
-        )  # fmt: skip
-    names = ("states", "sigmas", "nis", "dof", "sum_of_squares", "linearisations")
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return FilterHistory(**arrays, last=state, finite=parts[-1].finite, blind=parts[-1].blind)
 
 
 def _keep_pace(began: float, frames_done: int, frames_per_s: float, cancelled: Asked) -> None:

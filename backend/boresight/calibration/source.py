@@ -47,7 +47,7 @@ class TelemetryFile:
         return self.about_rows() >= self.large_rows
 
     def opened(self) -> Telemetry | TelemetryFile:
-        """Read a small file; leave a large one to whoever takes it piece by piece. Refuses what cannot be used in the first case."""
+        """Read a small file, refusing what cannot be used; leave a large one to whoever takes it piece by piece."""
         return self if self.large() else self.read()
 
     def read(self) -> Telemetry:

@@ -7,17 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.calibration.course import Course
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.problem import AnyProblem
+from boresight.calibration.streaming.sample import spread_blocks
 from boresight.estimation.arcs import Arcs, ArcSet
-from boresight.estimation.metrics import aggregate_rms, tail_rms
+from boresight.estimation.blocks import FRAMES
+from boresight.estimation.metrics import sums_of_squares, tail_rms
 from boresight.estimation.uncertainty import displacement_px, radial_difference
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 #: Tail RMS costs one pass over the set a point; a history keeps as many points as this many frame passes allow.
 TAIL_BUDGET = 4_000_000
 FEWEST_POINTS, MOST_POINTS = 100, 1000
+#: Frames beyond which the fewest points would cost more than that: tail RMS is then over evenly spread blocks of the set.
+TAIL_WHOLE = TAIL_BUDGET // FEWEST_POINTS
 RADII = 61
 COVERAGE_ROWS, COVERAGE_COLUMNS = 12, 16
 ARCSEC = np.degrees(1.0) * 3600
@@ -28,9 +34,11 @@ def _list(values: NDArray[Any]) -> list[Any]:
     return [_list(row) if row.ndim else (row.item() if np.isfinite(row) else None) for row in np.asarray(values)]
 
 
-def kept_points(n_updates: int, n_frames: int) -> NDArray[np.int64]:
+def kept_points(n_updates: int, n_frames: int) -> IntArray:
     """Which updates a history keeps: all where that is affordable, else evenly spaced with the first and the last."""
     most = int(np.clip(TAIL_BUDGET // max(n_frames, 1), FEWEST_POINTS, MOST_POINTS))
+    if n_frames > TAIL_WHOLE:
+        most = MOST_POINTS
     if n_updates <= most:
         return np.arange(n_updates)
     return np.unique(np.linspace(0, n_updates - 1, most).round().astype(np.int64))
@@ -39,24 +47,50 @@ def kept_points(n_updates: int, n_frames: int) -> NDArray[np.int64]:
 def history_view(problem: AnyProblem, parameters: Parameters, estimate: Estimate, arcs: Arcs) -> dict[str, Any] | None:
     """A filter's history: state, sigma, tail and aggregate RMS, innovations; None for the batch."""
     history = estimate.history
-    if history is None or estimate.updated is None or not len(history.nis):
+    if not history:
         return None
-    kept = kept_points(len(history.nis), arcs.n_frames)
-    sigma = np.full((len(kept), history.states.shape[1]), np.nan)
-    sigma[:, parameters.free] = history.sigmas[kept] * parameters.scale
-    frame = estimate.updated[kept]
-    times = problem.time_of(problem.place_of(frame))
+    places = kept_points(len(history), arcs.n_frames)
+    kept = history.taken(places)
+    sigma = np.full(kept["states"].shape, np.nan)
+    sigma[:, parameters.free] = kept["sigmas"] * parameters.scale
+    times = problem.time_of(problem.place_of(kept["frame"]))
     return {
-        "frame": _list(frame),
+        "frame": _list(kept["frame"]),
         "time_utc": None if times is None else [f"{value}Z" for value in times],
-        "parameters": _list(history.states[kept]),
+        "parameters": _list(kept["states"]),
         "sigma": _list(sigma),
-        "tail_rms_rad": _list(tail_rms(arcs, history.states[kept])),
-        "aggregate_rms_rad": _list(aggregate_rms(history.sum_of_squares, history.dof.astype(float))[kept]),
-        "nis": _list(history.nis[kept]),
-        "nis_dof": _list(history.dof[kept]),
-        "linearisations": _list(history.linearisations[kept]),
+        "tail_rms_rad": _list(_tail(arcs, np.ascontiguousarray(kept["states"]))),
+        "aggregate_rms_rad": _list(kept["aggregate_rms"]),
+        "nis": _list(kept["nis"]),
+        "nis_dof": _list(kept["dof"]),
+        "linearisations": _list(kept["linearisations"]),
+        "between": None if len(places) == len(history) else _between(history, places),
     }
+
+
+def _between(history: Course, places: IntArray) -> dict[str, Any]:
+    """What the updates that are not kept would have shown, for the interval that each kept one ends."""
+    peaks = history.peaks(places)
+    return {
+        "nis_peak": _list(peaks.nis),
+        "nis_peak_dof": _list(peaks.dof),
+        "nis_peak_frame": _list(peaks.frame),
+        "parameters_low": _list(peaks.low),
+        "parameters_high": _list(peaks.high),
+    }
+
+
+def _tail(arcs: Arcs, states: FloatArray) -> FloatArray:
+    """Tail RMS at each state, over the whole set or, of a very large one, over evenly spread blocks."""
+    if arcs.n_frames <= TAIL_WHOLE:
+        return tail_rms(arcs, states)
+    chosen = spread_blocks(-(-arcs.n_frames // FRAMES), TAIL_BUDGET // MOST_POINTS // FRAMES)
+    total, n_arcs = np.zeros(len(states)), 0
+    for block in chosen * FRAMES:
+        part = arcs.frames(block, min(block + FRAMES, arcs.n_frames))
+        total += sums_of_squares(part, states)
+        n_arcs += part.n_arcs
+    return np.asarray(np.sqrt(total / n_arcs))
 
 
 def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: AnyProblem) -> dict[str, Any] | None:
@@ -108,7 +142,7 @@ def radial_view(
     }
 
 
-def _reach_in_block(block: ArcSet, row_0: float, col_0: float, edges: FloatArray) -> tuple[float, NDArray[np.int64]]:
+def _reach_in_block(block: ArcSet, row_0: float, col_0: float, edges: FloatArray) -> tuple[float, IntArray]:
     """Largest distance of a star of one block from the principal point, and how many are between the edges, pixels."""
     reach = np.hypot(block.row_px - row_0, block.col_px - col_0)
     return float(reach.max()), np.histogram(reach, edges)[0]
@@ -123,7 +157,7 @@ def coverage_view(problem: AnyProblem) -> dict[str, Any]:
     return {"row_edges_px": _list(row_edges), "col_edges_px": _list(col_edges), "counts": counts.tolist()}
 
 
-def _counts_in_block(block: ArcSet, row_edges: FloatArray, col_edges: FloatArray) -> NDArray[np.int64]:
+def _counts_in_block(block: ArcSet, row_edges: FloatArray, col_edges: FloatArray) -> IntArray:
     """Stars of one block in the cells between the edges."""
     counts, _, _ = np.histogram2d(block.row_px, block.col_px, bins=(row_edges, col_edges))
     return counts.astype(np.int64)

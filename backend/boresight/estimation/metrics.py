@@ -30,10 +30,15 @@ def rms(arcs: Arcs, x: FloatArray) -> float:
 
 def tail_rms(arcs: Arcs, states: FloatArray) -> FloatArray:
     """RMS of the whole set at each of several states (n_states, n_parameters), rad (E Eq 32), in one pass over it."""
+    return np.asarray(np.sqrt(sums_of_squares(arcs, states) / arcs.n_arcs))
+
+
+def sums_of_squares(arcs: Arcs, states: FloatArray) -> FloatArray:
+    """Sum of the squared errors of all arcs at each of several states, (n_states,) rad^2."""
     totals = np.zeros(len(states))
     for of_block in arcs.over_blocks(_squares_in_block, np.ascontiguousarray(states)):
         totals += of_block
-    return np.asarray(np.sqrt(totals / arcs.n_arcs))
+    return totals
 
 
 def _squares_in_block(block: ArcSet, states: FloatArray) -> FloatArray:

@@ -3,8 +3,8 @@
 Each set is a Parquet file that `boresight calibrate` takes in a fresh process, everything counted: starting, reading, ordering,
 estimating, judging, writing. Memory is what the kernel says of that process when it has ended (`ru_maxrss`: the most that was
 resident, mapped files included). The exponent of growth is the slope of log time over log frames, by least squares over all sizes
-and between neighbours; what a process costs before it computes makes it smaller at the small end, so the neighbours at the large end
-are the ones to look at.
+and between neighbours; what a process costs before it computes makes it smaller at the small end, so the neighbours at the large
+end are the ones to look at.
 """
 
 from __future__ import annotations

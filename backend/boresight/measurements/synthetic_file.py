@@ -1,7 +1,7 @@
 """A telemetry file of any length, written in constant memory: two exposures of twelve stars a frame, each with its direction.
 
-Stars fall uniformly on an ST-16 with the parameters of E Table III's first sensor, 0.437 px of noise, every exposure at an attitude of
-its own. Chunk k is drawn from the seed (seed, k), so that a longer file begins with the rows of a shorter one.
+Stars fall uniformly on an ST-16 with the parameters of E Table III's first sensor, 0.437 px of noise, every exposure at an attitude
+of its own. Chunk k is drawn from the seed (seed, k), so that a longer file begins with the rows of a shorter one.
 """
 
 from __future__ import annotations
