@@ -1,61 +1,27 @@
-"""Every chart of the product, each a pure function of calibration JSON; a new one is one file and one line here."""
+"""Every chart of the product, each a pure function of calibration JSON; `chapters` lists them.
 
-from boresight.figures.arc_uncertainty import ARC_UNCERTAINTY
+The list is loaded when it is first asked for: the tables of this package are printed by commands that draw nothing, and Plotly with
+its templates takes a quarter of a second.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from boresight.figures.chart import Figure, Result, Table, Trace, figure_json
-from boresight.figures.convergence import CONVERGENCE
-from boresight.figures.correlation import CORRELATION
-from boresight.figures.coverage import COVERAGE
-from boresight.figures.distortion import DISTORTION
-from boresight.figures.drop_one import DROP_ONE
-from boresight.figures.efficiency import EFFICIENCY
-from boresight.figures.frame_observability import FRAME_OBSERVABILITY
-from boresight.figures.innovations import INNOVATIONS
-from boresight.figures.matching import MATCHING
-from boresight.figures.methods import METHODS
-from boresight.figures.more_data import MORE_DATA
-from boresight.figures.observability import OBSERVABILITY
-from boresight.figures.parameters import PARAMETERS
-from boresight.figures.radial import RADIAL
-from boresight.figures.reference_information import REFERENCE_INFORMATION
-from boresight.figures.residual_against import RESIDUAL_AGAINST
-from boresight.figures.residual_distribution import RESIDUAL_DISTRIBUTION
-from boresight.figures.residual_map import RESIDUAL_MAP
-from boresight.figures.residual_outliers import RESIDUAL_OUTLIERS
-from boresight.figures.residual_quiver import RESIDUAL_QUIVER
-from boresight.figures.residual_rms import RESIDUAL_RMS
-from boresight.figures.rms import RMS
-from boresight.figures.rms_axes import RMS_AXES
-from boresight.figures.shadow import SHADOW
-from boresight.figures.stars import STARS
-from boresight.figures.two_halves import TWO_HALVES
-from boresight.figures.whiteness import WHITENESS
+
+if TYPE_CHECKING:
+    from boresight.figures.chapters import CHAPTERS, FIGURES, WIDE
 
 __all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Result", "Table", "Trace", "figure_json"]
 
-CHAPTERS: dict[str, tuple[Figure, ...]] = {
-    "summary": (PARAMETERS, CORRELATION),
-    "convergence": (CONVERGENCE, METHODS),
-    "rms": (RMS, RMS_AXES),
-    "distortion": (DISTORTION, RADIAL, COVERAGE),
-    "observability": (OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION),
-    "residuals": (
-        RESIDUAL_QUIVER,
-        RESIDUAL_DISTRIBUTION,
-        RESIDUAL_AGAINST,
-        INNOVATIONS,
-        WHITENESS,
-        RESIDUAL_RMS,
-        RESIDUAL_OUTLIERS,
-        RESIDUAL_MAP,
-    ),
-    "trust": (TWO_HALVES, ARC_UNCERTAINTY, EFFICIENCY, MORE_DATA, DROP_ONE, STARS),
-    "matching": (MATCHING, SHADOW),
-}
-FIGURES: dict[str, Figure] = {figure.name: figure for chapter in CHAPTERS.values() for figure in chapter}
-WIDE = frozenset(
-    {
-        "convergence", "methods", "rms", "rms-axes", "distortion", "radial", "observability", "frame-observability",
-        "two-halves", "more-data", "residual-map", "residual-quiver", "residual-distribution", "residual-outliers",
-        "stars", "matching", "shadow",
-    }
-)  # fmt: skip
+_LISTED = ("CHAPTERS", "FIGURES", "WIDE")
+
+
+def __getattr__(name: str) -> Any:
+    """Load the charts when one of their lists is asked for."""
+    if name not in _LISTED:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from boresight.figures import chapters  # noqa: PLC0415 - only when a list is asked for
+
+    return getattr(chapters, name)
