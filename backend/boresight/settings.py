@@ -47,6 +47,9 @@ SETTINGS = (
         "tls_certificate", "", "path", "This machine's certificate and key in one PEM file, for tls:// links.", str
     ),
     Setting("workers", "2", "processes", "Worker processes started when no scheduler is given; 0 = none here.", int),
+    Setting(
+        "threads", "0", "threads", "Threads a command computes on, 0 = one a core; worker processes use one each.", int
+    ),
     Setting("lease_s", "10", "s", "How long a run belongs to the server that claimed it without a renewal.", float),
     Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
     Setting("upload_limit_mb", "512", "MB", "Largest telemetry file that is accepted.", float),
@@ -77,6 +80,7 @@ class Settings:
     tls_authority: str
     tls_certificate: str
     workers: int
+    threads: int
     lease_s: float
     max_attempts: int
     upload_limit_mb: float
@@ -100,6 +104,13 @@ class Settings:
             approvals=self.approvals,
             login_attempts=self.login_attempts,
         )
+
+    @property
+    def computing_threads(self) -> int:
+        """Threads of a command that has the machine to itself."""
+        if self.threads > 0:
+            return self.threads
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
     @property
     def catalogue_folder(self) -> Path:

@@ -13,6 +13,7 @@ from boresight.cli.calibration_options import GroupedCommand, calibration_option
 from boresight.cli.output import aligned, check_writable, json_option, write_json
 from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
+from boresight.estimation.blocks import computing_on
 from boresight.settings import read_settings, use_kernel_folder
 
 #: Statuses under which the numbers are no calibration.
@@ -36,7 +37,7 @@ def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_fi
     check_writable(json_file)
     use_kernel_folder(read_settings())
     settings = _settings(choices)
-    with progress("reading the telemetry") as report:
+    with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
         result = _calibrate(telemetry, sensor_file, validate, settings, report)
     write_json(result, json_file)
     if json_file != "-" and result["status"] != "too_few_stars":

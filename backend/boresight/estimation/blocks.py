@@ -12,7 +12,7 @@ process computes on one thread, for there is one process a core; a command line 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
@@ -22,7 +22,8 @@ T = TypeVar("T")
 #: Frames a block: a millisecond or two of work, so that handing it to a thread costs nothing and two cores end together.
 FRAMES = 1024
 
-_pool: ContextVar[Executor | None] = ContextVar("pool", default=None)
+#: Threads beside the calling one, and how many.
+_helpers: ContextVar[tuple[Executor, int] | None] = ContextVar("helpers", default=None)
 
 
 @contextmanager
@@ -32,23 +33,41 @@ def computing_on(threads: int) -> Iterator[None]:
     Parameters
     ----------
     threads
-        1 computes in the calling thread.
+        1 computes in the calling thread; of more, the calling thread is one.
     """
     if threads <= 1:
         yield
         return
-    with ThreadPoolExecutor(threads, thread_name_prefix="boresight-block") as pool:
-        token = _pool.set(pool)
+    with ThreadPoolExecutor(threads - 1, thread_name_prefix="boresight-block") as pool:
+        token = _helpers.set((pool, threads - 1))
         try:
             yield
         finally:
-            _pool.reset(token)
+            _helpers.reset(token)
 
 
 def in_blocks(run: Callable[[int, int], T], count: int, size: int = FRAMES) -> list[T]:
-    """Call `run(first, last)` for each block of `size` out of `count`, and return the results in the order of the blocks."""
+    """Call `run(first, last)` for each block of `size` out of `count`, and return the results in the order of the blocks.
+
+    Every thread takes the next block until none is left: one hand-over a thread and not one a block, and none waits for another.
+    """
     edges = [(first, min(first + size, count)) for first in range(0, count, size)]
-    pool = _pool.get()
-    if pool is None or len(edges) < 2:
+    helpers = _helpers.get()
+    if helpers is None or len(edges) < 2:
         return [run(first, last) for first, last in edges]
-    return list(pool.map(lambda edge: run(*edge), edges))
+    results: dict[int, T] = {}
+    left = iter(range(len(edges)))  # taking from it is one step of the interpreter
+
+    def take() -> None:
+        for place in left:
+            results[place] = run(*edges[place])
+
+    pool, others = helpers
+    running = [pool.submit(take) for _ in range(min(others, len(edges) - 1))]
+    try:
+        take()
+    finally:
+        wait(running)
+    for helper in running:
+        helper.result()
+    return [results[place] for place in range(len(edges))]
