@@ -12,8 +12,10 @@ import subprocess
 import tempfile
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
+import sqlalchemy as sa
 
 from boresight.store.sessions import migrate, open_engine
 
@@ -33,6 +35,11 @@ OPTIONS = {
     "shared_buffers": "32MB",
     "timezone": "Asia/Kathmandu",  # an odd one: no time may depend on it
 }
+
+
+_connections: dict[
+    str, list[Any]
+] = {}  # that this process opened, by database: one that is lost with its engine would warn
 
 
 class Server:
@@ -63,6 +70,8 @@ class Server:
 
     def remove(self) -> None:
         """Stop for good."""
+        for connection in [connection for opened in _connections.values() for connection in opened]:
+            connection.close()
         self.stop()
         shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -77,7 +86,9 @@ class Server:
         return self.url(name)
 
     def drop(self, name: str) -> None:
-        """Remove a database, whoever is connected to it."""
+        """Remove a database, whoever is connected to it; what tests left open is closed with it."""
+        for connection in _connections.pop(name, ()):
+            connection.close()
         self._execute((f'DROP DATABASE IF EXISTS "{name}" WITH (FORCE)', None))
 
     def _execute(self, *statements: tuple[str, tuple[str] | None]) -> None:
@@ -116,7 +127,14 @@ def server() -> Server:
     pytest.importorskip("psycopg")
     if not shutil.which("initdb", path=PROGRAMS):
         pytest.skip("no PostgreSQL server on this machine")
+    sa.event.listen(sa.pool.Pool, "connect", _remember)
     return Server()
+
+
+def _remember(connection: Any, record: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives both
+    """Keep a connection until its database goes."""
+    if hasattr(connection, "pgconn"):
+        _connections.setdefault(connection.info.dbname, []).append(connection)
 
 
 def remove_server() -> None:

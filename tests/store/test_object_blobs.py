@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import httpx
 import obstore
 import pytest
 from hypothesis import given, settings
@@ -21,8 +19,8 @@ from boresight.settings import read_settings
 from boresight.store.blob_places import BlobPlace
 from boresight.store.blobs import open_blobs
 from boresight.store.object_blobs import KEPT_S, ObjectBlobStore
+from tests.object_store import SECRET, serving_s3
 
-moto = pytest.importorskip("moto.server")
 PLENTY = 10**9
 Open = Callable[..., ObjectBlobStore]
 
@@ -30,19 +28,8 @@ Open = Callable[..., ObjectBlobStore]
 @pytest.fixture(scope="module")
 def s3() -> Iterator[str]:
     """The address of an S3 server with a bucket."""
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)
-    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    address = f"http://{host}:{port}"
-    assert httpx.put(f"{address}/flight").status_code == 200
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("AWS_ENDPOINT_URL", address)
-        environment.setenv("AWS_ACCESS_KEY_ID", "key")
-        environment.setenv("AWS_SECRET_ACCESS_KEY", "secret-of-the-test")
-        environment.setenv("AWS_REGION", "us-east-1")
+    with serving_s3("flight") as address:
         yield address
-    server.stop()
 
 
 @pytest.fixture
@@ -113,15 +100,15 @@ def test_what_is_missing_forbidden_or_out_of_reach_is_told_in_one_sentence(
     with pytest.raises(NotFoundError, match=r"There is no bucket for s3://nowhere/blobs; make it"):
         blobs(bucket="nowhere").put(b"x")
     for raised, kind, says in (
-        (obstore.exceptions.PermissionDeniedError("secret-of-the-test"), ForbiddenError, "check the key"),
-        (obstore.exceptions.UnauthenticatedError("secret-of-the-test"), ForbiddenError, "check the key"),
-        (obstore.exceptions.GenericError("secret-of-the-test"), UnavailableError, "does not answer"),
+        (obstore.exceptions.PermissionDeniedError(SECRET), ForbiddenError, "check the key"),
+        (obstore.exceptions.UnauthenticatedError(SECRET), ForbiddenError, "check the key"),
+        (obstore.exceptions.GenericError(SECRET), UnavailableError, "does not answer"),
     ):
         monkeypatch.setattr(obstore, "head", _raising(raised))
         with pytest.raises(kind, match=says) as told:
             blobs().put(b"y")
-        assert "secret" not in str(told.value)
-    assert "secret" not in caplog.text
+        assert SECRET not in str(told.value)
+    assert SECRET not in caplog.text
     assert not _kept(tmp_path / "here")
 
 
