@@ -44,7 +44,7 @@ from boresight.services import runs
 from boresight.services.forecasts import Sight
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.store.blobs import BlobStore
+from boresight.store.blobs import open_blobs
 from boresight.store.sessions import migrate, open_engine, reading
 from boresight.workers.engine import Engine
 
@@ -95,7 +95,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.settings = settings
     state.policy = settings.policy
     state.engine = open_engine(settings.database_url)
-    state.blobs = BlobStore(settings.blob_folder)
+    state.blobs = open_blobs(settings.blob_place)
     state.drawn = Drawn()
     state.log_in_cookie = LogInCookie(settings)
     state.catalogue = _lazy_catalogue(settings)

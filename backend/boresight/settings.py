@@ -130,12 +130,6 @@ class Settings:
         return BlobPlace(address, self.data_folder / "blob-cache", int(self.blob_cache_mb * 1e6))
 
     @property
-    def blob_folder(self) -> Path:
-        """Folder of content-addressed files, or that in which those of an object store are kept here."""
-        place = self.blob_place
-        return Path(place.address) if place.is_folder else place.cache_folder
-
-    @property
     def kernel_folder(self) -> Path:
         """Where Numba keeps compiled kernels."""
         return self.data_folder / "kernels"

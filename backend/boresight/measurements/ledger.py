@@ -21,7 +21,7 @@ from boresight.settings import read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import BlobStore
+from boresight.store.blobs import open_blobs
 from boresight.store.sessions import migrate, open_engine, reading, writing
 from boresight.store.sizes import table_sizes
 from boresight.store.tables import TERMINAL_RUN_STATES
@@ -49,7 +49,7 @@ class Ledger:
         self._environment = environment_of(folder, 1, LEASE_S, external=False) | {"BORESIGHT_DATABASE_URL": address}
         self._settings = read_settings(self._environment)
         self._engine = open_engine(self._settings.database_url)
-        self._blobs = BlobStore(self._settings.blob_folder)
+        self._blobs = open_blobs(self._settings.blob_place)
         self._catalogue = load_catalogue(self._settings.catalogue_folder)
         self._sensors: list[int] = []
         self._sets: dict[int, list[int]] = {}
