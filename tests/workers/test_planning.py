@@ -1,9 +1,9 @@
-"""Short runs share a task, long ones and suspects go alone, and no more tasks are made than there are threads."""
+"""Short runs share a task, long ones and suspects go alone, and only groups of short runs are put behind others."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.store.runs import Waiting
+from boresight.store.queued_runs import Waiting
 from boresight.workers.planning import GROUP_RUNS, GROUP_S, planned
 
 
@@ -18,36 +18,48 @@ def seconds(run):
     return run.stars * 1e-3
 
 
-queues = st.lists(st.tuples(st.integers(1, 3000), st.integers(0, 2)), max_size=100)
+def ids(groups):
+    """Take the runs of each group."""
+    return [group.run_ids for group in groups]
 
 
-@given(queues, st.integers(1, 8))
-def test_the_oldest_runs_go_first_each_once_and_no_task_is_too_much(queue, slots):
+queues = st.lists(st.tuples(st.integers(1, 5000), st.integers(0, 2)), max_size=100)
+
+
+@given(queues, st.integers(1, 8), st.integers(0, 4))
+def test_the_oldest_runs_go_first_each_once_and_no_task_is_too_much(queue, free, followed):
     runs = waiting([stars for stars, _ in queue], [attempt for _, attempt in queue])
-    groups = planned(runs, slots, seconds)
-    chosen = [run_id for group in groups for run_id in group]
+    groups = planned(runs, free, followed, seconds)
+    chosen = [run_id for group in groups for run_id in group.run_ids]
     assert chosen == list(range(len(chosen)))
-    assert len(groups) <= slots
+    assert len(groups) <= free + followed
     assert bool(groups) == bool(queue)
+    assert all(group.short for group in groups[free:])
     for group in groups:
-        assert 1 <= len(group) <= GROUP_RUNS
-        if len(group) > 1:
-            assert sum(seconds(runs[run_id]) for run_id in group) <= GROUP_S + 1e-9
-            assert not any(runs[run_id].attempt for run_id in group)
+        assert 1 <= len(group.run_ids) <= GROUP_RUNS
+        if len(group.run_ids) > 1 or group.short:
+            assert group.seconds <= GROUP_S
+            assert abs(sum(seconds(runs[run_id]) for run_id in group.run_ids) - group.seconds) < 1e-9
+            assert not any(runs[run_id].attempt for run_id in group.run_ids)
 
 
 def test_few_runs_are_spread_over_the_threads_rather_than_grouped():
-    assert planned(waiting([10, 10]), 4, seconds) == [[0], [1]]
+    assert ids(planned(waiting([10, 10]), 4, 0, seconds)) == [[0], [1]]
 
 
 def test_many_short_runs_fill_their_tasks():
-    groups = planned(waiting([20] * 200), 2, seconds)
-    assert [len(group) for group in groups] == [GROUP_RUNS, GROUP_RUNS]
+    groups = planned(waiting([20] * 200), 2, 0, seconds)
+    assert [len(group.run_ids) for group in groups] == [GROUP_RUNS, GROUP_RUNS]
 
 
 def test_a_run_that_was_tried_before_goes_alone():
-    assert planned(waiting([10, 10, 10], [0, 1, 0]), 3, seconds) == [[0], [1], [2]]
+    assert ids(planned(waiting([10, 10, 10], [0, 1, 0]), 3, 0, seconds)) == [[0], [1], [2]]
 
 
-def test_nothing_is_planned_without_a_free_thread():
-    assert planned(waiting([10]), 0, seconds) == []
+def test_nothing_is_planned_without_a_thread_for_it():
+    assert planned(waiting([10]), 0, 0, seconds) == []
+
+
+def test_neither_a_long_run_nor_a_suspect_is_put_behind_others_nor_overtaken_by_younger_ones():
+    for runs in (waiting([10, 9000, 10]), waiting([10, 10, 10], [0, 1, 0])):
+        assert ids(planned(runs, 1, 2, seconds)) == [[0]]

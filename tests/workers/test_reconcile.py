@@ -167,24 +167,16 @@ def test_progress_is_dropped_when_the_result_is_there(store, make_rows):
     assert store.run(run_id).progress is None
 
 
-def test_a_watch_that_fails_loses_no_result(store, make_rows, monkeypatch, caplog):
-    def broken(*_):
-        raise ArithmeticError("no drift can be told")
-
-    (run_id,) = store.launch("quick")
+def test_ends_written_together_are_each_written_or_left_as_one_alone_would_be(store, make_rows):
     rows = make_rows()
-    (held,) = take_one(rows, run_id)
-    monkeypatch.setattr("boresight.workers.reconcile.watch", broken)
-    rows.settle([success(held)])
-    assert store.states([run_id]) == ["SUCCEEDED"]
-    assert "The watch failed after a run" in caplog.text
-
-
-def test_the_sensors_of_runs_that_succeeded_are_watched(store, make_rows, monkeypatch):
-    seen = []
-    (run_id,) = store.launch("quick")
-    rows = make_rows()
-    (held,) = take_one(rows, run_id)
-    monkeypatch.setattr("boresight.workers.reconcile.watch", lambda _, sensor_ids: seen.append(sensor_ids))
-    rows.settle([success(held)])
-    assert seen == [[store.run(run_id).sensor_id]]
+    done, failed, stopped, late = (take_one(rows, run_id)[0] for run_id in store.launch("quick", 4))
+    rows.settle([success(late)])
+    store.cancel(stopped[0])
+    crash = success(failed) | {"state": "FAILED", "reason": "a defect", "result_sha256": None, "summary": None}
+    rows.settle([success(done), crash, success(stopped), success(late) | {"state": "FAILED"}, success((done[0], 7))])
+    ids = [held[0] for held in (done, failed, stopped, late)]
+    assert store.states(ids) == ["SUCCEEDED", "FAILED", "CANCELLED", "SUCCEEDED"]
+    assert [store.ends(run_id) for run_id in ids] == [[state] for state in store.states(ids)]
+    assert [store.run(run_id).reason for run_id in ids] == [None, "a defect", "Cancelled in a test.", None]
+    assert store.log(failed[0], "state")[-1] == "FAILED: a defect"
+    assert store.run(stopped[0]).summary is None

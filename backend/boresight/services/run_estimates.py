@@ -42,11 +42,24 @@ class Pace:
     runs: int
 
 
-def pace_of(session: Session, method: str) -> Pace:
-    """Return the pace of the newest runs of a method; a careful guess before there is one."""
+@dataclass(frozen=True)
+class Timed:
+    """What a finished run was and how long its computing took, without its wait for frames."""
+
+    stars: int
+    seconds: float
+
+
+def timed_runs(session: Session, method: str) -> list[Timed]:
+    """Return what the newest runs of a method took, newest first: of those that waited for no frames where there are any."""
     timed = [run for run in recent_runs(session, method) if run[1].get("seconds") and run[1].get("stars")]
     unthrottled = [run for run in timed if not _downlink_s(run[0], frames=1)]
-    paces = [_computed_s(*run) / run[1]["stars"] for run in unthrottled or timed]
+    return [Timed(summary["stars"], _computed_s(settings, summary)) for settings, summary in unthrottled or timed]
+
+
+def pace_of(session: Session, method: str) -> Pace:
+    """Return the pace of the newest runs of a method; a careful guess before there is one."""
+    paces = [run.seconds / run.stars for run in timed_runs(session, method)]
     if not paces:
         guess = FIRST_GUESS_S_PER_STAR
         return Pace(guess, guess / GUESS_SPREAD, guess * GUESS_SPREAD, 0)

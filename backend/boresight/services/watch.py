@@ -29,9 +29,9 @@ def watch_chain(session: Session, broken: Condition | None) -> int:
     return _settle(session, *_chain_compared(session, broken))
 
 
-def changed_sensors(session: Session) -> list[int]:
-    """Return the sensors for which `watch` would change an alarm; reads only, so it keeps no writer waiting."""
-    found, known = _compared(session, None)
+def changed_sensors(session: Session, sensor_ids: Sequence[int] | None = None) -> list[int]:
+    """Return the sensors, of all or of some, for which `watch` would change an alarm; reads only, so no writer waits."""
+    found, known = _compared(session, sensor_ids)
     shelved = {row.sensor_id for row in rows.overdue_shelves(session)}
     moved = {(found.get(source) or known[source]).sensor_id for source in _differing(found, known)}
     return sorted(sensor_id for sensor_id in shelved | moved if sensor_id is not None)

@@ -7,16 +7,28 @@ the order of commits and whoever follows the log from a number on misses nothing
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import sqlalchemy as sa
 
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import RunEvent
+
+Line = tuple[int, int, str, str]  # run id, attempt, kind, message
 
 
 def write_event(session: Session, run_id: int, attempt: int, kind: str, message: str) -> None:
     """Add a line to a run's log; `kind` is state, log or lost."""
     session.add(RunEvent(run_id=run_id, attempt=attempt, at_utc=utc_now(), kind=kind, message=message))
     session.flush()
+
+
+def write_events(session: Session, lines: Sequence[Line]) -> None:
+    """Add lines to the logs of runs in this order, however many in one statement."""
+    now = utc_now()
+    rows = [dict(zip(("run_id", "attempt", "kind", "message"), line, strict=True)) | {"at_utc": now} for line in lines]
+    if rows:
+        session.execute(sa.insert(RunEvent), rows)
 
 
 def events_of_run(session: Session, run_id: int, after_id: int = 0, limit: int = 1000) -> list[RunEvent]:

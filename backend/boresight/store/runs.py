@@ -19,42 +19,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import sqlalchemy as sa
-from sqlalchemy.orm import aliased
 
 from boresight.store import chain, seals
-from boresight.store.run_events import write_event
+from boresight.store.queued_runs import Claimed, claimed_runs
+from boresight.store.run_events import Line, write_event, write_events
 from boresight.store.sessions import Session, utc_after, utc_now
-from boresight.store.tables import TERMINAL_RUN_STATES, Blob, Run, RunEvent, TelemetrySet
+from boresight.store.tables import TERMINAL_RUN_STATES, Blob, Run, RunEvent
 
 HELD = ("RUNNING", "CANCELLING")
 Held = tuple[int, int]  # (run id, attempt)
-
-
-@dataclass(frozen=True)
-class Waiting:
-    """A run that nobody holds, with what decides how long it will take."""
-
-    run_id: int
-    attempt: int
-    method: str
-    settings: Mapping[str, Any]
-    frames: int
-    stars: int
-
-
-@dataclass(frozen=True)
-class Claimed:
-    """A run that is now ours: all that its computation needs."""
-
-    run_id: int
-    attempt: int
-    settings: Mapping[str, Any]
-    sensor_document: Mapping[str, Any]
-    table_sha256: str
-    validation_sha256: str | None
 
 
 def add_run(session: Session, **values: Any) -> Run:
@@ -92,18 +68,6 @@ def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
     return find_run(session, run_id)
 
 
-def waiting_runs(session: Session, limit: int) -> list[Waiting]:
-    """Return the QUEUED runs, oldest first."""
-    query = (
-        sa.select(Run.id, Run.attempt, Run.method, Run.settings, TelemetrySet.frames, TelemetrySet.stars)
-        .join(TelemetrySet, TelemetrySet.id == Run.telemetry_set_id)
-        .where(Run.state == "QUEUED")
-        .order_by(Run.id)
-        .limit(limit)
-    )
-    return [Waiting(*row) for row in session.execute(query)]
-
-
 def claim(
     session: Session, owner: str, lease_s: float, limit: int, run_ids: Collection[int] | None = None
 ) -> list[Claimed]:
@@ -129,29 +93,9 @@ def claim(
         .returning(Run.id, Run.attempt)
         .execution_options(synchronize_session=False, **seals.BULK)
     ).all()
-    for run_id, attempt in taken:
-        write_event(session, run_id, attempt, "state", f"RUNNING: attempt {attempt} on {owner}")
-    return _claimed(session, [run_id for run_id, _ in taken])
-
-
-def _claimed(session: Session, run_ids: Sequence[int]) -> list[Claimed]:
-    """Read what the computation of claimed runs needs, in the order of their ids."""
-    validation = aliased(TelemetrySet)
-    query = (
-        sa.select(
-            Run.id,
-            Run.attempt,
-            Run.settings,
-            Run.sensor_document,
-            TelemetrySet.table_sha256,
-            validation.table_sha256,
-        )
-        .join(TelemetrySet, TelemetrySet.id == Run.telemetry_set_id)
-        .outerjoin(validation, validation.id == Run.validation_set_id)
-        .where(Run.id.in_(run_ids))
-        .order_by(Run.id)
-    )
-    return [Claimed(*row) for row in session.execute(query)]
+    held = sorted((run_id, attempt) for run_id, attempt in taken)
+    write_events(session, [(*one, "state", f"RUNNING: attempt {one[1]} on {owner}") for one in held])
+    return claimed_runs(session, [run_id for run_id, _ in held])
 
 
 def _fenced(held: Held) -> sa.Update:
@@ -187,6 +131,20 @@ def record_progress(session: Session, run_id: int, attempt: int, progress: Mappi
     return _matched(session, _fenced((run_id, attempt)).values(progress=dict(progress)))
 
 
+@dataclass(frozen=True)
+class End:
+    """How an attempt ended: the terminal state asked for and why, its result with the bytes of it, lines for the log."""
+
+    run_id: int
+    attempt: int
+    state: str
+    reason: str | None = None
+    result_sha256: str | None = None
+    summary: Mapping[str, Any] | None = None
+    result_bytes: int = 0
+    log: Sequence[str] = ()
+
+
 def finish(
     session: Session,
     run_id: int,
@@ -197,48 +155,88 @@ def finish(
     summary: Mapping[str, Any] | None = None,
     result_bytes: int = 0,
 ) -> str | None:
-    """Write a run's end, once.
+    """Write one run's end, once; see `finish_all`."""
+    end = End(run_id, attempt, state, reason, result_sha256, summary, result_bytes)
+    return finish_all(session, [end]).get((run_id, attempt))
+
+
+def finish_all(session: Session, ends: Sequence[End]) -> dict[Held, str]:
+    """Write how runs ended, each once, however many in a few statements.
 
     Returns
     -------
-    str or None
-        The terminal state written: `state`, or CANCELLED when the run had been asked to stop; None when this attempt
-        no longer held the run and nothing was written.
+    dict
+        The terminal state written for each attempt: the one asked for, or CANCELLED when the run had been asked to stop. An
+        attempt that no longer held its run is missing, and nothing was written for it.
     """
-    if state not in TERMINAL_RUN_STATES:
-        raise ValueError(f"Expected one of {TERMINAL_RUN_STATES} / Received {state!r}")
-    cancelling = session.scalar(
-        sa.select(Run.reason).where(Run.id == run_id, Run.attempt == attempt, Run.state == "CANCELLING")
-    )
-    if cancelling is not None:
-        state, reason, result_sha256, summary = "CANCELLED", cancelling, None, None
-    if result_sha256 is not None:
-        _register_result(session, result_sha256, result_bytes)
-    write = _fenced((run_id, attempt)).values(
-        state=state,
-        reason=reason,
-        result_sha256=result_sha256,
-        summary=sa.null() if summary is None else dict(summary),
-        progress=Run.progress if result_sha256 is None else sa.null(),  # what there was is kept where no result is
-        ended_utc=utc_now(),
-        lease_until_utc=None,
-    )
-    if not _matched(session, write):
-        return None
-    write_event(session, run_id, attempt, "state", f"{state}: {reason}" if reason else state)
-    seals.note(session, Run, run_id)
-    after = {"state": state, "result_sha256": result_sha256}
-    chain.append_own(session, "ended", f"runs/{run_id}", after=after, reason=reason)
-    return state
+    if strange := {end.state for end in ends}.difference(TERMINAL_RUN_STATES):
+        raise ValueError(f"Expected some of {TERMINAL_RUN_STATES} / Received {strange}")
+    now, held = utc_now(), _held(session, [end.run_id for end in ends])
+    written = [_as_asked(end, held[end.run_id, end.attempt]) for end in ends if (end.run_id, end.attempt) in held]
+    _register_results(session, written, now)
+    _write_ends(session, [end for end in written if end.result_sha256 is None], now)
+    _write_ends(session, [end for end in written if end.result_sha256 is not None], now, progress=None)
+    write_events(session, [line for end in written for line in _told(end)])
+    for end in written:
+        seals.note(session, Run, end.run_id)
+        after = {"state": end.state, "result_sha256": end.result_sha256}
+        chain.append_own(session, "ended", f"runs/{end.run_id}", after=after, reason=end.reason)
+    return {(end.run_id, end.attempt): end.state for end in written}
 
 
-def _register_result(session: Session, sha256: str, size_bytes: int) -> None:
-    """Name the result's bytes, which the worker has put already; the worker may be on another machine."""
-    if session.get(Blob, sha256) is None:
-        session.add(
-            Blob(sha256=sha256, size_bytes=size_bytes, media_type="application/json", created_utc=utc_now()),
-        )
-        session.flush()
+def _held(session: Session, run_ids: Collection[int]) -> dict[Held, tuple[str, str | None]]:
+    """Return state and reason of those runs that an attempt holds. It stays so until the commit: there is one writer at a time."""
+    query = sa.select(Run.id, Run.attempt, Run.state, Run.reason).where(Run.id.in_(run_ids), Run.state.in_(HELD))
+    return {(run_id, attempt): (state, reason) for run_id, attempt, state, reason in session.execute(query)}
+
+
+def _as_asked(end: End, found: tuple[str, str | None]) -> End:
+    """Return an end as CANCELLED where its run was asked to stop."""
+    state, reason = found
+    return End(end.run_id, end.attempt, "CANCELLED", reason, log=end.log) if state == "CANCELLING" else end
+
+
+def _write_ends(session: Session, ends: Sequence[End], now: str, **also: Any) -> None:
+    """Write ends into their rows, fenced; progress is kept where there is no result.
+
+    Raises
+    ------
+    RuntimeError
+        When a row did not match although this transaction has just seen it: nothing is committed.
+    """
+    if not ends:
+        return
+    runs, names = cast("sa.Table", Run.__table__), ("state", "reason", "result_sha256", "summary")
+    is_held = sa.or_(*(runs.c.state == state for state in HELD))  # an IN would not go with many rows at once
+    fenced = (runs.c.id == sa.bindparam("held"), runs.c.attempt == sa.bindparam("under"), is_held)
+    fixed = {"ended_utc": now, "lease_until_utc": None} | also
+    write = sa.update(runs).where(*fenced).values({**fixed, **{name: sa.bindparam(f"new_{name}") for name in names}})
+    rows = [
+        {"held": end.run_id, "under": end.attempt, **{f"new_{name}": getattr(end, name) for name in names}}
+        for end in ends
+    ]
+    if session.connection().execute(write, rows).rowcount != len(rows):
+        raise RuntimeError(f"Expected {len(rows)} runs to end / Received another number")
+
+
+def _told(end: End) -> list[Line]:
+    """Return what the log tells of an end."""
+    said = f"{end.state}: {end.reason}" if end.reason else end.state
+    lines = [*(("log", line) for line in end.log), ("state", said)]
+    return [(end.run_id, end.attempt, kind, message) for kind, message in lines]
+
+
+def _register_results(session: Session, ends: Sequence[End], now: str) -> None:
+    """Name the results' bytes, which the workers have put already; a worker may be on another machine."""
+    sizes = {end.result_sha256: end.result_bytes for end in ends if end.result_sha256 is not None}
+    known = set(session.scalars(sa.select(Blob.sha256).where(Blob.sha256.in_(sizes))))
+    rows = [
+        {"sha256": sha256, "size_bytes": size, "media_type": "application/json", "created_utc": now}
+        for sha256, size in sizes.items()
+        if sha256 not in known
+    ]
+    if rows:
+        session.execute(sa.insert(Blob), rows)
 
 
 def put_back(session: Session, run_id: int, attempt: int, cause: str) -> bool:

@@ -1,10 +1,10 @@
 """The engine: a thread in the server process that hands waiting runs to the workers and writes how they end.
 
-The row is the truth, the cluster only computes. Each turn: settle finished tasks, renew leases, write progress, pass on
-wishes to stop, give runs to the free threads. A task is pinned to its worker and a thread has one task at a time, so
-when a worker dies it is known which run may have been guilty. The engine itself may die at any point: what it had
-claimed lapses with the lease, what its workers had finished lies in the blob folder under its own address, and a
-write-back of an attempt that no longer holds its run matches nothing.
+The row is the truth, the cluster only computes. Each turn: settle finished tasks, give runs to the threads, and only then, while
+they compute, renew leases, write progress, pass on wishes to stop, and look whether what was found raises an alarm. A task is
+pinned to its worker and a thread computes one task at a time, so when a worker dies it is known which run may have been guilty.
+The engine itself may die at any point: what it had claimed lapses with the lease, what its workers had finished lies in the blob
+folder under its own address, and a write-back of an attempt that no longer holds its run matches nothing.
 """
 
 from __future__ import annotations
@@ -15,18 +15,20 @@ import secrets
 import socket
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Collection
 from typing import Any
 
 from boresight.settings import Settings
-from boresight.store.runs import Claimed, Held
+from boresight.store.queued_runs import Claimed
+from boresight.store.runs import Held
 from boresight.store.sessions import Engine as Database
 from boresight.workers.cluster import Cluster, LostTaskError
-from boresight.workers.flight import Flight
+from boresight.workers.flight import Flight, Flights
+from boresight.workers.lookout import Lookout
+from boresight.workers.planning import Group
 from boresight.workers.reconcile import Reconciler
 from boresight.workers.reports import Reports
-from boresight.workers.tasks import CALCULATION, Inputs
+from boresight.workers.tasks import CALCULATION, inputs_of
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +39,8 @@ CANCEL_GRACE_S = 5.0
 GONE_S = 1.0
 GONE = "its worker was gone before the task reached it, or before its result was fetched"
 KILL_AGAIN_S = 20.0
+OVERDUE_S = 10.0
+LOOK_AHEAD = 64  # runs a thread
 JOIN_S = 30.0
 
 
@@ -74,10 +78,11 @@ class Engine:
         self._calculation = calculation
         self._grace_s = cancel_grace_s
         self._cluster: Cluster | None = None
-        self._flights: list[Flight] = []
+        self._flights = Flights()
+        self._threads: dict[str, int] = {}
+        self._lookout = Lookout(database)
         self._reports = Reports()
         self._renewed_s = 0.0
-        self._threads = 0
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="boresight-engine", daemon=True)
@@ -101,13 +106,13 @@ class Engine:
     def state(self) -> dict[str, Any]:
         """Say who this is, whether it turns and its cluster is there, how many threads that had last, and tasks on them."""
         connected = self._cluster is not None and self._cluster.connected
-        standing = {"turns": self._thread.is_alive(), "connected": connected, "threads": self._threads}
-        return {"owner": self.owner, **standing, "tasks": len(self._flights)}
+        counts = {"threads": sum(self._threads.values()), "tasks": len(self._flights)}
+        return {"owner": self.owner, "turns": self._thread.is_alive(), "connected": connected, **counts}
 
     def _run(self) -> None:
         """Turn until asked to stop; an error is logged and the next turn tries again."""
         while not self._stopping.is_set():
-            pause_s = BUSY_TURN_S if self._flights else IDLE_TURN_S
+            pause_s = BUSY_TURN_S if self._flights or self._lookout else IDLE_TURN_S
             try:
                 self._turn()
             except Exception:
@@ -121,10 +126,11 @@ class Engine:
         """Do each part of the loop once."""
         if self._attach():
             self._settle()
+            self._launch()
             self._renew()
             self._tell_progress()
             self._pass_on_stops()
-            self._launch()
+            self._lookout.look()
 
     def _attach(self) -> bool:
         """Have a cluster; after its loss queue what was on it and make a new connection."""
@@ -140,7 +146,7 @@ class Engine:
     def _detach(self, cause: str) -> None:
         """Let go of the cluster and queue again what was on it."""
         cluster, self._cluster = self._cluster, None
-        held = self._held()
+        held = self._flights.held()
         self._flights.clear()
         try:
             self._rows.put_back(held, cause)
@@ -161,15 +167,14 @@ class Engine:
         except Exception:
             log.exception("The engine could not queue its runs again; their leases will lapse")
 
-    def _held(self) -> set[Held]:
-        """Return all attempts that are on the cluster for us."""
-        return {held for flight in self._flights for held in flight.members}
-
     def _settle(self) -> None:
         """Write the ends of finished and of lost tasks."""
-        workers = self._on_cluster().workers() if self._flights else {}
-        for flight in list(self._flights):
-            if self._is_settled(flight, alive=flight.worker in workers):
+        if self._flights:
+            self._threads = self._on_cluster().workers()
+            self._flights.advance(self._threads)
+        self._recall()
+        for flight in self._flights:
+            if self._is_settled(flight, alive=flight.worker in self._threads):
                 self._flights.remove(flight)
                 self._tell_moved(flight.members)
                 for held in flight.asked_s:
@@ -195,16 +200,17 @@ class Engine:
             self._rows.put_back_or_give_up(flight.members, GONE)
             return True
         if isinstance(answer, LostTaskError):
-            self._rows.give_up(flight.members, str(answer))
+            self._rows.give_up(flight.members, str(answer), begun=not flight.behind)
         else:
             self._rows.settle(answer)
+            self._lookout.note(answer)
         return True
 
     def _renew(self) -> None:
         """Renew our leases three times a lease; drop what is no longer ours."""
         if time.monotonic() - self._renewed_s < self._settings.lease_s / 3:
             return
-        lost = self._rows.renew(self._held())
+        lost = self._rows.renew(self._flights.held())
         self._renewed_s = time.monotonic()
         for flight in self._flights:
             for held in flight.members & lost:
@@ -214,7 +220,7 @@ class Engine:
 
     def _tell_progress(self) -> None:
         """Pass reports on, and write them to the rows at most twice a second."""
-        reports = self._reports.take(self._held())
+        reports = self._reports.take(self._flights.held())
         for held, report in reports.items():
             self._broadcast({"kind": "progress", **self._reports.news(held, report)})
         if due := self._reports.due(reports):
@@ -222,13 +228,13 @@ class Engine:
 
     def _pass_on_stops(self) -> None:
         """Ask attempts to stop whose rows say so; end by force what did not answer in time."""
-        asked = self._rows.stops(self._held()) if self._flights else set()
+        asked = self._rows.stops(self._flights.held()) if self._flights else set()
         for held in asked:
-            flight = next(flight for flight in self._flights if held in flight.members)
+            flight = self._flights.of(held)
             if held not in flight.asked_s:
                 flight.asked_s[held] = time.monotonic()
                 self._on_cluster().ask_to_stop(held)
-            elif time.monotonic() - flight.asked_s[held] > self._grace_s:
+            elif not flight.behind and flight.unanswered_s(held) > self._grace_s:
                 self._end_by_force(flight, held)
                 break  # what shared its task is in flight no more
 
@@ -246,43 +252,39 @@ class Engine:
         self._on_cluster().kill(flight.future, flight.worker)
 
     def _launch(self) -> None:
-        """Give waiting runs to the free threads, one task a thread."""
-        waiting = self._rows.waiting()
-        free = self._free_threads() if waiting else []
-        claimed = self._rows.take(waiting, len(free)) if free else []
+        """Give waiting runs to the free threads, and more to those that will soon be free."""
+        if self._flights and not (self._flights.free(self._threads) or self._flights.followed(self._threads)):
+            return
+        threads = sum(self._threads.values())
+        waiting = self._rows.waiting(LOOK_AHEAD * max(1, threads))
+        if waiting and not self._flights:
+            self._threads = self._on_cluster().workers()
+        free = self._flights.free(self._threads) if waiting else []
+        followed = self._flights.followed(self._threads) if len(waiting) > threads else []
+        claimed = self._rows.take(waiting, len(free), len(followed)) if free or followed else []
         try:
-            for worker, group in zip(free, claimed, strict=False):
-                self._hand_over(worker, group)
+            for place, (worker, (group, runs)) in enumerate(zip(free + followed, claimed, strict=False)):
+                self._hand_over(worker, group, runs, behind=place >= len(free))
         except Exception:
-            left = {(run.run_id, run.attempt) for group in claimed for run in group} - self._held()
-            self._rows.put_back(left, "it could not be handed to the scheduler")
+            taken = {(run.run_id, run.attempt) for _, runs in claimed for run in runs}
+            self._rows.put_back(taken - self._flights.held(), "it could not be handed to the scheduler")
             raise
 
-    def _hand_over(self, worker: str, group: list[Claimed]) -> None:
+    def _hand_over(self, worker: str, group: Group, runs: list[Claimed], *, behind: bool) -> None:
         """Give one task to one worker."""
-        members = {(run.run_id, run.attempt) for run in group}
-        work = [(run.run_id, run.attempt, self._inputs(run)) for run in group]
+        members = {(run.run_id, run.attempt) for run in runs}
+        work = [(run.run_id, run.attempt, inputs_of(self._settings, run)) for run in runs]
         future = self._on_cluster().submit(worker, work, self._calculation, self._wake.set)
-        self._flights.append(Flight(future, worker, members))
+        self._flights.add(Flight(future, worker, members, group.short, group.seconds, behind))
         self._tell_moved(members)
 
-    def _free_threads(self) -> list[str]:
-        """Return the address of a worker for each of its threads that has no task."""
-        busy = Counter(flight.worker for flight in self._flights)
-        workers = self._on_cluster().workers()
-        self._threads = sum(workers.values())
-        return [worker for worker, threads in workers.items() for _ in range(threads - busy[worker])]
-
-    def _inputs(self, run: Claimed) -> Inputs:
-        """Gather what the workers need."""
-        return Inputs(
-            blob_address=self._settings.blob_place.address,
-            catalogue_folder=str(self._settings.catalogue_folder),
-            table_sha256=run.table_sha256,
-            validation_sha256=run.validation_sha256,
-            sensor_document=dict(run.sensor_document),
-            settings=dict(run.settings),
-        )
+    def _recall(self) -> None:
+        """Queue again what waits behind a task that takes longer than was foreseen; another thread may be free sooner."""
+        for flight in self._flights.overdue(OVERDUE_S):
+            flight.future.cancel()
+            self._rows.put_back(flight.members, "the runs before it took longer than foreseen")
+            self._flights.remove(flight)
+            self._tell_moved(flight.members)
 
     def _tell_moved(self, members: Collection[Held]) -> None:
         """Tell that the states of runs have changed; what to is in their rows."""

@@ -1,20 +1,96 @@
-"""A task in flight: which worker computes which attempts."""
+"""Tasks in flight: which worker computes which attempts, and which thread may be given more.
+
+A thread computes one task. While that is a group of short runs, a second such group may wait behind it, so that the thread need
+not wait for us between the two; only a group that nobody would miss for long is put there, and never one of more than a
+group's time. When a worker dies, only the task that it computed is suspected: what waited behind had not begun.
+"""
 
 from __future__ import annotations
 
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from boresight.store.runs import Held
 
 
-@dataclass
+@dataclass(eq=False)
 class Flight:
-    """A task on one worker and the attempts it computes; the worker has as many flights at a time as threads."""
+    """A task on one worker and the attempts it computes."""
 
     future: Any
     worker: str
     members: set[Held]
+    short: bool = False  # a group of short runs, none of them tried before
+    expected_s: float = 0.0
+    behind: bool = False  # waits for the task before it on its thread
+    since_s: float = field(default_factory=time.monotonic)  # when it was given to the worker, or came to its thread
     asked_s: dict[Held, float] = field(default_factory=dict)  # when each was asked to stop
     killed_s: float | None = None  # when its worker was ended by force
     gone_s: float | None = None  # when its worker was first missed
+
+    def unanswered_s(self, held: Held) -> float:
+        """Return for how long a wish to stop may have been heard and was not answered, seconds; the group's own time is not."""
+        return time.monotonic() - max(self.asked_s[held], self.since_s) - (self.expected_s if self.short else 0.0)
+
+
+class Flights:
+    """All tasks in flight, oldest first."""
+
+    def __init__(self) -> None:
+        self._all: list[Flight] = []
+
+    def __len__(self) -> int:
+        """Count the tasks."""
+        return len(self._all)
+
+    def __iter__(self) -> Iterator[Flight]:
+        """Go through the tasks as they are now, oldest first; any may be removed meanwhile."""
+        return iter(list(self._all))
+
+    def add(self, flight: Flight) -> None:
+        """Note a task that a worker was given."""
+        self._all.append(flight)
+
+    def remove(self, flight: Flight) -> None:
+        """Forget a task that has ended."""
+        self._all.remove(flight)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._all.clear()
+
+    def held(self) -> set[Held]:
+        """Return all attempts that are on the cluster for us."""
+        return {held for flight in self._all for held in flight.members}
+
+    def of(self, held: Held) -> Flight:
+        """Return the task of an attempt."""
+        return next(flight for flight in self._all if held in flight.members)
+
+    def advance(self, threads: Mapping[str, int]) -> None:
+        """Let tasks that waited behind come to the threads that are free now; `threads` counts those of the workers there are."""
+        free = Counter(threads)
+        free.subtract(flight.worker for flight in self._all if not flight.behind)
+        for flight in self._all:
+            if flight.behind and free[flight.worker] > 0:
+                flight.behind, flight.since_s = False, time.monotonic()
+                free[flight.worker] -= 1
+
+    def free(self, threads: Mapping[str, int]) -> list[str]:
+        """Return the address of a worker for each of its threads that has no task."""
+        busy = Counter(flight.worker for flight in self._all)
+        return [worker for worker, count in threads.items() for _ in range(count - busy[worker])]
+
+    def followed(self, threads: Mapping[str, int]) -> list[str]:
+        """Return the address of a worker for each of its threads that computes short runs with nothing behind them."""
+        short = Counter(flight.worker for flight in self._all if flight.short and not flight.behind)
+        short.subtract(flight.worker for flight in self._all if flight.behind)
+        return [worker for worker in threads for _ in range(short[worker])]
+
+    def overdue(self, patience_s: float) -> list[Flight]:
+        """Return the tasks that have waited longer behind others than those should have taken."""
+        now_s = time.monotonic()
+        return [flight for flight in self._all if flight.behind and now_s - flight.since_s > patience_s]

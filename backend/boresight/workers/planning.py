@@ -1,49 +1,87 @@
 """Which waiting runs go to the workers next, and which of them share a task.
 
-A task costs about 10 ms to hand over, so runs of tens of milliseconds are computed several in one task, up to about a
-second's worth; a run that takes longer, or that was tried before (its neighbours shall not die with it), goes alone. No
-more tasks are made than there are free threads: a run that is RUNNING is really running, and other servers that share
-the database find the rest still QUEUED.
+To hand over a task, fetch its answer and write it costs tens of milliseconds, so short runs are computed several in one task, up
+to about two seconds' worth: 1 % of it. A run that takes longer, or that was tried before (its neighbours shall not die with it),
+goes alone. A free thread gets a task; a thread that computes short runs may get a second group to go on with, but only while more
+runs wait than there are threads. So the few runs of a person are spread over the threads and really run when they are RUNNING, and
+other servers that share the database find the rest still QUEUED.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from boresight.store.runs import Waiting
+from boresight.store.queued_runs import Waiting
 
-GROUP_S = 1.0
-GROUP_RUNS = 32
+GROUP_S = 2.0
+GROUP_RUNS = 64
 
 
-def planned(waiting: Sequence[Waiting], slots: int, seconds_of: Callable[[Waiting], float]) -> list[list[int]]:
-    """Divide the oldest waiting runs over the free threads.
+@dataclass(frozen=True)
+class Group:
+    """Runs that share a task.
+
+    Parameters
+    ----------
+    run_ids
+        Oldest first.
+    seconds
+        Predicted time of all.
+    short
+        Whether they all are short and were never tried before, so that such a group may follow them, or they such a group.
+    """
+
+    run_ids: list[int]
+    seconds: float
+    short: bool
+
+
+def planned(
+    waiting: Sequence[Waiting], free: int, followed: int, seconds_of: Callable[[Waiting], float]
+) -> list[Group]:
+    """Divide the oldest waiting runs over the threads.
 
     Parameters
     ----------
     waiting
         Runs nobody holds, oldest first.
-    slots
-        Free threads.
+    free
+        Threads without a task.
+    followed
+        Threads that compute short runs and may be given a group of such to follow.
     seconds_of
         The predicted time of a run.
 
     Returns
     -------
-    list of list of int
-        At most `slots` groups of run ids.
+    list of Group
+        At most `free + followed`, those beyond `free` short.
     """
+    slots = free + followed
     most = min(GROUP_RUNS, math.ceil(len(waiting) / max(1, slots)))
-    groups: list[list[int]] = []
-    room_s = 0.0
-    for run in waiting:
-        seconds = GROUP_S if run.attempt else seconds_of(run)
-        if not groups or seconds > room_s or len(groups[-1]) >= most:
-            if len(groups) == slots:
-                break
-            groups.append([])
-            room_s = GROUP_S
-        groups[-1].append(run.run_id)
-        room_s -= seconds
+    groups: list[Group] = []
+    rest = list(waiting)
+    while rest and len(groups) < slots:
+        group = _first_group(rest, most, seconds_of)
+        if len(groups) >= free and not group.short:
+            break
+        groups.append(group)
+        rest = rest[len(group.run_ids) :]
     return groups
+
+
+def _first_group(waiting: Sequence[Waiting], most: int, seconds_of: Callable[[Waiting], float]) -> Group:
+    """Return the oldest runs that may share a task."""
+    total_s = seconds_of(waiting[0])
+    if waiting[0].attempt or total_s > GROUP_S:
+        return Group([waiting[0].run_id], total_s, short=False)
+    chosen = [waiting[0].run_id]
+    for run in waiting[1:most]:
+        seconds = seconds_of(run)
+        if run.attempt or total_s + seconds > GROUP_S:
+            break
+        chosen.append(run.run_id)
+        total_s += seconds
+    return Group(chosen, total_s, short=True)

@@ -8,25 +8,22 @@ two servers on one database cannot both end a run, and a result that comes too l
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import orjson
 
-from boresight.services.run_estimates import predicted_s, seconds_per_star
-from boresight.services.watch import watch
 from boresight.store import run_events, runs
-from boresight.store.run_lists import sensors_of
-from boresight.store.runs import Claimed, Held, Waiting
+from boresight.store.queued_runs import Claimed, Waiting, waiting_runs
+from boresight.store.runs import End, Held
 from boresight.store.sessions import Engine as Database
-from boresight.store.sessions import Session, reading, utc_now, writing
-from boresight.workers.planning import planned
+from boresight.store.sessions import reading, utc_now, writing
+from boresight.workers.paces import Paces
+from boresight.workers.planning import Group, planned
 from boresight.workers.tasks import Outcome
 
 log = logging.getLogger(__name__)
-
-LOOK_AHEAD = 256
 
 
 @dataclass(frozen=True)
@@ -43,57 +40,32 @@ class Reconciler:
         How long a claim holds without a renewal.
     max_attempts
         After so many lost attempts a run is ended.
+    paces
+        What the newest runs took, from which groups are made.
     """
 
     database: Database
     owner: str
     lease_s: float
     max_attempts: int
+    paces: Paces = field(default_factory=Paces)
 
     def settle(self, outcomes: Collection[Outcome]) -> None:
-        """Write how attempts ended."""
+        """Write how attempts ended, unless they no longer hold their runs."""
         with writing(self.database) as session:
-            for outcome in outcomes:
-                self._settle_one(session, outcome)
-        self._watch([outcome["run_id"] for outcome in outcomes if outcome["state"] == "SUCCEEDED"])
-
-    def _watch(self, run_ids: Collection[int]) -> None:
-        """See whether what runs found raises an alarm, in a transaction of its own: no result is lost by it."""
-        if not run_ids:
-            return
-        try:
-            with writing(self.database) as session:
-                watch(session, sensors_of(session, run_ids))
-        except Exception:
-            log.exception("The watch failed after a run; the server's upkeep looks again")
-
-    def _settle_one(self, session: Session, outcome: Outcome) -> None:
-        """Write one end with its log, unless the attempt no longer holds the run."""
-        held = outcome["run_id"], outcome["attempt"]
-        if runs.states_of(session, [held[0]]).get(held) not in runs.HELD:
+            written = runs.finish_all(session, [_end(outcome) for outcome in outcomes])
+        for held in {(outcome["run_id"], outcome["attempt"]) for outcome in outcomes} - written.keys():
             log.info("Run %d: a late outcome of attempt %d writes nothing", *held)
-            return
-        for line in outcome["log"]:
-            run_events.write_event(session, *held, "log", line)
-        runs.finish(
-            session,
-            *held,
-            outcome["state"],
-            outcome["reason"],
-            outcome["result_sha256"],
-            outcome["summary"],
-            outcome["result_bytes"],
-        )
 
-    def give_up(self, members: Collection[Held], cause: str) -> None:
+    def give_up(self, members: Collection[Held], cause: str, *, begun: bool = True) -> None:
         """Write that a task was lost with its worker.
 
-        A run that was alone in it is charged with the loss. Of several nobody knows which one was guilty: they go back
-        unharmed, and alone the next time.
+        A run that was alone in it is charged with the loss. Of several nobody knows which one was guilty, and of a task that had
+        not begun none was: they go back unharmed, and alone the next time.
         """
         with writing(self.database) as session:
             for held in members:
-                if len(members) == 1:
+                if begun and len(members) == 1:
                     runs.give_up_attempt(session, *held, cause, self.max_attempts)
                 else:
                     runs.put_back(session, *held, cause)
@@ -148,23 +120,32 @@ class Reconciler:
                 if runs.record_progress(session, *held, progress) and held in lines:
                     run_events.write_event(session, *held, "log", lines[held])
 
-    def waiting(self) -> list[Waiting]:
+    def waiting(self, limit: int) -> list[Waiting]:
         """Return the oldest runs that wait."""
         with reading(self.database) as session:
-            return runs.waiting_runs(session, LOOK_AHEAD)
+            return waiting_runs(session, limit)
 
-    def take(self, waiting: Sequence[Waiting], slots: int) -> list[list[Claimed]]:
-        """Claim the oldest of the waiting runs for `slots` free threads, grouped into tasks."""
+    def take(self, waiting: Sequence[Waiting], free: int, followed: int = 0) -> list[tuple[Group, list[Claimed]]]:
+        """Claim the oldest of the waiting runs for free threads and for those to be followed, grouped into tasks."""
         with writing(self.database) as session:
-            groups = planned(waiting, slots, _clock(session, waiting))
-            run_ids = [run_id for group in groups for run_id in group]
-            claimed = runs.claim(session, self.owner, self.lease_s, len(run_ids), run_ids)
+            self.paces.refresh(session, {run.method for run in waiting})
+            groups = planned(waiting, free, followed, self.paces.seconds)
+            run_ids = [run_id for group in groups for run_id in group.run_ids]
+            claimed = runs.claim(session, self.owner, self.lease_s, len(run_ids), run_ids) if run_ids else []
         ours = {run.run_id: run for run in claimed}
-        kept = [[ours[run_id] for run_id in group if run_id in ours] for group in groups]
-        return [group for group in kept if group]
+        kept = [(group, [ours[run_id] for run_id in group.run_ids if run_id in ours]) for group in groups]
+        return [(group, members) for group, members in kept if members]
 
 
-def _clock(session: Session, waiting: Sequence[Waiting]) -> Callable[[Waiting], float]:
-    """Return a function that predicts the seconds of a waiting run."""
-    paces = {method: seconds_per_star(session, method) for method in {run.method for run in waiting}}
-    return lambda run: predicted_s(run.settings, run.frames, run.stars, paces[run.method])
+def _end(outcome: Outcome) -> End:
+    """Say as the store does how an attempt ended."""
+    return End(
+        outcome["run_id"],
+        outcome["attempt"],
+        outcome["state"],
+        outcome["reason"],
+        outcome["result_sha256"],
+        outcome["summary"],
+        outcome["result_bytes"],
+        outcome["log"],
+    )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
@@ -23,10 +24,11 @@ import orjson
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.errors import BoresightError, CancelledError
-from boresight.settings import read_settings
+from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blob_places import BlobPlace
 from boresight.store.blobs import BlobStore, open_blobs
+from boresight.store.queued_runs import Claimed
 from boresight.telemetry.sensors import parse_sensor
 from boresight.workers.link import Link
 from boresight.workers.scratch import scratch_of
@@ -61,15 +63,32 @@ class Outcome(TypedDict):
 
 
 Work = tuple[int, int, Inputs]  # run id, attempt, inputs
+Keep = Callable[[Callable[[], str]], "Future[str]"]
+
+
+def inputs_of(settings: Settings, run: Claimed) -> Inputs:
+    """Gather what a worker needs."""
+    return Inputs(
+        blob_address=settings.blob_place.address,
+        catalogue_folder=str(settings.catalogue_folder),
+        table_sha256=run.table_sha256,
+        validation_sha256=run.validation_sha256,
+        sensor_document=dict(run.sensor_document),
+        settings=dict(run.settings),
+    )
 
 
 def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[Outcome]:
-    """Compute several small runs one after the other in one task."""
-    return [execute(run_id, attempt, inputs, calculation) for run_id, attempt, inputs in group]
+    """Compute several small runs one after the other in one task; each result is synced to the disk while the next computes."""
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="boresight-results") as keeper:
+        computed = [execute(*work, calculation, keeper.submit) for work in group]
+        return [_kept(outcome, sha256) for outcome, sha256 in computed]
 
 
-def execute(run_id: int, attempt: int, inputs: Inputs, calculation: str = CALCULATION) -> Outcome:
-    """Compute one run; whatever happens, the answer is an outcome.
+def execute(
+    run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep
+) -> tuple[Outcome, Future[str] | None]:
+    """Compute one run; whatever happens, the answer is an outcome, and the address that its result will have.
 
     Parameters
     ----------
@@ -79,31 +98,51 @@ def execute(run_id: int, attempt: int, inputs: Inputs, calculation: str = CALCUL
         Addresses of the telemetry, the sensor as it was at launch, the calibration's settings.
     calculation
         `module:function` with the signature of `calibrate`.
+    keep
+        Begins to put a result.
     """
     link = Link(run_id, attempt)
     try:
         link.refuse_if_cancelled()
-        return _succeeded(run_id, attempt, inputs, calculation, link)
+        return _succeeded(inputs, calculation, link, keep)
     except CancelledError as error:
-        return _ended(run_id, attempt, "CANCELLED", str(error) or "Stopped on request.")
+        return _ended(run_id, attempt, "CANCELLED", str(error) or "Stopped on request."), None
     except BoresightError as error:
         faults = [str(fault) for fault in getattr(error, "faults", ())]
-        return _ended(run_id, attempt, "FAILED", str(error), faults)
+        return _ended(run_id, attempt, "FAILED", str(error), faults), None
     except Exception as error:  # noqa: BLE001 - any defect of the computation ends its run, not the worker
         reason = f"The computation broke down, {type(error).__name__}: {error}"
-        return _ended(run_id, attempt, "FAILED", reason, [traceback.format_exc()])
+        return _ended(run_id, attempt, "FAILED", reason, [traceback.format_exc()]), None
 
 
-def _succeeded(run_id: int, attempt: int, inputs: Inputs, calculation: str, link: Link) -> Outcome:
-    """Calibrate, put the result, and describe it."""
-    begun_s = time.perf_counter()
+def _kept(outcome: Outcome, sha256: Future[str] | None) -> Outcome:
+    """Complete an outcome with the address of its result, once that is on the disk."""
+    if sha256 is None:
+        return outcome
+    try:
+        return outcome | {"result_sha256": sha256.result()}
+    except Exception as error:  # noqa: BLE001 - a full disk, say: the run has no result then
+        reason = f"The result could not be kept, {type(error).__name__}: {error}"
+        return _ended(outcome["run_id"], outcome["attempt"], "FAILED", reason, [traceback.format_exc()])
+
+
+def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[Outcome, Future[str] | None]:
+    """Calibrate, begin to put the result, and describe it."""
+    begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
     blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]))
     document = _calibrated(blobs, inputs, calculation, link)
-    content = orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
-    seconds = time.perf_counter() - begun_s
-    summary = {**summary_of(orjson.loads(content)), "seconds": round(seconds, 4)}
-    outcome = _ended(run_id, attempt, "SUCCEEDED", None, [f"Computed in {seconds:.2f} s: {summary['status']}."])
-    return outcome | {"result_sha256": blobs.put(content), "result_bytes": len(content), "summary": summary}
+    content = _json(document)
+    seconds, cpu_seconds = time.perf_counter() - begun_s, time.thread_time() - begun_cpu_s
+    figures = orjson.loads(_json(summary_of(document)))  # what is no number becomes null
+    summary = {**figures, "seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
+    told = [f"Computed in {seconds:.2f} s: {summary['status']}."]
+    outcome = _ended(link.run_id, link.attempt, "SUCCEEDED", None, told)
+    return outcome | {"result_bytes": len(content), "summary": summary}, keep(lambda: blobs.put(content))
+
+
+def _json(document: dict[str, Any]) -> bytes:
+    """Write a document."""
+    return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
 
 
 def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> dict[str, Any]:
