@@ -51,11 +51,15 @@ class Part:
 
 PARTS: dict[str, Part] = {
     "kernels": Part("boresight.studies.speed", "the compiled loops, beside C, NumPy, SciPy and hand-written filters"),
+    "whole": Part(
+        "boresight.measurements.whole_calibration", "a calibration from file to file, beside the fit alone in C"
+    ),
     "accuracy": Part(
         "boresight.measurements.accuracy",
         "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars",
     ),
     "growth": Part("boresight.measurements.growth", "time and memory from a thousand frames to a million"),
+    "queue": Part("boresight.measurements.queue", "thousands of small runs: what the queue adds, and what kills lose"),
     "footprint": Part(
         "boresight.measurements.footprint", "what one more frame, run, sensor and record costs in time, files and rows"
     ),
