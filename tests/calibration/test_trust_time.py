@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from boresight.calibration.trust.ground import frame_arcs
 from boresight.calibration.trust.innovations import nis_over_time
 from boresight.calibration.trust.whiteness import whiteness
 from boresight.simulation.sensors import st16_sensor
@@ -60,11 +61,22 @@ def test_the_share_outside_the_bounds_is_five_in_a_hundred_of_a_good_batch(senso
 def test_a_batch_of_few_frames_is_corrected_for_what_each_frame_decided(sensor, catalogue):
     grounds = [case(field(seed, frames=3), sensor, catalogue).ground for seed in range(40)]
     ground = grounds[0]
-    dof = ground.per_frame(np.ones(len(ground.e))) - ground.leverage()
+    dof = ground.sums.dof
 
-    assert ground.leverage().sum() == pytest.approx(8, rel=1e-9)
-    per_dof = [g.per_frame(g.e**2) / (g.per_frame(np.ones(len(g.e))) - g.leverage()) for g in grounds]
+    assert ground.sums.leverage.sum() == pytest.approx(8, rel=1e-9)
+    per_dof = [g.sums.chi2 / g.sums.dof for g in grounds]
     assert np.mean(per_dof) == pytest.approx(1, abs=4 * np.sqrt(2 / (120 * dof.mean())))
+
+
+def test_the_sums_of_frames_are_those_of_plain_numpy(sensor, catalogue):
+    ground = case(field(3, frames=7), sensor, catalogue).ground
+    starts, P = frame_arcs(ground.arcs)[:-1], np.linalg.inv(ground.A)
+    leverage = np.einsum("ni,ij,nj->n", ground.H, P, ground.H)
+
+    np.testing.assert_allclose(ground.sums.chi2, np.add.reduceat(ground.e**2, starts), rtol=1e-12)
+    np.testing.assert_allclose(ground.sums.scores, np.add.reduceat(ground.H * ground.e[:, None], starts), atol=1e-9)
+    np.testing.assert_allclose(ground.sums.squares, np.add.reduceat(ground.H**2, starts), rtol=1e-12)
+    np.testing.assert_allclose(ground.sums.leverage, np.add.reduceat(leverage, starts), rtol=1e-6)
 
 
 def test_a_part_of_the_set_that_is_noisier_lies_outside_its_bounds(catalogue):

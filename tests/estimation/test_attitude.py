@@ -174,3 +174,33 @@ def test_the_covariance_of_the_mean_is_what_repetition_shows():
     whiten = np.linalg.inv(np.linalg.cholesky(np.mean(claimed, axis=0)))
 
     np.testing.assert_allclose(whiten @ np.cov(np.transpose(errors)) @ whiten.T, np.eye(3), atol=0.15)
+
+
+@given(seed=st.integers(0, 2**32 - 1), half_angle_rad=st.floats(0.001, 1.0), parity=st.sampled_from([1, -1]))
+def test_the_compiled_loop_equals_the_decomposition_by_numpy(seed, half_angle_rad, parity):
+    rng = np.random.default_rng(seed)
+    start = np.cumsum([0, *rng.integers(3, 12, size=5)])
+    s_d, sigma = field(rng, start[-1], half_angle_rad), rng.uniform(1e-5, 1e-3, start[-1])
+    s_i = noisy(field(rng, start[-1], half_angle_rad) if seed % 2 else s_d, sigma, rng)
+
+    found = attitudes(start, s_d, s_i, sigma, parity)
+
+    for k in np.flatnonzero(found.known):
+        stars = slice(start[k], start[k + 1])
+        measured, weight = triad(s_d[stars], parity), 1 / sigma[stars] ** 2
+        U, s, Vt = np.linalg.svd((weight[:, None] * measured).T @ s_i[stars])
+        d = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+        loose = 1e-14 * s[0] / (s[1] + d * s[2])  # what rounding does to the weakest axis
+        np.testing.assert_allclose(found.C[k], U @ np.diag([1, 1, d]) @ Vt, atol=1e-13 + 50 * loose)
+        information = weight.sum() * np.eye(3) - (weight[:, None] * measured).T @ measured
+        np.testing.assert_allclose(found.covariance[k] @ information, np.eye(3), atol=1e-8)
+
+
+def test_stars_without_a_direction_leave_the_other_exposures_their_attitude():
+    s = field(np.random.default_rng(1), 12)
+    lost = s.copy()
+    lost[2] = np.nan
+
+    found = attitudes(np.array([0, 4, 8, 12]), lost, s, np.full(12, 1e-4))
+
+    assert found.known.tolist() == [False, True, True]

@@ -98,8 +98,9 @@ def resampled_sums(
     n = len(columns)
     length = max(length, -(-n // MOST_BLOCKS))
     running = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(np.concatenate([columns, columns]), axis=0)])
-    blocks = running[length : n + length] - running[:n]
-    return np.asarray(blocks[rng.integers(n, size=(replicates, -(-n // length)))].sum(axis=1))
+    blocks = (running[length : n + length] - running[:n]).T
+    drawn = rng.integers(n, size=(replicates, -(-n // length)))
+    return np.stack([column.take(drawn).sum(axis=1) for column in np.ascontiguousarray(blocks)], axis=1)
 
 
 def interval(score: float, scores: FloatArray, n_blocks: float) -> list[float | None]:

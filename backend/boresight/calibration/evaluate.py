@@ -15,18 +15,20 @@ resampling frames in blocks, `calibration.bootstrap`.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration import bootstrap
+from boresight.calibration.common_arcs import common_arcs
 from boresight.calibration.flight import FLIGHT_REASONS
-from boresight.calibration.problem import Problem, build_problem, weighed
+from boresight.calibration.problem import weighed
 from boresight.calibration.rematch import Matches
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import Sighting, sightings
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
 from boresight.estimation.metrics import arc_errors
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
@@ -85,22 +87,22 @@ def evaluate_parameters(  # noqa: PLR0913 - two states, each a vector and its co
     """
     states = [(x_initial, P_initial), (x_final, P_final)]
     initial, final = sightings(telemetry, sensor, catalogue, states, settings)
-    return evaluate_sightings(telemetry, sensor, catalogue, initial, final, settings, rng)
+    return evaluate_sightings(telemetry, sensor, initial, final, settings, rng)
 
 
 def evaluate_sightings(
     telemetry: Telemetry,
     sensor: Sensor,
-    catalogue: Catalogue,
     initial: Sighting,
     final: Sighting,
     settings: CalibrationSettings,
     rng: np.random.Generator | None,
+    ordered: ArcSet | None = None,
 ) -> dict[str, Any]:
-    """Compare two sightings of one set, as `evaluate_parameters` does."""
+    """Compare two sightings of one set, as `evaluate_parameters` does; `ordered`, arcs of the set, saves ordering them again."""
     larger = initial if initial.view.matched_stars > final.view.matched_stars else final
-    common = _common_problem(telemetry, sensor, catalogue, larger, settings)
-    columns = _columns(initial, final, common)
+    common = common_arcs(telemetry, sensor, larger, settings.minimum_stars, ordered)
+    columns = _columns(initial, final, common, CAMERA_MODELS[sensor.camera_model])
     scores = {name: _score(columns, *SCORES[name], rng) for name in SCORES}
     value, interval = ({name: score[k] for name, score in scores.items()} for k in (0, 1))
     return {
@@ -112,7 +114,7 @@ def evaluate_sightings(
         "rms_arc_rad": _sides(value, "rms_arc_rad"),
         "rms_ratio": value["rms_ratio"],
         "common_pairs": int(columns[:, 7].sum()),
-        "stars": common.arcs.n_stars,
+        "stars": sum(arcs.n_stars for arcs in common),
         "match": "rematch" if isinstance(final.matches, Matches) else "given",
         "flight_tolerance_rad": final.tolerance_rad,
         "intervals": {
@@ -130,21 +132,12 @@ def _sides(scores: dict[str, Any], name: str) -> dict[str, Any]:
     return {side: scores[f"{name}_{side}"] for side in ("initial", "final")}
 
 
-def _common_problem(
-    telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, seen: Sighting, settings: CalibrationSettings
-) -> Problem:
-    """The arcs among the accepted matches of a sighting's valid exposures."""
-    x, y, z = np.where(seen.taken()[:, None], seen.matches.s_i, np.nan).T
-    directed = replace(telemetry, star_id=None, ra_rad=np.arctan2(y, x), dec_rad=np.arctan2(z, np.hypot(x, y)))
-    return build_problem(directed, sensor, catalogue, settings.minimum_stars)
-
-
-def _columns(initial: Sighting, final: Sighting, common: Problem) -> FloatArray:
+def _columns(initial: Sighting, final: Sighting, common: list[ArcSet], camera: CameraModel) -> FloatArray:
     """What the scores are made of, a row a frame: 1, available, stars, sums of squares of both, and common arcs, (n_frames, 8)."""
     frames = initial.view.frames
     squares = np.zeros((len(frames), 3))
-    if common.arcs.n_exposures:
-        squares[np.searchsorted(frames, common.arcs.frame)] = _squares(common, initial.x, final.x)
+    for arcs in common:
+        squares[np.searchsorted(frames, arcs.frame)] += _squares(arcs, camera, initial.x, final.x)
     seen = (
         initial.view.valid_frames,
         final.view.valid_frames,
@@ -154,13 +147,12 @@ def _columns(initial: Sighting, final: Sighting, common: Problem) -> FloatArray:
     return np.column_stack([np.ones(len(frames)), *seen, squares]).astype(np.float64)
 
 
-def _squares(common: Problem, x_initial: FloatArray, x_final: FloatArray) -> FloatArray:
-    """Sums of squared arc errors under both states and the number of arcs, a row a frame that has any, (n, 3)."""
-    arcs = weighed(common.arcs, common.camera, x_final)
-    exposures = arcs.frame_start[:-1]
-    first_arc = 2 * arcs.star_start[exposures] - 3 * exposures
-    errors = np.column_stack([arc_errors(arcs, x_initial) ** 2, arc_errors(arcs, x_final) ** 2, np.ones(arcs.n_arcs)])
-    return np.asarray(np.add.reduceat(errors, first_arc, axis=0))
+def _squares(arcs: ArcSet, camera: CameraModel, x_initial: FloatArray, x_final: FloatArray) -> FloatArray:
+    """Sums of squared arc errors under both states and the number of arcs, a row a frame, (n, 3)."""
+    arcs = arcs if arcs.n_arcs else weighed(arcs, camera, x_final)
+    first_arc = 2 * arcs.star_start[arcs.frame_start] - 3 * arcs.frame_start
+    squares = [np.add.reduceat(arc_errors(arcs, x) ** 2, first_arc[:-1]) for x in (x_initial, x_final)]
+    return np.column_stack([*squares, np.diff(first_arc)])
 
 
 def _score(
@@ -185,4 +177,4 @@ def _score(
 
 def _counted(seen: Sighting) -> dict[str, int]:
     """How many frames are not available, by reason."""
-    return dict(Counter(reason for reason in seen.frame_reasons() if reason != FLIGHT_REASONS[0]))
+    return dict(Counter(reason for reason in seen.frame_reasons if reason != FLIGHT_REASONS[0]))

@@ -42,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.settings import CalibrationSettings
+from boresight.estimation.blocks import in_blocks
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.kernels.flight import agreeing_matches
 from boresight.telemetry.schema import Telemetry
@@ -152,14 +153,15 @@ def flight_view(
     s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, sensor.pixel_pitch_m)
     matched = np.isfinite(matches.s_i[:, 0])
     accepted = np.zeros(len(telemetry), np.bool_)
-    agreeing_matches(
-        matches.exposure_start,
-        np.ascontiguousarray(s_d),
-        np.ascontiguousarray(matches.s_i),
-        matched,
-        tolerance_rad,
-        accepted,
-    )
+    s_d, s_i, starts = np.ascontiguousarray(s_d), np.ascontiguousarray(matches.s_i), matches.exposure_start
+
+    def check(first: int, last: int) -> None:
+        rows = slice(int(starts[first]), int(starts[last]))
+        agreeing_matches(
+            starts[first : last + 1] - rows.start, s_d[rows], s_i[rows], matched[rows], tolerance_rad, accepted[rows]
+        )
+
+    in_blocks(check, len(starts) - 1)
     counts = np.add.reduceat(accepted, matches.exposure_start[:-1], dtype=np.int64)
     reason = _reasons(np.add.reduceat(matched, matches.exposure_start[:-1], dtype=np.int64), counts, minimum_stars)
     valid = reason == 0

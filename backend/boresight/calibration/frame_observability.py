@@ -18,17 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import Problem
+from boresight.calibration.problem import Problem, weighed
 from boresight.calibration.trust.ground import chosen, nested
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined, normal_equations
 from boresight.estimation.cramer_rao import centroid_rows
 from boresight.estimation.references import (
     View,
-    observability_of_models,
-    observability_of_values,
+    information_of_pairs,
+    judged,
     relative,
-    whitened_information,
+    seen,
 )
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
 
@@ -39,6 +39,11 @@ MOST_FRAMES = 150
 MOST_SQUARES = 8e4
 #: Subsets of the three singular values whose information is told of Model 4, beside the models' own.
 SUBSETS = ((1,), (2,), (3,), (1, 2, 3))
+#: What is told of singular values: name in the document, and model with values.
+REFERENCES = {f"model_{model}": (model, CHOSEN.values) for model in STAR_MODELS} | {
+    "sigma_" + "".join(map(str, values)): (CHOSEN.model, values) for values in SUBSETS
+}
+SELECTIONS = tuple(dict.fromkeys(REFERENCES.values()))
 #: Smallest singular values below it are rounding: the values that are measured are of order one, their slopes at most that.
 ROUNDING = 1e-12
 #: Shares less than this apart are the same.
@@ -54,17 +59,21 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
     `information`, one entry a reference with `share` of the bound's (geometric mean over the parameters), `least_share` and
     `least`, the parameter that has it; `sentence`.
     """
-    weighed = problem.weighed(estimate.x)
-    arcs = chosen(weighed, _taken(weighed))
+    arcs = weighed(chosen(problem.arcs, _taken(problem.arcs)), problem.camera, estimate.x)
     view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
-    models, values = _known(observability_of_models(view, arcs)), _known(observability_of_values(view, arcs))
+    frames = seen(view, arcs)
+    found = {chosen_values: judged(view, frames, Selection(*chosen_values)) for chosen_values in SELECTIONS}
+    models = _known([found[model, CHOSEN.values][0] for model in STAR_MODELS])
+    values = _known([found[CHOSEN.model, (k,)][0] for k in VALUES])
     names = [*(f"model_{model}" for model in STAR_MODELS), *(f"sigma_{k}" for k in VALUES)]
     curves = zip(names, (*models, *values), strict=True)
-    information = _information(view, arcs, [problem.camera.parameter_names[p] for p in parameters.free])
+    held = {name: found[selection][1] for name, selection in REFERENCES.items()}
+    held = {"angular": information_of_pairs(view, frames)} | held
+    information = _information(view, arcs, held, [problem.camera.parameter_names[p] for p in parameters.free])
     return {
         "frame": arcs.frame.tolist(),
         "frames_used": arcs.n_frames,
-        "frames": weighed.n_frames,
+        "frames": problem.arcs.n_frames,
         "minimum_singular_value": {name: nested(curve) for name, curve in curves},
         "information": information,
         "sentence": _sentence(information, models),
@@ -81,12 +90,13 @@ def _taken(arcs: ArcSet) -> NDArray[np.bool_]:
     return taken
 
 
-def _known(smallest: FloatArray) -> FloatArray:
-    """Curves (n_curves, n_frames) from smallest singular values (n_frames, n_curves), NaN where not all is determined."""
-    return np.asarray(np.where(smallest > ROUNDING, smallest, np.nan).T)
+def _known(smallest: list[FloatArray]) -> FloatArray:
+    """Curves (n_curves, n_frames) from smallest singular values, (n_frames,) each, NaN where not all is determined."""
+    curves = np.stack(smallest)
+    return np.where(curves > ROUNDING, curves, np.nan)
 
 
-def _information(view: View, arcs: ArcSet, names: list[str]) -> list[dict[str, Any]]:
+def _information(view: View, arcs: ArcSet, held: dict[str, FloatArray], names: list[str]) -> list[dict[str, Any]]:
     """Every reference beside the bound; empty where these frames leave a parameter open whatever the reference."""
     try:
         bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
@@ -94,14 +104,7 @@ def _information(view: View, arcs: ArcSet, names: list[str]) -> list[dict[str, A
         return []
     if not np.isfinite(bound).all() or not determined(bound)[2].all():
         return []
-    held = {
-        "arcs": normal_equations(arcs, view.x, view.free, view.scale).A,
-        "angular": whitened_information(view, arcs, None),
-    }
-    for model in STAR_MODELS:
-        held[f"model_{model}"] = whitened_information(view, arcs, Selection(model, CHOSEN.values))
-    for values in SUBSETS:
-        held["sigma_" + "".join(map(str, values))] = whitened_information(view, arcs, Selection(CHOSEN.model, values))
+    held = {"arcs": normal_equations(arcs, view.x, view.free, view.scale).A} | held
     return [{"reference": name, **_share(relative(A, bound), names)} for name, A in held.items()]
 
 

@@ -93,7 +93,7 @@ def _flown(
     initial = sighting_of(telemetry, sensor, first.matches, sensor.initial, settings)
     final = sighting_of(telemetry, sensor, last.matches, x, settings)
     rng = np.random.default_rng(bootstrap.SEED)
-    scores = evaluate_sightings(telemetry, sensor, sets.catalogue, initial, final, settings, rng)
+    scores = evaluate_sightings(telemetry, sensor, initial, final, settings, rng, last.problem.weighed(x))
     return scores, shadow_view(telemetry, initial, final)
 
 

@@ -8,7 +8,7 @@ with its reason, so that nothing disappears silently.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -24,6 +24,14 @@ from boresight.telemetry.sensors import Sensor
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+STAR_REASONS = (
+    "not matched to a catalogue star",
+    "no direction: number not in the catalogue, or no time",
+    "centroid off the detector",
+)
+COLLINEAR_REASON = "all usable stars on one line"
 
 
 @dataclass(frozen=True)
@@ -92,10 +100,17 @@ class Problem:
     time_utc: NDArray[np.datetime64] | None
     frames_in_set: int
     left_out: tuple[LeftOut, ...]
+    _weighed: dict[bytes, ArcSet] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def weighed(self, x: FloatArray) -> ArcSet:
-        """Return the arcs with R taken at state x (n_parameters,)."""
-        return weighed(self.arcs, self.camera, x)
+        """Return the arcs with R taken at state x (n_parameters,); those of the last state asked for are kept."""
+        key = np.asarray(x, np.float64).tobytes()
+        arcs = self._weighed.get(key)
+        if arcs is None:
+            arcs = weighed(self.arcs, self.camera, x)
+            self._weighed.clear()
+            self._weighed[key] = arcs
+        return arcs
 
     def place_of(self, frame: IntArray) -> IntArray:
         """Places (n,) of frame numbers (n,) among those that take part."""
@@ -129,6 +144,11 @@ def build_problem(
     s_i = star_directions(
         telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
     )
+    return problem_from(telemetry, sensor, s_i, minimum_stars)
+
+
+def problem_from(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_stars: int) -> Problem:
+    """The same of a whole set whose directions (n_rows, 3) are there already."""
     problem = problem_of(telemetry, sensor, s_i, minimum_stars)
     return replace(problem, left_out=added(problem.left_out))
 
@@ -138,7 +158,13 @@ def added(items: Iterable[LeftOut]) -> tuple[LeftOut, ...]:
     counts: dict[tuple[str, str], int] = {}
     for item in items:
         counts[item.what, item.reason] = counts.get((item.what, item.reason), 0) + item.count
-    return tuple(LeftOut(what, count, reason) for (what, reason), count in counts.items() if count)
+    found = (LeftOut(what, count, reason) for (what, reason), count in counts.items() if count)
+    return tuple(sorted(found, key=_in_order))
+
+
+def _in_order(item: LeftOut) -> tuple[bool, bool, int]:
+    """Stars before exposures, each by its reason in the order in which they are tried."""
+    return item.what == "exposures", item.reason == COLLINEAR_REASON, (*STAR_REASONS, item.reason).index(item.reason)
 
 
 def problem_of(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_stars: int) -> Problem:
@@ -148,7 +174,7 @@ def problem_of(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_st
     arcs, collinear = _ordered(telemetry, sensor, s_i, rows)
     left_out += [
         LeftOut("exposures", few, f"fewer than {minimum_stars} usable stars"),
-        LeftOut("exposures", collinear, "all usable stars on one line"),
+        LeftOut("exposures", collinear, COLLINEAR_REASON),
     ]
     first_rows = arcs.source_row[arcs.star_start[arcs.frame_start[:-1]]]
     return Problem(
@@ -169,11 +195,9 @@ def _usable_rows(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray) -> tuple
     )
     seen = np.isfinite(s_i[:, 0])
     unmatched = np.zeros(len(telemetry), bool) if telemetry.star_id is None else telemetry.star_id <= 0
-    left_out = [
-        LeftOut("stars", int(np.sum(unmatched)), "not matched to a catalogue star"),
-        LeftOut("stars", int(np.sum(~seen & ~unmatched)), "no direction: number not in the catalogue, or no time"),
-        LeftOut("stars", int(np.sum(~on_detector & seen)), "centroid off the detector"),
-    ]
+    groups = (unmatched, ~seen & ~unmatched, ~on_detector & seen)
+    counted = zip(groups, STAR_REASONS, strict=True)
+    left_out = [LeftOut("stars", int(np.sum(rows)), reason) for rows, reason in counted]
     return np.flatnonzero(on_detector & seen), left_out
 
 

@@ -42,7 +42,7 @@ def shadow_view(telemetry: Telemetry, baseline: Sighting, candidate: Sighting) -
     lost, gained = _moved(baseline, candidate), _moved(candidate, baseline)
     ends = np.searchsorted(telemetry.frame, baseline.view.frames, side="right")
     rows = np.stack([np.append(0, ends[:-1]), ends], axis=1)
-    reasons = baseline.frame_reasons(), candidate.frame_reasons()
+    reasons = baseline.frame_reasons, candidate.frame_reasons
     return {
         "frames": [
             {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -68,14 +69,17 @@ class Sighting:
         flight, found = int(self.view.reason[k]), int(self.matches.reason[k])
         return EXPOSURE_REASONS[found] if flight == 1 and found > 0 else FLIGHT_REASONS[flight]
 
+    @cached_property
     def frame_reasons(self) -> list[str]:
         """Why each frame is not available, (n_frames,) phrases, `valid` where it is: of the exposure that came farthest."""
-        _, first = np.unique(self.matches.frame, return_index=True)
-        last = np.append(first[1:], len(self.matches.frame))
-        phrases = [FLIGHT_REASONS[0]] * len(first)
-        for k in np.flatnonzero(~self.view.valid_frames):
-            phrases[k] = self.exposure_reason(first[k] + int(np.argmax(self.view.reason[first[k] : last[k]])))
-        return phrases
+        _, first, of = np.unique(self.matches.frame, return_index=True, return_inverse=True)
+        farthest = np.flatnonzero(self.view.reason == np.maximum.reduceat(self.view.reason, first)[of])
+        _, place = np.unique(of[farthest], return_index=True)
+        exposure = farthest[place]
+        phrases = np.array([*FLIGHT_REASONS, *EXPOSURE_REASONS], dtype=object)
+        flight, found = self.view.reason[exposure].astype(np.int64), self.matches.reason[exposure]
+        code = np.where((flight == 1) & (found > 0), len(FLIGHT_REASONS) + found, flight)
+        return list(phrases[np.where(self.view.valid_frames, 0, code)])
 
 
 def sightings(

@@ -11,6 +11,7 @@ import click
 from boresight.cli.output import aligned, check_writable, json_option, write_json
 from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
+from boresight.estimation.blocks import computing_on
 from boresight.settings import read_settings, use_kernel_folder
 
 FRAMES_SHOWN = 40
@@ -41,7 +42,7 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
     """
     check_writable(json_file)
     use_kernel_folder(read_settings())
-    with progress("reading the telemetry") as report:
+    with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
         document = _evaluate(telemetry, sensor_file, choices, shadow, report)
     write_json(document, json_file)
     if json_file != "-":
@@ -85,7 +86,7 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     report("matching the stars under both parameter sets")
     initial, final = sightings(stars, sensor, catalogue, states, settings, folder)
     rng = np.random.default_rng(bootstrap.SEED)
-    document = evaluate_sightings(stars, sensor, catalogue, initial, final, settings, rng)
+    document = evaluate_sightings(stars, sensor, initial, final, settings, rng)
     return {**document, "sensor": sensor.name} | ({"shadow": shadow_view(stars, initial, final)} if shadow else {})
 
 

@@ -39,7 +39,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.estimation.blocks import in_blocks
 from boresight.estimation.rotations import conjugate, product, quaternion_of, rotation_vector
+from boresight.kernels import attitude as loops
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -142,38 +144,19 @@ def attitudes(
     s_d, s_i, sigma_rad
         (n_stars, 3), (n_stars, 3), (n_stars,) as in `wahba`.
     """
-    s_d = triad(s_d, parity)
-    weight = 1 / sigma_rad**2
-    total = _sums(weight, star_start)
-    B = _sums(weight[:, None, None] * s_d[:, :, None] * s_i[:, None, :], star_start)
-    information = total[:, None, None] * np.eye(3) - _sums(
-        weight[:, None, None] * s_d[:, :, None] * s_d[:, None, :], star_start
-    )
-    C, curvature = _nearest_rotations(B)
-    known = (curvature > PARALLEL * total) & (np.diff(star_start) >= 2)
-    C = np.where(known[:, None, None], C, np.nan)
-    covariance = np.full_like(C, np.nan)
-    covariance[known] = np.linalg.inv(information[known])
-    left = s_d - np.einsum("nij,nj->ni", np.repeat(C, np.diff(star_start), axis=0), s_i)
-    cost = np.where(known, 0.5 * _sums(weight * np.sum(left * left, axis=-1), star_start), np.nan)
+    s_d, s_i = np.ascontiguousarray(triad(s_d, parity)), np.ascontiguousarray(s_i)
+    weight, n = 1 / sigma_rad**2, len(star_start) - 1
+    C, covariance, cost = np.empty((n, 3, 3)), np.empty((n, 3, 3)), np.empty(n)
+
+    def solve(first: int, last: int) -> None:
+        stars = slice(int(star_start[first]), int(star_start[last]))
+        loops.attitudes(
+            star_start[first : last + 1] - stars.start, s_d[stars], s_i[stars], weight[stars], PARALLEL, C[first:last],
+            covariance[first:last], cost[first:last],
+        )  # fmt: skip
+
+    in_blocks(solve, n)
     return Attitudes(C, covariance, cost)
-
-
-def _sums(values: FloatArray, start: IntArray) -> FloatArray:
-    """Sums of (n_stars, ...) over each exposure, (n_exposures, ...)."""
-    sums = np.zeros((len(start) - 1, *values.shape[1:]))
-    filled = np.diff(start) > 0  # reduceat would answer an empty run with the next star
-    if filled.any():
-        sums[filled] = np.add.reduceat(values, start[:-1][filled], axis=0)
-    return sums
-
-
-def _nearest_rotations(B: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotations (n, 3, 3) nearest to B, and the curvature s_2 + d s_3 (n,) of J about the weakest axis."""
-    U, s, Vt = np.linalg.svd(B)
-    d = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
-    U[:, :, 2] *= d[:, None]
-    return U @ Vt, s[:, 1] + d * s[:, 2]
 
 
 def mean_rotation(quaternions: FloatArray, weights: FloatArray) -> FloatArray:

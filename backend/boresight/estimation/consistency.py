@@ -105,8 +105,8 @@ def ljung_box(series: FloatArray, lags: int) -> Whiteness:
     n = len(series)
     if not 0 < lags < n:
         raise ValueError(f"Expected fewer lags than values, at least one; received {lags} lags of {n} values")
-    spectrum = np.abs(np.fft.rfft(series, 2 * n)) ** 2  # padded, so that the ends do not meet
-    products = np.fft.irfft(spectrum, 2 * n)[: lags + 1]
+    series = np.ascontiguousarray(series)
+    products = np.array([series[: n - lag] @ series[lag:] for lag in range(lags + 1)])
     r = products[1:] / max(float(products[0]), np.finfo(float).tiny)
     value = float(n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1))))
     return Whiteness(r, value, lags, float(chdtrc(lags, value)))

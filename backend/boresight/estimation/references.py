@@ -17,20 +17,20 @@ is lost; it may read a hundredth more, for R takes a pixel to be the same angle 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight import kernels
 from boresight.estimation import angular, singular_values
 from boresight.estimation.arcs import ArcSet, angular_sigma, weigh
 from boresight.estimation.batch import normal_equations
 from boresight.estimation.cameras import CameraModel
 from boresight.estimation.cramer_rao import centroid_rows
 from boresight.estimation.filters.angular import AllPairs
-from boresight.estimation.filters.information import Frame, Reference
 from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
 
@@ -59,6 +59,27 @@ class View:
     scale: FloatArray
 
 
+@dataclass(frozen=True)
+class SeenFrame:
+    """A frame as it is seen under a view, once for all references.
+
+    Parameters
+    ----------
+    star_start
+        (n_exposures + 1,) first star of each exposure.
+    s_i, sigma_rad
+        (n_stars, 3) catalogue directions and (n_stars,) direction errors.
+    s, D
+        (n_stars, 3) measured directions and (n_stars, 3, N_PARAMETERS) ds/dx.
+    """
+
+    star_start: IntArray
+    s_i: FloatArray
+    sigma_rad: FloatArray
+    s: FloatArray
+    D: FloatArray
+
+
 def observability_of_models(view: View, arcs: ArcSet, values: tuple[int, ...] = CHOSEN.values) -> FloatArray:
     """Smallest singular value of H' of every frame under Models 1 to 4, (n_frames, 4): W Figure 3."""
     return np.stack([_smallest(view, arcs, Selection(model, values)) for model in STAR_MODELS], axis=1)
@@ -71,22 +92,48 @@ def observability_of_values(view: View, arcs: ArcSet, model: int = CHOSEN.model)
 
 def _smallest(view: View, arcs: ArcSet, selection: Selection) -> FloatArray:
     """Smallest singular value of the rows of every frame, (n_frames,); 0 where there are fewer rows than parameters."""
+    return judged(view, seen(view, arcs), selection)[0]
+
+
+def judged(view: View, frames: Sequence[SeenFrame], selection: Selection) -> tuple[FloatArray, FloatArray]:
+    """Both measures of a selection of singular values, for the price of one.
+
+    Returns
+    -------
+    smallest
+        (n_frames,) smallest singular value of the rows of every frame; 0 where there are fewer rows than parameters.
+    information
+        H^T R^+ H of all frames, (n_free, n_free).
+    """
     reference = SingularValues(selection, view.free, view.scale)
-    smallest = np.zeros(arcs.n_frames)
-    for k, frame in enumerate(_frames(view, arcs)):
+    n = len(view.free)
+    A, flat = np.zeros((n, n)), list[FloatArray]()
+    for frame in frames:
         reference.weigh(frame.star_start, frame.s_i, frame.sigma_rad)
-        _, H = reference.unwhitened(*frame.directions(view.x))
-        flat = H.reshape(-1, len(view.free))  # rows that are not measured are zero, and add nothing
-        if np.any(flat, axis=1).sum() >= len(view.free):
-            smallest[k] = np.linalg.svd(flat, compute_uv=False)[-1]
-    return smallest
+        unwhitened, (_, H) = reference.both(frame.s, frame.D)
+        A += H.T @ H
+        flat.append(unwhitened.reshape(-1, n))
+    smallest = np.zeros(len(frames))
+    rows = np.array([len(H) for H in flat])
+    for size in np.unique(rows):  # rows that are not measured are zero, and add nothing
+        of = np.flatnonzero(rows == size)
+        stacked = np.stack([flat[k] for k in of])
+        full = np.any(stacked, axis=2).sum(axis=1) >= n
+        smallest[of[full]] = np.linalg.svd(stacked[full], compute_uv=False)[:, -1]
+    return smallest, A
 
 
-def _frames(view: View, arcs: ArcSet) -> Iterator[Frame]:
-    """Frames of a weighed set with the direction errors of the view's state."""
-    sigma_rad = angular_sigma(view.camera, view.x, arcs)
-    for k in range(arcs.n_frames):
-        yield Frame(arcs, k, sigma_rad)
+def seen(view: View, arcs: ArcSet) -> list[SeenFrame]:
+    """Frames of a weighed set under a view, with the direction errors of its state."""
+    sigma_rad, star_start = angular_sigma(view.camera, view.x, arcs), arcs.star_start
+    s, D = np.empty((arcs.n_stars, 3)), np.empty((arcs.n_stars, 3, kernels.N_PARAMETERS))
+    kernels.rays_and_jacobians(arcs.model, view.x, arcs.pitch, arcs.row_px, arcs.col_px, s, D)
+    frames = []
+    for first, last in pairwise(arcs.frame_start.tolist()):
+        stars = slice(int(star_start[first]), int(star_start[last]))
+        starts = star_start[first : last + 1] - stars.start
+        frames.append(SeenFrame(starts, arcs.s_i[stars], sigma_rad[stars], s[stars], D[stars]))
+    return frames
 
 
 @dataclass(frozen=True)
@@ -138,13 +185,17 @@ def relative(A: FloatArray, bound: FloatArray) -> FloatArray:
 
 def whitened_information(view: View, arcs: ArcSet, selection: Selection | None) -> FloatArray:
     """H^T R^+ H of a weighed set (n_free, n_free): of singular values, or of all pairs for None."""
-    reference: Reference = AllPairs(view.free, view.scale)
-    if selection is not None:
-        reference = SingularValues(selection, view.free, view.scale)
+    frames = seen(view, arcs)
+    return information_of_pairs(view, frames) if selection is None else judged(view, frames, selection)[1]
+
+
+def information_of_pairs(view: View, frames: Sequence[SeenFrame]) -> FloatArray:
+    """H^T R^+ H of all pairs of some frames, (n_free, n_free)."""
+    reference = AllPairs(view.free, view.scale)
     A = np.zeros((len(view.free), len(view.free)))
-    for frame in _frames(view, arcs):
+    for frame in frames:
         reference.weigh(frame.star_start, frame.s_i, frame.sigma_rad)
-        _, H = reference.rows(*frame.directions(view.x))
+        _, H = reference.rows(frame.s, frame.D)
         A += H.T @ H
     return A
 
@@ -152,8 +203,8 @@ def whitened_information(view: View, arcs: ArcSet, selection: Selection | None) 
 def weighted_information(view: View, arcs: ArcSet, selection: Selection | None) -> tuple[FloatArray, FloatArray]:
     """Information B V^-1 B that weights 1 / R_rr leave of a weighed set, and B, which they claim; both (n_free, n_free)."""
     B, V = np.zeros((len(view.free), len(view.free))), np.zeros((len(view.free), len(view.free)))
-    for frame in _frames(view, arcs):
-        s, D = frame.directions(view.x)
+    for frame in seen(view, arcs):
+        s, D = frame.s, frame.D
         for first, last in pairwise(frame.star_start):
             stars = slice(int(first), int(last))
             g, R = _gradients(s[stars], frame.s_i[stars], frame.sigma_rad[stars], selection)

@@ -75,7 +75,7 @@ def held_out_scores(
         parse_parameters(candidate, sensor, "The set"),
     ]
     before, after = sightings(telemetry, sensor, catalogue, states, settings, cache_folder)
-    evaluation = evaluate_sightings(telemetry, sensor, catalogue, before, after, settings, _rng())
+    evaluation = evaluate_sightings(telemetry, sensor, before, after, settings, _rng())
     valid = np.stack([before.view.valid_frames, after.view.valid_frames])
     matched = np.stack([before.view.matched_in_frame, after.view.matched_in_frame])
     return _scores(evaluation, valid, matched)

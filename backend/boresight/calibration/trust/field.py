@@ -60,6 +60,14 @@ def residual_field(ground: Ground, found: Sightings) -> dict[str, Any]:
 
 def before(ground: Ground, found: Sightings) -> tuple[FloatArray, FloatArray]:
     """Residuals (n_stars, 2) and shares (n_stars, 2, 2) at the sensor's own parameters, taken as known."""
+    if ground.kept.get("before of") is not found:
+        ground.kept.update({"before of": found, "before": _before(ground, found)})
+    answer: tuple[FloatArray, FloatArray] = ground.kept["before"]
+    return answer
+
+
+def _before(ground: Ground, found: Sightings) -> tuple[FloatArray, FloatArray]:
+    """The same, computed."""
     n = len(ground.parameters.free)
     known = Freedom(ground.parameters.free, ground.parameters.scale, np.zeros((n, n)))
     sensor = ground.problem.sensor

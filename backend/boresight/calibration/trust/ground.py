@@ -25,6 +25,8 @@ from boresight.calibration.problem import Problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.blocks import in_blocks
+from boresight.kernels.frame_sums import frame_sums
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
@@ -38,6 +40,29 @@ ARCSEC = float(np.degrees(1.0) * 3600)
 
 class Unavailable(Exception):  # noqa: N818 - an answer, not an error
     """A trust number that cannot be had; its text is the sentence that says why."""
+
+
+@dataclass(frozen=True)
+class FrameSums:
+    """What the rows of every frame add up to.
+
+    Parameters
+    ----------
+    chi2
+        (n_frames,) chi2_k.
+    scores, squares
+        (n_frames, n_free) b_k, and the diagonal of H_k^T H_k.
+    leverage
+        (n_frames,) l_k.
+    dof
+        (n_frames,) arcs less leverage.
+    """
+
+    chi2: FloatArray
+    scores: FloatArray
+    squares: FloatArray
+    leverage: FloatArray
+    dof: FloatArray
 
 
 @dataclass(frozen=True)
@@ -92,9 +117,10 @@ class Ground:
         """Whether the data determine every free parameter."""
         return self.estimate.status != "rank_deficient"
 
-    def per_frame(self, values: FloatArray) -> FloatArray:
-        """Sums of (n_arcs, ...) over each frame, (n_frames, ...)."""
-        return np.asarray(np.add.reduceat(values, frame_arcs(self.arcs)[:-1], axis=0))
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What one part has computed and another wants too."""
+        return {}
 
     def full_covariance(self, P: FloatArray) -> FloatArray:
         """P (n_free, n_free) in typical sigmas as (n_parameters, n_parameters) in SI, zero for fixed parameters."""
@@ -104,11 +130,23 @@ class Ground:
         )
         return full
 
-    def leverage(self) -> FloatArray:
-        """l_k of each frame, (n_frames,)."""
-        values, vectors = np.linalg.eigh(covariance(self.A))
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        return self.per_frame(np.sum((self.H @ root) ** 2, axis=1))
+    @cached_property
+    def sums(self) -> FrameSums:
+        """What the frames' rows add up to."""
+        arc_start, P = frame_arcs(self.arcs), covariance(self.A)
+        n, n_free = self.arcs.n_frames, len(P)
+        chi2, leverage = np.empty(n), np.empty(n)
+        scores, squares = np.empty((n, n_free)), np.empty((n, n_free))
+
+        def add(first: int, last: int) -> None:
+            frames, rows = slice(first, last), slice(int(arc_start[first]), int(arc_start[last]))
+            starts = arc_start[first : last + 1] - rows.start
+            frame_sums(
+                starts, self.e[rows], self.H[rows], P, chi2[frames], scores[frames], squares[frames], leverage[frames]
+            )
+
+        in_blocks(add, n)
+        return FrameSums(chi2, scores, squares, leverage, np.diff(arc_start) - leverage)
 
     def thinned(self, most: int) -> ArcSet:
         """The arcs of at most so many frames, evenly spaced."""
@@ -169,7 +207,7 @@ def frame_arcs(arcs: ArcSet) -> IntArray:
 
 
 def chosen(arcs: ArcSet, frames: BoolArray) -> ArcSet:
-    """Only those frames (n_frames,) of a weighed set, as a set of their own."""
+    """Only those frames (n_frames,) of a set, weighed or not, as a set of their own."""
     exposures_in, stars_in = np.diff(arcs.frame_start), np.diff(arcs.star_start)
     exposures = np.repeat(frames, exposures_in)
     stars = np.repeat(exposures, stars_in)
@@ -184,8 +222,8 @@ def chosen(arcs: ArcSet, frames: BoolArray) -> ArcSet:
         sigma_px=arcs.sigma_px[stars],
         s_i=arcs.s_i[stars],
         source_row=arcs.source_row[stars],
-        phi=arcs.phi[arc],
-        band=arcs.band[arc],
+        phi=arcs.phi[arc] if arcs.n_arcs else arcs.phi,
+        band=arcs.band[arc] if arcs.n_arcs else arcs.band,
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import chdtrc, chdtri
 
 from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
 from boresight.estimation.consistency import CONFIDENCE, runs_p_value, share_bounds
@@ -31,16 +31,17 @@ def nis_over_time(ground: Ground) -> dict[str, Any]:
     """Innovations, or a batch's chi-squares, per degree of freedom, with their bounds."""
     frame, values, dof = _series(ground)
     tail = (1 - CONFIDENCE) / 2
-    per_dof, lower, upper = values / dof, chdtri(dof, 1 - tail) / dof, chdtri(dof, tail) / dof
-    outside = float(np.mean((per_dof < lower) | (per_dof > upper)))
+    per_dof, beyond = values / dof, chdtrc(dof, values)
+    outside = float(np.mean((beyond > 1 - tail) | (beyond < tail)))
     low, high = share_bounds(len(values), 1 - CONFIDENCE, 1 - UNLIKELY)
     runs = runs_p_value(per_dof) if len(values) >= FEWEST_FOR_RUNS else 1.0
     shown = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_POINTS)).round().astype(int))
+    lower, upper = (chdtri(dof[shown], share) / dof[shown] for share in (1 - tail, tail))
     return {
         "frame": frame[shown].tolist(),
         "nis_per_dof": nested(per_dof[shown]),
-        "lower": nested(lower[shown]),
-        "upper": nested(upper[shown]),
+        "lower": nested(lower),
+        "upper": nested(upper),
         "outside_share": outside,
         "expected_share": 1 - CONFIDENCE,
         "outside_bounds": [low, high],
@@ -58,13 +59,11 @@ def _series(ground: Ground) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
         if not len(history.nis):
             raise Unavailable("The filter took no frame in.")
         return updated, history.nis, history.dof.astype(float)
-    leverage = ground.leverage()
-    dof = ground.per_frame(np.ones(len(ground.e))) - leverage
-    if dof.min() < 1:
+    if ground.sums.dof.min() < 1:
         raise Unavailable(
             "One frame alone determines most of the parameters, so it cannot be judged by the rest: add frames."
         )
-    return ground.arcs.frame, ground.per_frame(ground.e**2), dof
+    return ground.arcs.frame, ground.sums.chi2, ground.sums.dof
 
 
 def _sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:

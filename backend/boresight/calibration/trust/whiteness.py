@@ -33,16 +33,14 @@ def whiteness(ground: Ground) -> dict[str, Any]:
     n = ground.arcs.n_frames
     if n < FEWEST_FRAMES:
         raise Unavailable(f"A series needs {FEWEST_FRAMES} frames before it can be told from noise; there are {n}.")
-    y = ground.per_frame(ground.H * ground.e[:, None]) / np.sqrt(
-        np.maximum(ground.per_frame(ground.H**2), np.finfo(float).tiny)
-    )
+    y = np.ascontiguousarray((ground.sums.scores / np.sqrt(np.maximum(ground.sums.squares, np.finfo(float).tiny))).T)
     lags = min(MOST_LAGS, n // 5)
-    tests = [ljung_box(y[:, place], min(TESTED_LAGS, lags)) for place in range(y.shape[1])]
+    tests = [ljung_box(series, min(TESTED_LAGS, lags)) for series in y]
     least = int(np.argmin([test.p for test in tests]))
     p = min(1.0, tests[least].p * len(tests))
     return {
         "lags": list(range(1, lags + 1)),
-        "autocorrelation": nested(ljung_box(y[:, least], lags).autocorrelation),
+        "autocorrelation": nested(ljung_box(y[least], lags).autocorrelation),
         "bound": float(1.96 / np.sqrt(n)),
         "name": ground.names[least],
         "ljung_box": {"value": tests[least].value, "dof": tests[least].dof, "p": p},

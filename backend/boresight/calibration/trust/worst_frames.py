@@ -28,7 +28,7 @@ BAD = 3.0
 
 def worst_frames(ground: Ground) -> dict[str, Any]:
     """At most `MOST_SHOWN` frames, the worst first."""
-    chi2, dof = ground.per_frame(ground.e**2), ground.per_frame(np.ones(len(ground.e))) - ground.leverage()
+    chi2, dof = ground.sums.chi2, ground.sums.dof
     judged = np.flatnonzero(dof >= 1)
     if not len(judged):
         raise Unavailable("One frame alone determines the parameters, so none can be judged by the rest: add frames.")
