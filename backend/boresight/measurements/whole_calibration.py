@@ -1,0 +1,213 @@
+"""What a whole calibration costs beside the fit alone in C: from a Parquet file on the disk to the calibration JSON on the disk.
+
+The set is synthetic and of catalogue stars: two exposures of twelve named stars a frame, with times and without directions, so
+that the sky is part of the work. The process is warm, as a worker's is: kernels compiled, catalogue loaded, one calibration
+done; it computes on as many threads as a command does. Steps are told apart where the calibration does so itself
+(`timing_s`), and the first of them once more by hand::
+
+    reading       file to arrays, every check
+    arcs          of which sky (directions from the catalogue) and ordering (which stars, and in what order)
+    fit           of which R (both weighings); the rest are the evaluations and the steps
+    judging       flight scores, shadow, alignment, observability, trust
+    writing       the document as JSON
+
+The peer is the same Levenberg-Marquardt run in C on one thread: as many evaluations of A and b as the fit took, by
+`arclengths.c` (gcc -O3 -march=native), and nothing else: R, reading and all that follows are not counted for it, which is the
+stricter way. With `rematch` the stars are found anew at every cycle; that is told, beside a fit that does not know of it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+
+from boresight.calibration.calibrate import calibrate, parameters_of
+from boresight.calibration.problem import problem_from
+from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.sighting import given_matches
+from boresight.estimation import batch
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.blocks import computing_on
+from boresight.settings import read_settings
+from boresight.simulation.sensors import st16_sensor, st16_truth
+from boresight.sky.catalogue import Catalogue, load_catalogue
+from boresight.studies import c_peer
+from boresight.studies.repeats import fastest
+from boresight.studies.star_frames import SAMPLE_PERIOD_S, TIME, star_frames
+from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+LIMIT = 12.0
+#: The limit holds for a set of this size or more; of small ones the constants are told.
+LIMIT_FROM_FRAMES = 20_000
+#: Frames whose stars are drawn; a longer set repeats their fields with noise and times of its own.
+FIELDS = 500
+REPEATS = 3
+
+Report = Callable[[float, str], None]
+
+
+def measure(
+    report: Report, *, frames: int = 20_000, small_frames: int = 200, rematch: bool = True, seed: int = 1
+) -> dict[str, Any]:
+    """Calibrate a file whole, a small one too, and fit the same arcs in C.
+
+    Parameters
+    ----------
+    report
+        Told the fraction done and what is measured next.
+    frames
+        Of the large set.
+    small_frames
+        Of the small set, as thousands go through the queue.
+    rematch
+        Whether matching anew is timed as well.
+    seed
+        Of the sets.
+    """
+    sensor, catalogue = st16_sensor(1), load_catalogue(read_settings().catalogue_folder)
+    found: dict[str, Any] = {"frames": frames, "stars_per_exposure": 12, "exposures_per_frame": 2}
+    with tempfile.TemporaryDirectory(prefix="boresight-whole-") as folder:
+        for share, name, size in ((0.0, "given", frames), (0.5, "small", small_frames)):
+            report(share, f"drawing {size:,} frames")
+            path = Path(folder) / f"{name}.parquet"
+            write_parquet(repeated_fields(size, sensor, catalogue, seed), path)
+            report(share + 0.1, f"calibrating {size:,} frames")
+            found[name] = _given(path, sensor, catalogue) | {"frames": size}
+        if rematch:
+            report(0.7, f"calibrating {frames:,} frames, matched anew")
+            whole = CalibrationSettings(match="rematch")
+            found["rematch"] = _whole(Path(folder) / "given.parquet", sensor, catalogue, whole, repeats=1)
+    ratio = found["given"].get("over_c_fit")
+    found["limits"] = {
+        "over_c_fit": {
+            "limit": LIMIT,
+            "measured": ratio,
+            "kept": None if ratio is None or frames < LIMIT_FROM_FRAMES else ratio <= LIMIT,
+        }
+    }
+    report(1.0, "done")
+    return found
+
+
+def repeated_fields(frames: int, sensor: Sensor, catalogue: Catalogue, seed: int) -> Telemetry:
+    """Return a set of named stars, with times and without directions, whose fields repeat after `FIELDS` frames."""
+    rng = np.random.default_rng(seed)
+    few = star_frames(min(frames, FIELDS), replace(sensor, centroid_sigma_px=0.0), st16_truth(1), catalogue, rng)
+    rows_of_frame = len(few) // min(frames, FIELDS)
+    row = np.arange(frames * rows_of_frame) % len(few)
+    frame = np.repeat(np.arange(frames), rows_of_frame)
+    noise = sensor.centroid_sigma_px * rng.normal(size=(2, len(row)))
+    return Telemetry(
+        frame=frame,
+        exposure=few.exposure[row],
+        row_px=few.row_px[row] + noise[0],
+        col_px=few.col_px[row] + noise[1],
+        time_utc=TIME + (frame % FIELDS) * np.timedelta64(SAMPLE_PERIOD_S, "s"),
+        star_id=None if few.star_id is None else few.star_id[row],
+    )
+
+
+def _given(path: Path, sensor: Sensor, catalogue: Catalogue) -> dict[str, Any]:
+    """Calibrate with the matches of the file, step by step, and fit the same arcs in C."""
+    settings = CalibrationSettings(match="given")
+    found = _whole(path, sensor, catalogue, settings, repeats=REPEATS)
+    telemetry = read_telemetry(path)
+    matches = given_matches(telemetry, catalogue)
+    problem = problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars)
+    x, scale = sensor.initial, sensor.typical_sigma
+    with computing_on(read_settings().computing_threads):
+        found["of_which_s"] = {
+            "sky": fastest(lambda: given_matches(telemetry, catalogue), repeats=REPEATS),
+            "ordering": fastest(
+                lambda: problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars), repeats=REPEATS
+            ),
+            "R_of_both_weighings": 2 * fastest(lambda: replace(problem).weighed(x), repeats=REPEATS),
+        }
+    weighed = problem.weighed(x)
+    evaluations = _evaluations(path, sensor, catalogue, settings)
+    return found | {"evaluations": evaluations} | _beside_c(weighed, x, scale, evaluations, found["total_s"])
+
+
+def _beside_c(
+    arcs: ArcSet, x: np.ndarray[Any, Any], scale: np.ndarray[Any, Any], evaluations: int, total_s: float
+) -> dict[str, Any]:
+    """What the evaluations of the fit cost in C, and how often that goes into the whole; empty without a C compiler."""
+    with c_peer.compiled() as peers:
+        if "c" not in peers:
+            return {}
+        evaluation = fastest(lambda: peers["c"].normal_equations(arcs, x, scale), repeats=REPEATS)
+    return {
+        "c_evaluation_s": evaluation,
+        "c_fit_s": evaluations * evaluation,
+        "over_c_fit": total_s / (evaluations * evaluation),
+    }
+
+
+def _evaluations(path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings) -> int:
+    """Count the evaluations of A and b in both fits of a calibration, those of refused steps too."""
+    telemetry = read_telemetry(path)
+    matches, parameters = given_matches(telemetry, catalogue), parameters_of(sensor, settings)
+    problem = problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars)
+    x, count = sensor.initial, 0
+    for _ in range(2):
+        counted = _Counted(problem.weighed(x))
+        x = batch.fit(counted, x, parameters.free, parameters.scale, max_iterations=settings.max_iterations).x
+        count += counted.passes
+    return count
+
+
+class _Counted:
+    """Arcs that count how often they are passed over, for `batch.fit`."""
+
+    def __init__(self, arcs: ArcSet) -> None:
+        self._arcs = arcs
+        self.passes = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._arcs, name)
+
+    def over_blocks(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
+        """Count the pass and make it."""
+        self.passes += 1
+        return self._arcs.over_blocks(function, *arguments)
+
+
+def _whole(
+    path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings, repeats: int
+) -> dict[str, Any]:
+    """Time the whole in a warm process: the fastest of some runs, after one that is not counted, with its steps."""
+    with computing_on(read_settings().computing_threads):
+        runs = [_once(path, sensor, catalogue, settings) for _ in range(1 + repeats)]
+    return min(runs[1:], key=lambda run: float(run["total_s"]))
+
+
+def _once(path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings) -> dict[str, Any]:
+    """One calibration from file to file, and how long its steps took."""
+    began = time.perf_counter()
+    telemetry = read_telemetry(path)
+    read = time.perf_counter()
+    document = calibrate(telemetry, sensor, catalogue, settings)
+    done = time.perf_counter()
+    path.with_suffix(".json").write_bytes(orjson.dumps(document))
+    ended = time.perf_counter()
+    laps = document["timing_s"]
+    return {
+        "total_s": ended - began,
+        "steps_s": {
+            "reading": read - began,
+            "arcs": laps["arcs"],
+            "fit": laps["fit"],
+            "judging": laps["judge"],
+            "writing": ended - done,
+        },
+        "status": document["status"],
+    }
