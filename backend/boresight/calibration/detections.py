@@ -115,10 +115,10 @@ def limit_of(sensor: Sensor, catalogue: Catalogue, named: IntArray, typical_star
     return float(np.sort(catalogue.magnitude)[min(int(wanted), len(catalogue) - 1)])
 
 
-def seconds(times: NDArray[np.datetime64]) -> FloatArray:
-    """Seconds from the first known time, (n,); NaN where unknown."""
+def seconds(times: NDArray[np.datetime64], epoch: np.datetime64 | None = None) -> FloatArray:
+    """Seconds from an epoch, or from the first known time, (n,); NaN where unknown."""
     known = ~np.isnat(times)
     elapsed = np.full(len(times), np.nan)
     if known.any():
-        elapsed[known] = (times[known] - times[known].min()) / np.timedelta64(1, "s")
+        elapsed[known] = (times[known] - (times[known].min() if epoch is None else epoch)) / np.timedelta64(1, "s")
     return elapsed

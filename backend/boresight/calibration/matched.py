@@ -13,19 +13,28 @@ chi-square where the residuals say that it claims too much; parameters held fixe
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.flight import flight_tolerance, flight_view
-from boresight.calibration.problem import AnyProblem, Problem, build_problem
-from boresight.calibration.rematch import Matches, Rematcher, ground_covariance, matched_telemetry
+from boresight.calibration.problem import AnyProblem, Problem, build_problem, problem_from
+from boresight.calibration.rematch import Matches, Rematcher, ground_covariance, joined_matches, matched_telemetry
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import GivenMatches, given_matches
-from boresight.calibration.streaming.sample import JUDGED_WHOLE, judged_telemetry
+from boresight.calibration.streaming.sample import (
+    WHOLE,
+    Ends,
+    MatchedRows,
+    judged_frames,
+    judged_matches,
+    judged_telemetry,
+)
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterState
 from boresight.sky.catalogue import Catalogue
@@ -34,6 +43,9 @@ from boresight.telemetry.sensors import Sensor
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+#: Frames that are matched together, counted from a set's first: an exposure without a start looks for a neighbour among these.
+MATCHED_FRAMES = 4096
 
 
 @dataclass(frozen=True)
@@ -53,6 +65,48 @@ class Matched:
     problem: Problem
     telemetry: Telemetry
     matches: Matches | GivenMatches
+
+
+@dataclass(frozen=True)
+class Under:
+    """What a set is matched under: x, SI, its covariance P, SI, and centroid errors so many times the stated ones."""
+
+    x: FloatArray
+    P: FloatArray
+    noise: float = 1.0
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a sensor's parameters, see the module."""
+
+    sensor: Sensor
+    parameters: Parameters
+    settings: CalibrationSettings
+
+    def at_start(self) -> Under:
+        """Before any estimate."""
+        return Under(self.sensor.initial, self._ground)
+
+    def at(self, estimate: Estimate, problem: AnyProblem) -> Under:
+        """After an estimate made from a problem."""
+        n = len(self.parameters.free)
+        held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self.settings.initial_sigma_scale**2), np.float64)
+        dof = 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures - n
+        excess = max(1.0, estimate.chi2 / max(dof, 1))
+        return replace(self.at_covariance(estimate.x, held * excess), noise=float(np.sqrt(excess)))
+
+    def at_covariance(self, x: FloatArray, P: FloatArray) -> Under:
+        """At x, SI, with its free parameters' covariance P (n_free, n_free) in typical sigmas."""
+        free, scale = self.parameters.free, self.parameters.scale
+        whole = self._ground.copy()
+        whole[np.ix_(free, free)] = P * np.outer(scale, scale)
+        return Under(x, whole)
+
+    @property
+    def _ground(self) -> FloatArray:
+        """Covariance of a ground calibration."""
+        return ground_covariance(self.sensor, self.settings.initial_sigma_scale)
 
 
 @dataclass(frozen=True)
@@ -89,14 +143,14 @@ class MatchedSet:
         self.telemetry, self.sensor, self.catalogue = telemetry, sensor, catalogue
         self._parameters, self.settings = parameters, settings
         self._cache_folder = cache_folder
-        self._ground = ground_covariance(sensor, settings.initial_sigma_scale)
-        self._tolerance = flight_tolerance(sensor, settings)
+        self._known = Known(sensor, parameters, settings)
         self.matcher: Rematcher | None = None
         if settings.match == "rematch":
             self.matcher = Rematcher(telemetry, sensor, catalogue, settings, cache_folder)
         else:
-            problem = build_problem(telemetry, sensor, catalogue, settings.minimum_stars)
-            self._standing = Matched(problem, telemetry, given_matches(telemetry, catalogue))
+            given = given_matches(telemetry, catalogue)
+            problem = problem_from(telemetry, sensor, given.s_i, settings.minimum_stars)
+            self._standing = Matched(problem, telemetry, given)
 
     @property
     def renewed(self) -> MatchedSet | None:
@@ -113,61 +167,100 @@ class MatchedSet:
 
     def judged(self, first: Matched, last: Matched) -> Judged:
         """What of it is judged."""
-        if first.problem.arcs.n_stars <= JUDGED_WHOLE or self.matcher is not None:
+        ends = judged_frames(last.problem.arcs)
+        if ends == WHOLE:
             return Judged(self, first, last)
-        telemetry = judged_telemetry(first.problem.arcs, lambda: [self.telemetry])
+        telemetry = judged_telemetry([self.telemetry], ends)
         sets = MatchedSet(telemetry, self.sensor, self.catalogue, self._parameters, self.settings, self._cache_folder)
-        return Judged(sets, sets.at_start(), sets.at_start())
+        if self.matcher is None:
+            return Judged(sets, sets.at_start(), sets.at_start())
+        return Judged(sets, *(sets.judged_from([self._rows(state)], ends) for state in (first, last)))
+
+    def judged_from(self, parts: Iterable[MatchedRows], ends: Ends) -> Matched:
+        """Put together the judged stretches of a set, whose telemetry this is, from the matches of its parts."""
+        telemetry, matches, kept = judged_matches(parts, ends)
+        taken = replace(matches, star_id=kept, s_i=np.where(kept[:, None] > 0, matches.s_i, np.nan))
+        named = matched_telemetry(telemetry, taken)
+        problem = build_problem(named, self.sensor, self.catalogue, self.settings.minimum_stars)
+        return Matched(problem, named, matches)
+
+    def _rows(self, matched: Matched) -> MatchedRows:
+        """The set with its matches under a state."""
+        kept = cast("IntArray", matched.telemetry.star_id)
+        return self.telemetry, cast("Matches", matched.matches), kept
 
     def at_start(self) -> Matched:
         """Match with the sensor's own parameters."""
-        return self._at(self.sensor.initial, self._ground)
+        return self._at(self._known.at_start())
 
     def at(self, estimate: Estimate, problem: AnyProblem) -> Matched:
         """Match with an estimate made from a problem."""
-        n = len(self._parameters.free)
-        held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self.settings.initial_sigma_scale**2), np.float64)
-        dof = 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures - n
-        excess = max(1.0, estimate.chi2 / max(dof, 1))
-        return self._at(estimate.x, self._covariance(held * excess), noise=float(np.sqrt(excess)))
+        return self._at(self._known.at(estimate, problem))
 
     def at_covariance(self, x: FloatArray, P: FloatArray, noise: float = 1.0) -> Matched:
         """Match with x, SI, its free parameters' covariance P (n_free, n_free) in typical sigmas, centroid errors times `noise`."""
-        return self._at(x, self._covariance(P), noise=noise)
+        return self._at(replace(self._known.at_covariance(x, P), noise=noise))
 
     def arcs(self, frames: slice, state: FilterState) -> ArcSet:
         """Arcs of consecutive frames of the set, matched with the state of a filter."""
-        return self._at(state.x, self._covariance(state.P), frames).problem.arcs
+        if self.matcher is None:
+            return self._standing.problem.arcs.frames(frames.start, frames.stop)
+        telemetry = rows_of(self.telemetry, self.matcher.rows(frames))
+        under = self._known.at_covariance(state.x, state.P)
+        return matched_under(
+            telemetry, self.matcher, frames, under, self.sensor, self.catalogue, self.settings
+        ).problem.arcs
 
-    def _covariance(self, P: FloatArray) -> FloatArray:
-        """Covariance of all parameters, SI, from that of the free ones (n_free, n_free) in typical sigmas."""
-        free, scale = self._parameters.free, self._parameters.scale
-        whole = self._ground.copy()
-        whole[np.ix_(free, free)] = P * np.outer(scale, scale)
-        return whole
-
-    def _at(self, x: FloatArray, P: FloatArray, frames: slice = slice(None), noise: float = 1.0) -> Matched:
-        """Match frames of the set under x with covariance P, SI, and centroid errors so many times the stated ones."""
+    def _at(self, under: Under) -> Matched:
+        """Match the set, a range of frames at a time."""
         if self.matcher is None:
             return self._standing
-        matches = self.matcher(x, P, frames, noise)
-        part = rows_of(self.telemetry, self.matcher.rows(frames))
-        kept = matches
-        if self.settings.match_rule == "flight":
-            kept = self._flown(part, matches, x)
-        telemetry = matched_telemetry(part, kept)
-        problem = build_problem(telemetry, self.sensor, self.catalogue, self.settings.minimum_stars)
-        return Matched(problem, telemetry, matches)
+        n = self.matcher.n_frames
+        ranges = [slice(first, min(first + MATCHED_FRAMES, n)) for first in range(0, n, MATCHED_FRAMES)]
+        matches = joined_matches([self.matcher(under.x, under.P, frames, under.noise) for frames in ranges])
+        return matched_with(self.telemetry, matches, under.x, self.sensor, self.catalogue, self.settings)
 
-    def _flown(self, telemetry: Telemetry, matches: Matches, x: FloatArray) -> Matches:
-        """Keep what the flight code would accept at x."""
-        view = flight_view(telemetry, self.sensor, matches, x, self._tolerance, self.settings.minimum_stars)
-        taken = view.accepted & np.repeat(view.valid, np.diff(matches.exposure_start))
-        return replace(
-            matches,
-            star_id=np.where(taken, matches.star_id, 0),
-            s_i=np.where(taken[:, None], matches.s_i, np.nan),
-        )
+
+def matched_under(
+    telemetry: Telemetry,
+    matcher: Rematcher,
+    frames: slice,
+    under: Under,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    settings: CalibrationSettings,
+) -> Matched:
+    """Match consecutive frames, which are this telemetry."""
+    matches = matcher(under.x, under.P, frames, under.noise)
+    return matched_with(telemetry, matches, under.x, sensor, catalogue, settings)
+
+
+def matched_with(
+    telemetry: Telemetry,
+    matches: Matches,
+    x: FloatArray,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    settings: CalibrationSettings,
+) -> Matched:
+    """Make a problem of the matches that the flight code would accept at x, or of all where `match_rule` does not ask it."""
+    kept = _flown(telemetry, matches, x, sensor, settings) if settings.match_rule == "flight" else matches
+    named = matched_telemetry(telemetry, kept)
+    return Matched(build_problem(named, sensor, catalogue, settings.minimum_stars), named, matches)
+
+
+def _flown(
+    telemetry: Telemetry, matches: Matches, x: FloatArray, sensor: Sensor, settings: CalibrationSettings
+) -> Matches:
+    """Keep what the flight code would accept at x."""
+    tolerance = flight_tolerance(sensor, settings)
+    view = flight_view(telemetry, sensor, matches, x, tolerance, settings.minimum_stars)
+    taken = view.accepted & np.repeat(view.valid, np.diff(matches.exposure_start))
+    return replace(
+        matches,
+        star_id=np.where(taken, matches.star_id, 0),
+        s_i=np.where(taken[:, None], matches.s_i, np.nan),
+    )
 
 
 class RematchedFrames:

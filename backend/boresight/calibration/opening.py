@@ -14,6 +14,7 @@ from boresight.calibration.matched import MatchedSet
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.spread import InThisProcess, Spread
+from boresight.calibration.streaming.rematched_set import RematchedSet
 from boresight.calibration.streaming.streamed_set import StreamedSet, copied
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.detector import check_against_sensor
@@ -68,7 +69,7 @@ def opened(
     parameters: Parameters,
     settings: CalibrationSettings,
     workplace: Workplace,
-) -> Iterator[MatchedSet | StreamedSet]:
+) -> Iterator[MatchedSet | StreamedSet | RematchedSet]:
     """Make a set ready; while the context lasts it can be matched and computed on.
 
     Raises
@@ -87,11 +88,8 @@ def opened(
     with workplace.folder() as folder:
         copy = copied(telemetry, sensor, folder, spread, workplace.tell, workplace.cancelled)
         chosen = matchable(copy.pieces[0].read(), settings)
-        if chosen.match == "rematch":
-            whole = joined(list(copy.parts()))
-            yield MatchedSet(whole, sensor, catalogue, parameters, chosen, workplace.cache_folder)
-            return
-        yield StreamedSet(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
+        taken = RematchedSet if chosen.match == "rematch" else StreamedSet
+        yield taken(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
 
 
 def matchable(telemetry: Telemetry, settings: CalibrationSettings) -> CalibrationSettings:

@@ -8,8 +8,10 @@ for what it held fixed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +24,7 @@ from boresight.sky import identification, matching
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.detections import Detections
 from boresight.sky.doubles import FAINTER_MAG, star_flags
-from boresight.sky.guide_stars import guide_stars, observer_motion
+from boresight.sky.guide_stars import GuideStars, guide_stars, observer_motion
 from boresight.telemetry.exposures import exposures_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -93,6 +95,27 @@ def ground_covariance(sensor: Sensor, initial_sigma_scale: float) -> FloatArray:
     return np.asarray(np.diag((initial_sigma_scale * sensor.typical_sigma) ** 2))
 
 
+@dataclass(frozen=True)
+class MatchingSky:
+    """The stars that a set may be matched with: those that can be guided on, and what is against any of them."""
+
+    guides: GuideStars
+    flagged: Catalogue
+    flags: NDArray[np.int8]
+
+
+def matching_sky(catalogue: Catalogue, magnitude_limit: float, blend_rad: float) -> MatchingSky:
+    """Choose the stars down to a limit, Hp, where two within `blend_rad` make one image."""
+    # a companion beyond the catalogue's cut here would be too faint to matter
+    flagged = catalogue.brighter_than(magnitude_limit + FAINTER_MAG)
+    return MatchingSky(guide_stars(catalogue, magnitude_limit, blend_rad), flagged, star_flags(flagged, blend_rad))
+
+
+def blend_rad(sensor: Sensor) -> float:
+    """Angle of `BLEND_PX` in the middle of the detector, rad."""
+    return BLEND_PX * prepared.pixel_rad(sensor, sensor.initial)
+
+
 class Rematcher:
     """A telemetry set ready to be matched under any parameters.
 
@@ -104,6 +127,8 @@ class Rematcher:
         `minimum_stars` and `leave_out_doubles` count here.
     cache_folder
         Where lost-in-space identification keeps its tables; None makes them anew in every process.
+    sky, epoch
+        Where the telemetry is part of a set: the stars of the whole set, and the first time in it; None takes those of the part.
     """
 
     def __init__(
@@ -113,6 +138,8 @@ class Rematcher:
         catalogue: Catalogue,
         settings: CalibrationSettings,
         cache_folder: Path | None = None,
+        sky: MatchingSky | None = None,
+        epoch: np.datetime64 | None = None,
     ) -> None:
         self._telemetry, self._sensor, self._settings = telemetry, sensor, settings
         self._cache_folder = cache_folder
@@ -124,17 +151,15 @@ class Rematcher:
         first = self._exposures.start
         unknown = np.full(len(first), np.datetime64("NaT", "us"))
         times = unknown if telemetry.time_utc is None else telemetry.time_utc[first]
-        self._time_s = prepared.seconds(times[frame_first])
+        self._time_s = prepared.seconds(times[frame_first], epoch)
         nowhere = np.full((len(first), 4), np.nan)
         self._quaternion = nowhere if telemetry.quaternion is None else telemetry.quaternion[first]
         velocity = None if telemetry.velocity_m_s is None else telemetry.velocity_m_s[first]
         self._motion = observer_motion(times, velocity)
-        blend_rad = BLEND_PX * prepared.pixel_rad(sensor, sensor.initial)
-        limit = prepared.magnitude_limit(telemetry, sensor, catalogue, self._given)
-        self._stars = guide_stars(catalogue, limit, blend_rad)
-        # a companion beyond the catalogue's cut here would be too faint to matter
-        self._flagged = catalogue.brighter_than(limit + FAINTER_MAG)
-        self._flags = star_flags(self._flagged, blend_rad)
+        if sky is None:
+            limit = prepared.magnitude_limit(telemetry, sensor, catalogue, self._given)
+            sky = matching_sky(catalogue, limit, blend_rad(sensor))
+        self._stars, self._flagged, self._flags = sky.guides, sky.flagged, sky.flags
 
     @property
     def n_frames(self) -> int:
@@ -230,3 +255,14 @@ def matched_telemetry(telemetry: Telemetry, matches: Matches) -> Telemetry:
     """Return the set with the stars and apparent directions it was matched with."""
     x, y, z = matches.s_i.T
     return replace(telemetry, star_id=matches.star_id, ra_rad=np.arctan2(y, x) % (2 * np.pi), dec_rad=np.arcsin(z))
+
+
+def joined_matches(parts: Sequence[Matches]) -> Matches:
+    """Join the matches of consecutive parts of a set."""
+    if len(parts) == 1:
+        return parts[0]
+    names = [item.name for item in fields(Matches) if item.name != "exposure_start"]
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    rows = np.cumsum([0, *(len(part.star_id) for part in parts)])
+    starts = [part.exposure_start[:-1] + begin for part, begin in zip(parts, rows[:-1], strict=True)]
+    return Matches(exposure_start=np.concatenate([*starts, rows[-1:]]), **arrays)

@@ -69,7 +69,7 @@ def order_set(
         for number, piece in enumerate(pieces)
     ]
     parts: list[OrderedPiece] = spread.map(order_piece, work, done=done)
-    _refuse_timeless(pieces, parts, catalogue, spread)
+    refuse_timeless(pieces, sum(part.timeless for part in parts), catalogue, spread)
     return problem_of_parts(parts, sensor, spread)
 
 
@@ -111,15 +111,9 @@ def _directions(telemetry: Telemetry, catalogue: Catalogue) -> NDArray[np.float6
     )
 
 
-def _refuse_timeless(
-    pieces: Sequence[TelemetryPiece], parts: Sequence[OrderedPiece], catalogue: Columns, spread: Spread
-) -> None:
-    """Refuse a set in which no star that needs a time has one."""
-    timeless = sum(part.timeless for part in parts)
-    if not timeless:
-        return
-    others = [(piece, catalogue) for piece, part in zip(pieces, parts, strict=True) if not part.timeless]
-    if not any(spread.map(has_timed_star, others)):
+def refuse_timeless(pieces: Sequence[TelemetryPiece], timeless: int, catalogue: Columns, spread: Spread) -> None:
+    """Refuse a set in which no star that needs a time has one; `timeless` are those of parts that have none at all."""
+    if timeless and not any(spread.map(has_timed_star, [(piece, catalogue) for piece in pieces])):
         raise TimelessError(timeless)
 
 

@@ -6,11 +6,14 @@ thousand stars tell a residual's mean over a cell of the detector to a hundredth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.calibration.rematch import Matches, joined_matches
 from boresight.estimation.arcs import Arcs
 from boresight.estimation.blocks import FRAMES
 from boresight.telemetry.schema import Telemetry, joined, rows_of
@@ -18,6 +21,8 @@ from boresight.telemetry.schema import Telemetry, joined, rows_of
 #: Stars up to which a set is judged whole, and of a larger one so many are.
 JUDGED_WHOLE = 500_000
 JUDGED_STARS = 300_000
+#: Arrays of `Matches` with an entry a row; the others have one an exposure.
+OF_ROWS = ("star_id", "s_i", "row_reason", "tolerance_rad", "flags")
 
 
 def spread_blocks(n_blocks: int, most: int) -> NDArray[np.int64]:
@@ -25,29 +30,36 @@ def spread_blocks(n_blocks: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, n_blocks - 1, max(1, min(most, n_blocks))).round().astype(np.int64))
 
 
-def judged_telemetry(arcs: Arcs, parts: Callable[[], Iterable[Telemetry]]) -> Telemetry:
-    """Rows of a set that are judged: all of them, or a sample of a large one; `parts` yields the set as it came."""
+Ends = Sequence[tuple[int, int]]
+#: One stretch from the first frame to the last.
+WHOLE: Ends = ((np.iinfo(np.int64).min, np.iinfo(np.int64).max),)
+#: Rows of a set, their matches, and (n_rows,) the stars that were kept of these.
+MatchedRows = tuple[Telemetry, Matches, NDArray[np.int64]]
+
+
+def judged_frames(arcs: Arcs) -> Ends:
+    """First and last frame number of each stretch of a set that is judged: all of it, or evenly spread blocks of a large one."""
     if arcs.n_stars <= JUDGED_WHOLE:
-        return joined(list(parts()))
-    return sampled_telemetry(arcs, parts(), JUDGED_STARS)
-
-
-def sampled_telemetry(arcs: Arcs, parts: Iterable[Telemetry], stars: int) -> Telemetry:
-    """Rows of evenly spread blocks with about so many stars in all, and of the frames between that take no part.
-
-    Parameters
-    ----------
-    arcs
-        Of the set; not empty.
-    parts
-        The set as it came, whole frames a part.
-    stars
-        How many at most, but one block in any case.
-    """
+        return WHOLE
     n_blocks = -(-arcs.n_frames // FRAMES)
-    chosen = spread_blocks(n_blocks, stars * n_blocks // arcs.n_stars)
-    ends = [_ends(arcs, int(block)) for block in chosen]
-    return joined([rows for part in parts for first, last in ends if len(rows := _rows_between(part, first, last))])
+    chosen = spread_blocks(n_blocks, JUDGED_STARS * n_blocks // arcs.n_stars)
+    return [_ends(arcs, int(block)) for block in chosen]
+
+
+def judged_telemetry(parts: Iterable[Telemetry], ends: Ends) -> Telemetry:
+    """Rows of the frames in these stretches, also of those that take no part; `parts` are whole frames of the set as it came."""
+    return joined([rows_of(part, rows) for part in parts for rows in _rows_of_frames(part, ends)])
+
+
+def judged_matches(parts: Iterable[MatchedRows], ends: Ends) -> MatchedRows:
+    """The same with the matches of these rows."""
+    found = [
+        (rows_of(telemetry, rows), _matches_of_rows(matches, rows), kept[rows])
+        for telemetry, matches, kept in parts
+        for rows in _rows_of_frames(telemetry, ends)
+    ]
+    telemetry, matches, kept = zip(*found, strict=True)
+    return joined(telemetry), joined_matches(matches), np.concatenate(kept)
 
 
 def _ends(arcs: Arcs, block: int) -> tuple[int, int]:
@@ -57,7 +69,19 @@ def _ends(arcs: Arcs, block: int) -> tuple[int, int]:
     return first, last
 
 
-def _rows_between(telemetry: Telemetry, first: int, last: int) -> Telemetry:
-    """Rows of the frames numbered first to last."""
-    begin, end = np.searchsorted(telemetry.frame, [first, last + 1])
-    return rows_of(telemetry, slice(int(begin), int(end)))
+def _rows_of_frames(telemetry: Telemetry, ends: Ends) -> Iterator[slice]:
+    """Rows of a part that lie in each stretch, where there are any."""
+    for first, last in ends:
+        begin = int(np.searchsorted(telemetry.frame, first))
+        end = int(np.searchsorted(telemetry.frame, last, side="right"))
+        if begin < end:
+            yield slice(begin, end)
+
+
+def _matches_of_rows(matches: Matches, rows: slice) -> Matches:
+    """The matches of some rows, which are whole frames."""
+    e0, e1 = (int(place) for place in np.searchsorted(matches.exposure_start, [rows.start, rows.stop]))
+    of = {True: rows, False: slice(e0, e1)}
+    names = [item.name for item in fields(Matches) if item.name != "exposure_start"]
+    arrays: dict[str, Any] = {name: getattr(matches, name)[of[name in OF_ROWS]] for name in names}
+    return Matches(exposure_start=matches.exposure_start[e0 : e1 + 1] - rows.start, **arrays)

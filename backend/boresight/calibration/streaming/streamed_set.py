@@ -6,13 +6,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.matched import Judged, MatchedSet
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.spread import Spread
+from boresight.calibration.streaming.matching import FrameRange
 from boresight.calibration.streaming.ordering import order_set, write_catalogue
-from boresight.calibration.streaming.sample import judged_telemetry
+from boresight.calibration.streaming.sample import judged_frames, judged_telemetry
 from boresight.calibration.streaming.stored_problem import StoredProblem
 from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece, write_pieces
 from boresight.errors import CancelledError
@@ -44,9 +47,27 @@ class WorkingCopy:
     folder: Path
     spread: Spread
 
+    @property
+    def n_frames(self) -> int:
+        """Frames of the set."""
+        return sum(piece.frames for piece in self.pieces)
+
+    @property
+    def epoch(self) -> np.datetime64 | None:
+        """First known time of the set."""
+        known = [piece.epoch for piece in self.pieces if not np.isnat(piece.epoch)]
+        return min(known) if known else None
+
     def parts(self) -> Iterator[Telemetry]:
         """Map the pieces one after the other."""
         return (piece.read() for piece in self.pieces)
+
+    def frames(self, first: int, last: int) -> FrameRange:
+        """The frames first <= k < last of the set."""
+        ends = np.cumsum([piece.frames for piece in self.pieces])
+        begin, end = int(np.searchsorted(ends, first, side="right")), int(np.searchsorted(ends, last))
+        before = int(ends[begin - 1]) if begin else 0
+        return FrameRange(self.pieces[begin : end + 1], first - before, last - before)
 
 
 def copied(
@@ -126,8 +147,8 @@ class StreamedSet:
         """The set under the sensor's own parameters."""
         return self._standing
 
-    def judged(self, first: StreamedMatched, last: StreamedMatched) -> Judged:  # noqa: ARG002 - they are the same
+    def judged(self, _first: StreamedMatched, last: StreamedMatched) -> Judged:
         """What of it is judged in memory."""
-        telemetry = judged_telemetry(first.problem.arcs, self._copy.parts)
+        telemetry = judged_telemetry(self._copy.parts(), judged_frames(last.problem.arcs))
         sets = MatchedSet(telemetry, self._sensor, self._catalogue, self._parameters, self.settings, self._cache_folder)
         return Judged(sets, sets.at_start(), sets.at_start())

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.calibration.streaming.columns import Columns, write_columns
 from boresight.telemetry.detector import find_off_detector
@@ -33,12 +34,18 @@ class TelemetryPiece:
         Rows of the set before them.
     first_row
         Row of the first in the file it came from, as an editor counts.
+    frames
+        How many frames they are of.
+    epoch
+        The first time at which one of these begins; NaT where none is known.
     """
 
     columns: Columns
     rows: int
     begins: int
     first_row: int
+    frames: int
+    epoch: np.datetime64
 
     def read(self) -> Telemetry:
         """Map it."""
@@ -61,6 +68,17 @@ def write_pieces(chunks: Iterable[Telemetry], sensor: Sensor, folder: Path) -> I
         arrays = {name: getattr(chunk, name) for name in KEPT}
         there = {name: np.asarray(values) for name, values in arrays.items() if values is not None}
         columns = write_columns(folder / f"telemetry-{number:06d}", there)
-        yield TelemetryPiece(columns, len(chunk), begins, chunk.first_row)
+        first = np.unique(chunk.frame, return_index=True)[1]
+        yield TelemetryPiece(columns, len(chunk), begins, chunk.first_row, len(first), _epoch(chunk, first))
         begins += len(chunk)
     faults.refuse()
+
+
+def _epoch(telemetry: Telemetry, rows: NDArray[np.int64]) -> np.datetime64:
+    """The first known time of some rows."""
+    never = np.datetime64("NaT", "us")
+    if telemetry.time_utc is None:
+        return never
+    times = telemetry.time_utc[rows]
+    known = times[~np.isnat(times)]
+    return known.min() if len(known) else never
