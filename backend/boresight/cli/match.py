@@ -11,6 +11,7 @@ import click
 from boresight.cli.output import aligned, check_writable, json_option, write_json
 from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
+from boresight.estimation.blocks import computing_on
 from boresight.settings import read_settings, use_kernel_folder
 
 
@@ -33,7 +34,7 @@ def match(telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path
     check_writable(choices["json_file"])
     _check_out(telemetry, out)
     use_kernel_folder(read_settings())
-    with progress("reading the telemetry") as report:
+    with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
         document = _match(telemetry, sensor_file, parameters, out, choices, report)
     write_json(document, choices["json_file"])
     if choices["json_file"] != "-":
