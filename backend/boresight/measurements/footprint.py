@@ -19,6 +19,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,27 +70,27 @@ def _filled(
     lengths = (max(10, frames // SHORTER), frames)
     with Ledger(folder, address) as ledger:
         report(0.0, "registering sensors")
-        found: dict[str, Any] = {"sensor": ledger.each(lambda: ledger.register(sensors), sensors)}
+        found: dict[str, Any] = {"sensor": ledger.each(partial(ledger.register, sensors), sensors)}
         report(0.1, "storing sets")
-        found["set"] = {
-            str(length): ledger.each(lambda length=length: ledger.store(length), sensors) for length in lengths
-        }
+        found["set"] = {str(length): ledger.each(partial(ledger.store, length), sensors) for length in lengths}
         report(0.3, "timing the writer")
-        found["launch"] = ledger.each(lambda: ledger.launch_only(launches), launches)
+        found["launch"] = ledger.each(partial(ledger.launch_only, launches), launches)
         ledger.cancel_all()
         report(0.4, "starting a server")
         with ledger.served():
-            found["run"] = {}
-            for turn, method in enumerate(METHODS):
-                report(0.5 + 0.2 * turn, f"{method} runs")
-                ledger.run(method, lengths[0], 1)  # the worker's first run loads what it needs
-                by_length = {
-                    length: ledger.each(lambda l=length, m=method: ledger.run(m, l, runs), runs) for length in lengths
-                }
-                found["run"][method] = {str(length): cost for length, cost in by_length.items()} | {
-                    "line": _line(by_length)
-                }
+            found["run"] = {method: _runs(ledger, method, lengths, runs, report) for method in METHODS}
+        found["row_bytes"] = ledger.row_bytes()
     return found
+
+
+def _runs(
+    ledger: Ledger, method: str, lengths: tuple[int, int], count: int, report: Callable[[float, str], None]
+) -> dict[str, Any]:
+    """Costs of a method's runs, of each length and as a line through both."""
+    report(0.5 + 0.2 * list(METHODS).index(method), f"{method} runs")
+    ledger.run(method, lengths[0], 1)  # the worker's first run loads what it needs
+    by_length = {length: ledger.each(partial(ledger.run, method, length, count), count) for length in lengths}
+    return {str(length): cost for length, cost in by_length.items()} | {"line": _line(by_length)}
 
 
 def _line(by_length: dict[int, dict[str, Any]]) -> dict[str, dict[str, float]]:

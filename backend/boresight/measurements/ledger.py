@@ -31,6 +31,8 @@ from boresight.telemetry.sensors import sensor_document
 METHODS = {"batch": {"method": "batch", "match": "given"}, "sqrf": {"method": "sqrf", "match": "given"}}
 LEASE_S, LOOK_EVERY_S, STALLED_S = 10.0, 0.05, 300.0
 SENSOR = 1
+#: Rows from which on a table's bytes a row say something.
+ENOUGH_ROWS = 40
 NAME, PASSWORD = "analyst", "analyst-of-the-ledger"  # of a store that is removed with the measurement
 
 
@@ -98,6 +100,11 @@ class Ledger:
         for key, start in cpu.items():
             found[key] = (used[key] - start) / count
         return found
+
+    def row_bytes(self) -> dict[str, float]:
+        """Bytes of a row with its indexes, of each table that has enough rows for its pages to be full."""
+        sizes = table_sizes(self._engine)
+        return {name: found.size / found.rows for name, found in sizes.items() if found.rows >= ENOUGH_ROWS}
 
     def _blob_bytes(self) -> int:
         return sum(path.stat().st_size for path in self._blobs.folder.rglob("*") if path.is_file())

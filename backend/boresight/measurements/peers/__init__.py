@@ -97,16 +97,18 @@ class Peer:
         return found
 
 
-PRECISE = "R and the order of the stars are computed by Boresight and not counted for it."
+PREPARED = (
+    "The order of the stars is Boresight's and not counted; R is Boresight's, inverted as full matrices, and counted."
+)
 OPENCV, FILTERPY = ("cv2", "opencv-python-headless"), ("filterpy", "filterpy")
 
 PEERS: dict[str, Peer] = {
     "boresight_batch": Peer("boresight:batch_fit", "Boresight, batch", "arcs", "Ordering the stars and R are counted."),
     "boresight_sqrf": Peer("boresight:square_root", "Boresight, square-root filter", "arcs", "Ordering and R are counted."),
-    "scipy_least_squares": Peer("on_arcs:scipy_least_squares", "SciPy least_squares", "arcs", PRECISE),
-    "numpy_ekf": Peer("on_arcs:numpy_extended", "NumPy, extended filter", "arcs", PRECISE),
-    "filterpy_ekf": Peer("on_arcs:filterpy_extended", "filterpy, ExtendedKalmanFilter", "arcs", PRECISE, FILTERPY),
-    "filterpy_sqrf": Peer("on_arcs:filterpy_square_root", "filterpy, SquareRootKalmanFilter", "arcs", PRECISE, FILTERPY),
+    "scipy_least_squares": Peer("on_arcs:scipy_least_squares", "SciPy least_squares", "arcs", PREPARED),
+    "numpy_ekf": Peer("on_arcs:numpy_extended", "NumPy, extended filter", "arcs", PREPARED),
+    "filterpy_ekf": Peer("on_arcs:filterpy_extended", "filterpy, ExtendedKalmanFilter", "arcs", PREPARED, FILTERPY),
+    "filterpy_sqrf": Peer("on_arcs:filterpy_square_root", "filterpy, SquareRootKalmanFilter", "arcs", PREPARED, FILTERPY),
     "pyceres": Peer(
         "bundle:ceres", "Ceres (pyceres)", "attitudes",
         "Three attitude angles a view are estimated besides; the cost is written in Python, analytic, one call a view.",

@@ -1,0 +1,136 @@
+"""What is assumed of a constellation, what each thing costs by the part `footprint`, and what follows a day."""  # noqa: INP001 - beside the scripts that use it
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+DAY_S, YEAR_D = 86_400.0, 365.25
+
+#: name -> (value, unit, why)
+ASSUMED: dict[str, tuple[float, str, str]] = {
+    "trackers": (10_000, "", "the constellation"),
+    "frames": (2_000, "a tracker and day", "one downlinked set a day, two exposures of about twelve stars each"),
+    "passes": (15, "a day", "orbits of 96 minutes; the second plan sends a set at each"),
+    "busy": (0.5, "", "share of a core that may be used on average: the rest is for peaks, repeats and upgrades"),
+    "peak": (3, "", "writes and uploads of the busiest hour over the mean: downlinks come in bunches"),
+    "people": (100, "", "consoles open at once, each following the feed"),
+    "views": (2, "a minute and console", "pages or figures looked at"),
+    "polls": (5, "a second", "reads of programs: telemetry chains, dashboards, monitoring"),
+    "disk": (4, "TB", "of the one machine that the shares below are taken of"),
+    "cores": (16, "", "of that machine"),
+}
+
+
+#: Queued, running, ended, and as many lines of progress.
+EVENTS_A_RUN = 6
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How often what is calibrated.
+
+    Parameters
+    ----------
+    name
+        In words.
+    sets
+        Sets a tracker and day, with their frames.
+    runs
+        (method, frames, runs a tracker and day).
+    """
+
+    name: str
+    sets: tuple[tuple[float, float], ...]
+    runs: tuple[tuple[str, float, float], ...]
+
+
+def value(name: str) -> float:
+    """Value of an assumption."""
+    return ASSUMED[name][0]
+
+
+def plans() -> list[Plan]:
+    """Once a day, and after every orbit."""
+    a_pass = value("frames") / value("passes")
+    daily = Plan("daily", ((1, value("frames")),), (("batch", value("frames"), 1), ("sqrf", value("frames"), 1)))
+    orbits = Plan(
+        "every orbit",
+        ((value("passes"), a_pass),),
+        (("sqrf", a_pass, value("passes")), ("batch", a_pass, value("passes"))),
+    )
+    return [daily, orbits]
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What one thing costs on one database, from the part `footprint`."""
+
+    found: dict[str, Any]
+
+    def run(self, method: str, key: str, frames: float) -> float:
+        """`worker_cpu_s` or `blob_bytes` of a run of so many frames: constant and slope."""
+        line = self.found["run"][method]["line"][key]
+        return float(max(0.0, line["constant"]) + line["per_frame"] * frames)
+
+    def mean_run(self, key: str) -> float:
+        """What does not depend on frames, averaged over the runs of all methods and lengths."""
+        costs = [
+            cost[key] for of_method in self.found["run"].values() for name, cost in of_method.items() if name != "line"
+        ]
+        return float(sum(costs) / len(costs))
+
+    @property
+    def rows_a_run(self) -> float:
+        """Rows that a run writes, its audit records and log lines among them."""
+        costs = [
+            cost["rows"]
+            for of_method in self.found["run"].values()
+            for name, cost in of_method.items()
+            if name != "line"
+        ]
+        return sum(sum(rows.values()) for rows in costs) / len(costs)
+
+    def set_bytes(self, frames: float) -> float:
+        """Bytes of files of a set: the upload and the table made of it."""
+        (short, cost), (long, longer) = ((int(name), cost) for name, cost in self.found["set"].items())
+        slope = (longer["blob_bytes"] - cost["blob_bytes"]) / (long - short)
+        return float(max(0.0, cost["blob_bytes"] - slope * short) + slope * frames)
+
+    def mean_set(self, key: str) -> float:
+        """Of a set, averaged over both lengths."""
+        costs = [cost[key] for cost in self.found["set"].values()]
+        return float(sum(costs) / len(costs))
+
+    @property
+    def rows_a_set(self) -> float:
+        """Rows that a set writes."""
+        return sum(next(iter(self.found["set"].values()))["rows"].values())
+
+    @property
+    def writes_per_s(self) -> float:
+        """Transactions a second of the single writer, one after the other."""
+        return float(1 / self.found["launch"]["seconds"])
+
+
+def amounts(plan: Plan) -> tuple[float, float]:
+    """Sets and runs a day."""
+    return value("trackers") * plan.sets[0][0], value("trackers") * sum(times for _, _, times in plan.runs)
+
+
+def writes(plan: Plan, costs: Costs) -> float:
+    """Transactions a second in the busiest hour: at most one a row of a run, and one a set."""
+    sets, runs = amounts(plan)
+    return (sets + runs * costs.rows_a_run) / DAY_S * value("peak")
+
+
+def asked_per_s() -> float:
+    """Reads a second of people and programs."""
+    return value("people") * value("views") / 60 + value("polls")
+
+
+def read_s(document: dict[str, Any]) -> float | None:
+    """Processor seconds of the server a read of the runs list, or None."""
+    found = document.get("clients", {}).get("found", {}).get("list", {})
+    microseconds = found.get("server_us_per_request")
+    return None if microseconds is None else microseconds * 1e-6
