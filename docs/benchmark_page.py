@@ -39,7 +39,7 @@ the same named stars: {sets} sets of {frames} frames, two exposures of twelve st
   square over the detector and worst corner. Camera models differ between tools, this does not.
 - **f error / claimed**: error of the focal length over the standard deviation that the tool claims for it; 1 is honest.
 - **residual**: what the fit leaves, one axis. By it alone the right and the wrong cannot be told apart.
-- **memory**: what the work adds to a process that has loaded the library.
+- **memory**: what the work adds to a process of its own that has loaded the library, and in brackets that process's peak.
 
 """
 
@@ -137,8 +137,8 @@ def _accuracy(found: dict[str, Any]) -> str:
 
 
 ACCURACY_HEADS = (
-    "estimator", "frames", "µs a frame", "over ours", "memory, MB", "error / bound", "NEES (8)", "detector, px", "corner, px",
-    "over ours", "f error, µm", "f error / claimed", "residual, px",
+    "estimator", "frames", "µs a frame", "over ours", "memory, MB (peak)", "error / bound", "NEES (8)", "detector, px",
+    "corner, px", "over ours", "f error, µm", "f error / claimed", "residual, px",
 )  # fmt: skip
 
 
@@ -153,7 +153,9 @@ def _accuracy_row(row: dict[str, Any]) -> list[str]:
         row.get("detector_px"), row.get("corner_px"), row.get("detector_px_over_ours"), row["focal_error_m"] * 1e6,
         row.get("focal_over_claimed"), row.get("rms_px"),
     ]  # fmt: skip
-    return [row["title"] + failed, str(row["frames"]), *map(number, cells)]
+    shown = [*map(number, cells)]
+    shown[2] += f" ({number(row['peak_rss_mb'])})"
+    return [row["title"] + failed, str(row["frames"]), *shown]
 
 
 def _parameters(found: dict[str, Any]) -> str:

@@ -11,7 +11,8 @@ unit in the key, the peers beside them, the ratios, and `limits`, a mapping
     name -> {"limit": 1.25, "measured": 1.21, "kept": true}
 
 of what is promised (add `"at_least": true` where more is better, `"unit"` where the figure has one). Whoever writes a part adds
-its line to `PARTS`, in the order in which the parts are measured and shown. Modules are loaded when they are measured.
+its line to `PARTS`, in the order in which the parts are measured and shown, and runs `python docs/measure.py --write`, whose page
+lists it. Modules are loaded when they are measured.
 
 A part starts servers, workers and calibrations as `sys.executable -m boresight ...`, in a temporary folder and on free ports, so
 that what it measures is what a user runs. It times peers in the same run: ratios hold when a machine's speed drifts, times do not.
