@@ -18,7 +18,13 @@ class Run(Base):
     """A calibration. The row is the truth; engines only compute. Terminal states are written once."""
 
     __tablename__ = "runs"
-    __table_args__ = (one_of("state", RUN_STATES), sa.Index("ix_runs_state_id", "state", "id"), STRICT)
+    __table_args__ = (
+        one_of("state", RUN_STATES),
+        sa.Index("ix_runs_state_id", "state", "id"),
+        sa.Index("ix_runs_state_method_id", "state", "method", "id"),
+        sa.Index("ix_runs_sensor_state_id", "sensor_id", "state", "id", "ended_utc"),
+        STRICT,
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
     sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"), index=True)
     telemetry_set_id: Mapped[int] = mapped_column(sa.ForeignKey("telemetry_sets.id"))
