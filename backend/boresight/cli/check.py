@@ -20,16 +20,18 @@ from boresight.settings import read_settings
 def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
     """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
     from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.quality import quality_report
-    from boresight.telemetry.readers import read_telemetry
+    from boresight.telemetry.chunks import read_chunks
+    from boresight.telemetry.quality_parts import QualityParts
     from boresight.telemetry.sensors import read_sensor
 
     check_writable(json_file)
     with progress("reading the telemetry") as report:
         sensor = read_sensor(sensor_file)
-        stars = read_telemetry(telemetry)
-        report("loading the star catalogue")
-        quality = quality_report(stars, sensor, load_catalogue(read_settings().catalogue_folder))
+        found = QualityParts(sensor, load_catalogue(read_settings().catalogue_folder))
+        for part in read_chunks(telemetry):
+            found.add(part)
+            report(f"reading the telemetry, up to frame {part.frame[-1]}")
+        quality = found.report()
     write_json(quality, json_file)
     if json_file != "-":
         click.echo(aligned(list(_rows(quality)), left=(0, 1)))

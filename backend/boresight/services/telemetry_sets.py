@@ -25,11 +25,13 @@ from boresight.store import telemetry_sets as rows
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import TelemetrySet
-from boresight.telemetry.detector import check_against_sensor
-from boresight.telemetry.quality import quality_report
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.chunks import read_chunks
+from boresight.telemetry.detector import detector_faults, find_off_detector
+from boresight.telemetry.quality_parts import QualityParts
+from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry
-from boresight.telemetry.sensors import parse_sensor
+from boresight.telemetry.sensors import Sensor, parse_sensor
+from boresight.telemetry.writers import ParquetParts
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
@@ -87,22 +89,33 @@ def prepared(
         When the file cannot be read, with rows and columns.
     """
     refuse_control_characters(file_name=file_name)
-    telemetry = read_telemetry(path, _base_name(file_name))
-    sensor = parse_sensor(sensor_document)
-    check_against_sensor(telemetry, sensor)
+    sensor, name = parse_sensor(sensor_document), _base_name(file_name)
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table.parquet"
-        write_parquet(telemetry, table)
+        quality = _checked(path, name, sensor, catalogue, table)
         yield Prepared(
             original=path,
             table=table,
-            name=_base_name(file_name),
+            name=name,
             media_type=MEDIA_TYPES.get(PurePath(file_name).suffix.lower(), PARQUET),
             original_sha256=_sha256_of_file(path),
-            frames=len(set(telemetry.frame.tolist())),
-            stars=len(telemetry),
-            quality=quality_report(telemetry, sensor, catalogue),
+            frames=quality["frames"],
+            stars=quality["stars"],
+            quality=quality,
         )
+
+
+def _checked(path: Path, name: str, sensor: Sensor, catalogue: Catalogue | None, table: Path) -> dict[str, Any]:
+    """Read a file in chunks into the table that is worked on; returns its quality report. A large file is never whole in memory."""
+    misplaced, quality = detector_faults(), QualityParts(sensor, catalogue)
+    with ParquetParts(table) as parts:
+        for chunk in read_chunks(path, name):
+            find_off_detector(chunk, sensor, misplaced)
+            if not misplaced.count:
+                parts.write(chunk)
+                quality.add(chunk)
+    misplaced.refuse()
+    return quality.report()
 
 
 def add_telemetry_set(

@@ -50,9 +50,14 @@ def check_against_sensor(telemetry: Telemetry, sensor: Sensor) -> None:
     RefusedInputError
         Names the first twenty rows.
     """
-    faults = Faults("The telemetry does not fit the sensor", telemetry.first_row)
+    faults = detector_faults()
     find_off_detector(telemetry, sensor, faults)
     faults.refuse()
+
+
+def detector_faults() -> Faults:
+    """Return an empty collection of what `check_against_sensor` refuses, for a set that comes in parts."""
+    return Faults("The telemetry does not fit the sensor")
 
 
 def find_off_detector(telemetry: Telemetry, sensor: Sensor, faults: Faults) -> None:

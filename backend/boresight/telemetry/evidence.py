@@ -47,11 +47,14 @@ class Evidence:
         The set and whose it is.
     catalogue
         Says which stars exist; None = every number counts as known.
+    rows
+        (n_rows,) number of every row in the file, where the set is only stretches of it; None = they follow on.
     """
 
     telemetry: Telemetry
     sensor: Sensor
     catalogue: StarNumbers | None = None
+    rows: IntArray | None = None
 
     @cached_property
     def exposures(self) -> Exposures:

@@ -34,15 +34,15 @@ from numpy.typing import NDArray
 from boresight.telemetry.detector import detector_coverage, radial_coverage
 from boresight.telemetry.evidence import MINIMUM_STARS, Evidence, StarNumbers
 from boresight.telemetry.findings import FINDINGS, SEVERITIES, Finding
-from boresight.telemetry.sampling import sampling_of
+from boresight.telemetry.sampling import Intervals, sampling_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_MOST_LISTED = 20
-_MAGNITUDE_STEP = 0.5
+MOST_LISTED = 20
+MAGNITUDE_STEP = 0.5
 
 
 def quality_report(telemetry: Telemetry, sensor: Sensor, catalogue: StarNumbers | None = None) -> dict[str, Any]:
@@ -62,35 +62,54 @@ def quality_report(telemetry: Telemetry, sensor: Sensor, catalogue: StarNumbers 
     The document of the module docstring.
     """
     evidence = Evidence(telemetry, sensor, catalogue)
-    findings = _findings(evidence)
+    return document_of(findings_of(evidence), totals_of(evidence), _time(evidence), _unknown_ids(evidence))
+
+
+def document_of(
+    findings: list[Finding], totals: dict[str, Any], time: dict[str, Any] | None, unknown_ids: dict[str, Any] | None
+) -> dict[str, Any]:
+    """Put a report together from its parts, see the module docstring."""
     by_code = {finding.code: finding.count for finding in findings}
     return {
         "schema": "boresight.quality/1",
         "verdict": max((finding.severity for finding in findings), key=SEVERITIES.index, default=SEVERITIES[0]),
         "warnings": [finding.sentence for finding in findings if finding.severity != SEVERITIES[0]],
         "findings": [finding.document() for finding in findings],
+        **totals,
+        "time": time,
+        "unknown_ids": unknown_ids,
+        "repeats": {"stars": by_code.get("REPEATED_STARS", 0), "centroids": by_code.get("REPEATED_CENTROIDS", 0)},
+        "out_of_order": by_code.get("FRAME_ORDER", 0),
+    }
+
+
+def totals_of(evidence: Evidence) -> dict[str, Any]:
+    """Return what of a report adds up over parts of whole frames, see `quality_parts`."""
+    telemetry, sensor = evidence.telemetry, evidence.sensor
+    return {
         **_counts(evidence),
-        "time": _time(evidence),
         "stars_per_exposure": {
-            "detected": _distribution(evidence.exposures.count),
-            "usable": _distribution(evidence.usable_per_exposure),
+            "detected": distribution(*np.unique(evidence.exposures.count, return_counts=True)),
+            "usable": distribution(*np.unique(evidence.usable_per_exposure, return_counts=True)),
         },
         "detector_coverage": _coverage(evidence),
         "radial_coverage": radial_coverage(telemetry, sensor, evidence.usable),
         "magnitudes": _magnitudes(telemetry.magnitude),
-        "unknown_ids": _unknown_ids(evidence),
-        "repeats": {"stars": by_code.get("REPEATED_STARS", 0), "centroids": by_code.get("REPEATED_CENTROIDS", 0)},
-        "out_of_order": by_code.get("FRAME_ORDER", 0),
         "off_detector": int(np.count_nonzero(~evidence.on_detector)),
         "temperature_c": _range(telemetry.temperature_c),
         "unknown_columns": list(telemetry.unknown),
     }
 
 
-def _findings(evidence: Evidence) -> list[Finding]:
+def findings_of(evidence: Evidence) -> list[Finding]:
     """Return what was found, the worst first, else in the registry's order."""
     found = [finding for look in FINDINGS if (finding := look(evidence)) is not None]
-    return sorted(found, key=lambda finding: -SEVERITIES.index(finding.severity))
+    return worst_first(found)
+
+
+def worst_first(findings: list[Finding]) -> list[Finding]:
+    """Return findings by their severity, else in their order."""
+    return sorted(findings, key=lambda finding: -SEVERITIES.index(finding.severity))
 
 
 def _counts(evidence: Evidence) -> dict[str, Any]:
@@ -116,31 +135,36 @@ def _time(evidence: Evidence) -> dict[str, Any] | None:
     if sampling is None or time_utc is None:
         return None
     timed = time_utc[~evidence.untimed]
-    after = sampling.entry[sampling.gaps + 1][:_MOST_LISTED]
+    after = sampling.entry[sampling.gaps + 1][:MOST_LISTED]
+    intervals = (sampling.interval_s, sampling.median_s, sampling.gaps)
+    rows, frames = after + evidence.telemetry.first_row, evidence.telemetry.frame[after]
+    return time_document(timed.min(), timed.max(), intervals, rows, frames)
+
+
+def time_document(
+    start: np.datetime64, end: np.datetime64, intervals: Intervals, rows: IntArray, frames: IntArray
+) -> dict[str, Any]:
+    """Return the `time` of a report; rows and frames (n_listed,) are those after the first gaps."""
+    interval_s, median_s, gaps = intervals
+    listed = zip(rows.tolist(), frames.tolist(), interval_s[gaps].tolist(), strict=False)
     return {
-        "start_utc": f"{timed.min()}Z",
-        "end_utc": f"{timed.max()}Z",
-        "span_s": float((timed.max() - timed.min()) / np.timedelta64(1, "s")),
-        "median_interval_s": sampling.median_s,
-        "gap_count": len(sampling.gaps),
-        "gaps": [
-            {
-                "row": int(entry) + evidence.telemetry.first_row,
-                "frame": int(evidence.telemetry.frame[entry]),
-                "seconds": float(seconds),
-            }
-            for entry, seconds in zip(after, sampling.interval_s[sampling.gaps], strict=False)
-        ],
+        "start_utc": f"{start}Z",
+        "end_utc": f"{end}Z",
+        "span_s": float((end - start) / np.timedelta64(1, "s")),
+        "median_interval_s": median_s,
+        "gap_count": len(gaps),
+        "gaps": [{"row": row, "frame": frame, "seconds": seconds} for row, frame, seconds in listed],
     }
 
 
-def _distribution(counts: IntArray) -> dict[str, Any]:
-    """Return how (n_exposures,) numbers of stars are distributed."""
-    stars, exposures = np.unique(counts, return_counts=True)
+def distribution(stars: IntArray, exposures: IntArray) -> dict[str, Any]:
+    """Return how numbers of stars are distributed: (n,) numbers, ascending, and (n,) exposures with so many."""
+    ends = np.cumsum(exposures)
+    middle = [int(np.searchsorted(ends, place, side="right")) for place in ((ends[-1] - 1) // 2, ends[-1] // 2)]
     return {
-        "smallest": int(counts.min()),
-        "median": float(np.median(counts)),
-        "largest": int(counts.max()),
+        "smallest": int(stars[0]),
+        "median": float(np.mean(stars[middle])),
+        "largest": int(stars[-1]),
         "stars": stars.tolist(),
         "exposures": exposures.tolist(),
     }
@@ -160,9 +184,9 @@ def _magnitudes(magnitude: FloatArray | None) -> dict[str, Any] | None:
     believable = magnitude[(magnitude >= -2.0) & (magnitude <= 20.0)]
     if not len(believable):
         return None
-    low = np.floor(believable.min() / _MAGNITUDE_STEP) * _MAGNITUDE_STEP
-    bins = int((believable.max() - low) / _MAGNITUDE_STEP) + 1
-    counts, edges = np.histogram(believable, bins=bins, range=(low, low + bins * _MAGNITUDE_STEP))
+    low = np.floor(believable.min() / MAGNITUDE_STEP) * MAGNITUDE_STEP
+    bins = int((believable.max() - low) / MAGNITUDE_STEP) + 1
+    counts, edges = np.histogram(believable, bins=bins, range=(low, low + bins * MAGNITUDE_STEP))
     return {
         "edges": edges.tolist(),
         "counts": counts.tolist(),
@@ -176,7 +200,7 @@ def _unknown_ids(evidence: Evidence) -> dict[str, Any] | None:
     if evidence.catalogue is None or evidence.telemetry.star_id is None:
         return None
     ids = np.unique(evidence.telemetry.star_id[evidence.unknown])
-    return {"count": len(ids), "ids": ids[:_MOST_LISTED].tolist()}
+    return {"count": len(ids), "ids": ids[:MOST_LISTED].tolist()}
 
 
 def _range(values: FloatArray | None) -> dict[str, float] | None:

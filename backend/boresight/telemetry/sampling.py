@@ -11,6 +11,8 @@ from boresight.telemetry.evidence import Evidence
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+#: Interval between frames, their median, and which of them are gaps: `interval_s`, `median_s` and `gaps` of a `Sampling`.
+Intervals = tuple[FloatArray, float, IntArray]
 
 #: An interval so many times the median is a gap.
 GAP_FACTOR = 3.0
@@ -46,8 +48,14 @@ def sampling_of(evidence: Evidence) -> Sampling | None:
     timed = np.flatnonzero(~evidence.untimed)
     frame = evidence.telemetry.frame[timed]
     entry = timed[np.concatenate([[True], np.diff(frame) != 0])]
-    interval_s = np.diff(time_utc[entry]) / np.timedelta64(1, "s")
+    interval_s, median_s, gaps = intervals_of(time_utc[entry])
+    return Sampling(entry=entry, interval_s=interval_s, median_s=median_s, gaps=gaps)
+
+
+def intervals_of(time_utc: NDArray[np.datetime64]) -> Intervals:
+    """Return the intervals between frames taken at these times (n_timed_frames,), as in `Sampling`."""
+    interval_s = np.diff(time_utc) / np.timedelta64(1, "s")
     positive = interval_s[interval_s > 0]
     median_s = float(np.median(positive)) if len(positive) else 0.0
     gaps = np.flatnonzero(interval_s > GAP_FACTOR * median_s) if median_s else np.empty(0, dtype=np.int64)
-    return Sampling(entry=entry, interval_s=interval_s, median_s=median_s, gaps=gaps)
+    return interval_s, median_s, gaps

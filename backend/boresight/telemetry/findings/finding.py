@@ -55,7 +55,9 @@ class Finding:
 
 def row_numbers(evidence: Evidence, marked: NDArray[np.bool_]) -> tuple[int, ...]:
     """Return the numbers, as an editor counts, of the first twenty marked rows of (n_rows,)."""
-    return tuple((np.flatnonzero(marked)[:_MOST_ROWS] + evidence.telemetry.first_row).tolist())
+    entries = np.flatnonzero(marked)[:_MOST_ROWS]
+    rows = entries + evidence.telemetry.first_row if evidence.rows is None else evidence.rows[entries]
+    return tuple(rows.tolist())
 
 
 def counted(count: int, one: str, many: str) -> str:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from boresight.telemetry.evidence import Evidence
 from boresight.telemetry.findings.finding import Finding, Severity, counted, row_numbers
-from boresight.telemetry.sampling import GAP_FACTOR, sampling_of
+from boresight.telemetry.sampling import GAP_FACTOR, Intervals, sampling_of
 
 _CLOCK_SET = np.datetime64("1990-01-01", "us")
 _MOST_OF_SPAN = 0.5
@@ -90,13 +90,21 @@ def sampling_gaps(evidence: Evidence) -> Finding | None:
     sampling = sampling_of(evidence)
     if sampling is None or not len(sampling.gaps):
         return None
-    count, longest_s = len(sampling.gaps), float(sampling.interval_s[sampling.gaps].max())
-    severity: Severity = "CAUTION" if longest_s > _MOST_OF_SPAN * sampling.interval_s.sum() else "NORMAL"
-    what = counted(count, "interval between frames exceeds", "intervals between frames exceed")
-    sentence = (
-        f"{what} {GAP_FACTOR:g} times the median of {sampling.median_s:g} s, the longest is {longest_s:g} s: check that "
-        "the downlink is complete where no eclipse or slew explains it."
-    )
     after = np.zeros(len(evidence.telemetry), dtype=np.bool_)
     after[sampling.entry[sampling.gaps + 1]] = True
-    return Finding("GAPS", severity, sentence, count, row_numbers(evidence, after))
+    return gaps_finding((sampling.interval_s, sampling.median_s, sampling.gaps), row_numbers(evidence, after))
+
+
+def gaps_finding(intervals: Intervals, rows: tuple[int, ...]) -> Finding | None:
+    """The finding of gaps among intervals; `rows` are those after the first of them."""
+    interval_s, median_s, gaps = intervals
+    if not len(gaps):
+        return None
+    count, longest_s = len(gaps), float(interval_s[gaps].max())
+    severity: Severity = "CAUTION" if longest_s > _MOST_OF_SPAN * interval_s.sum() else "NORMAL"
+    what = counted(count, "interval between frames exceeds", "intervals between frames exceed")
+    sentence = (
+        f"{what} {GAP_FACTOR:g} times the median of {median_s:g} s, the longest is {longest_s:g} s: check that "
+        "the downlink is complete where no eclipse or slew explains it."
+    )
+    return Finding("GAPS", severity, sentence, count, rows)
