@@ -33,7 +33,8 @@ def page(document: dict[str, Any]) -> str:
     footprint = document.get("footprint", {}).get("found")
     if footprint is None:
         return HEAD + f"\nThe part `footprint` was {NOT_MEASURED} yet.\n"
-    by_database = {name: Costs(found) for name, found in footprint["databases"].items()}
+    queue = document.get("queue", {}).get("found", {})
+    by_database = {name: Costs(found, queue) for name, found in footprint["databases"].items()}
     name, costs = list(by_database.items())[-1]
     machine = document["footprint"]["machine"]
     parts = [
@@ -220,6 +221,8 @@ def _burst(costs: Costs) -> str:
 
 AFTER = """## What this does not say
 
+- The server's processor a run is that of the part `queue` where it was measured; the part `footprint` charges its few runs with
+  everything that the server does while they last.
 - Costs were taken with one worker on a machine with the cores named above; a faster core divides the worker's and the
   server's seconds alike. Workers share nothing, so cores add up, until the scheduler or the writer is the limit; the part
   `queue` measures what the queue adds to each run.

@@ -64,9 +64,24 @@ def plans() -> list[Plan]:
 
 @dataclass(frozen=True)
 class Costs:
-    """What one thing costs on one database, from the part `footprint`."""
+    """What one thing costs on one database.
+
+    Parameters
+    ----------
+    found
+        By the part `footprint`.
+    queue
+        By the part `queue`, or nothing: its thousands of runs tell the server's cost of each from what it costs to be there.
+    """
 
     found: dict[str, Any]
+    queue: dict[str, Any]
+
+    @property
+    def server_run_s(self) -> float:
+        """Processor seconds of the server's process a run."""
+        calm = self.queue.get("calm", {})
+        return calm["server_cpu_ms_per_run"] / 1e3 if "server_cpu_ms_per_run" in calm else self.mean_run("server_cpu_s")
 
     def run(self, method: str, key: str, frames: float) -> float:
         """`worker_cpu_s` or `blob_bytes` of a run of so many frames: constant and slope."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,7 +21,13 @@ def needs(plan: Plan, costs: Costs) -> Iterator[tuple[str, str, str]]:
         f"{trackers:,.0f} × {number(cpu)} CPU s / {DAY_S:,.0f} s / {busy:g}",
         f"{number(trackers * cpu / DAY_S / busy)} cores",
     )
-    a_run, a_set = costs.mean_run("server_cpu_s"), costs.mean_set("seconds")
+    cores = value("cores")
+    yield (
+        f"machines of {cores:g} cores",
+        f"{number(trackers * cpu / DAY_S / busy)} / {cores:g}, rounded up, and one for the server and its database",
+        f"{math.ceil(trackers * cpu / DAY_S / busy / cores) + 1}",
+    )
+    a_run, a_set = costs.server_run_s, costs.mean_set("seconds")
     server = runs * a_run + sets * a_set
     yield (
         "server processor, runs and uploads",
@@ -81,7 +88,7 @@ def shares(plan: Plan, costs: Costs, document: dict[str, Any]) -> Iterator[tuple
         "PostgreSQL on a disk with a battery or flash log; fewer lines of log a run",
     )  # fmt: skip
     read = read_s(document) or 0.0
-    server = (runs * costs.mean_run("server_cpu_s") + sets * costs.mean_set("seconds")) / DAY_S + asked_per_s() * read
+    server = (runs * costs.server_run_s + sets * costs.mean_set("seconds")) / DAY_S + asked_per_s() * read
     yield (
         "the server's process", server * value("peak"), "one Python process answers, reads uploads and keeps the queue",
         "a server more for readers on the same PostgreSQL; upload Parquet, not CSV",
