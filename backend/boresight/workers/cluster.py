@@ -81,8 +81,7 @@ class Cluster:
             )
         client.subscribe_topic(TOPIC, lambda event: on_progress(event[1]))
         if settings.scheduler:
-            place = settings.blob_place
-            client.register_plugin(Fitness(boresight.__version__, place.address if place.is_folder else ""))
+            client.register_plugin(Fitness(boresight.__version__, _shared_folder(settings)))
         client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
         return cls(client, local)
 
@@ -153,6 +152,14 @@ class Cluster:
             if part is not None:
                 with suppress(Exception):
                     part.close(timeout=CLOSE_S)
+
+
+def _shared_folder(settings: Settings) -> str:
+    """Return the folder that every worker must see, made if this is the first start; empty where files are in an object store."""
+    if not settings.blob_place.is_folder:
+        return ""
+    settings.blob_folder.mkdir(parents=True, exist_ok=True)
+    return str(settings.blob_folder)
 
 
 def _local_cluster(settings: Settings) -> Any:
