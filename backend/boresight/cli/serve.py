@@ -81,9 +81,12 @@ def _serve(settings: Settings) -> None:
     """Run the server; Ctrl-C is its ordinary end."""
     use_kernel_folder(settings)
     from boresight.server import serve as run
+    from boresight.store.sessions import opened
     from boresight.workers.security import security_of
 
     security_of(settings)  # refuse now what the engine would only log
+    with opened(settings.database_url):
+        pass  # likewise what the server's start would only log
     try:
         run(settings)
     except KeyboardInterrupt:
