@@ -173,6 +173,16 @@ def _readers(document: dict[str, Any]) -> str:
             f"**{number(events * value('people'))}**",
         ]
     )
+    feed = document.get("clients", {}).get("found", {}).get("feed")
+    if feed is not None:
+        known = f"{number(feed['events_per_s'])} events a second × {feed['listeners']} followers"
+        rows.append(
+            [
+                "deliveries that one server process made",
+                known,
+                f"**{number(feed['events_per_s'] * feed['listeners'])}**",
+            ]
+        )
     return (
         "## Readers\n\nThe part `clients` measures 200 clients on the list and 500 followers of the feed.\n\n"
         + table(("what", "formula", "answer"), rows, (0, 1))

@@ -122,6 +122,18 @@ def test_what_a_constellation_needs_follows_from_what_a_run_costs(pages):
     assert f"**{170_000 / 86_400 * 3:.2f} of 200 measured**" in page
 
 
+def test_what_readers_cost_follows_from_what_a_read_costs(pages):
+    """5 reads a second of programs and 100 people with 2 views a minute, 6 ms each: a twentieth of a core."""
+    clients = {"list": {"server_us_per_request": 6000.0}, "feed": {"events_per_s": 60.0, "listeners": 500}}
+    queue = {"calm": {"server_cpu_ms_per_run": 4.0}}
+    found = {"footprint": {"databases": {"sqlite": DATABASE}}, "clients": clients, "queue": queue}
+    page = pages["capacity_page"].page({name: {"machine": MACHINE, "found": one} for name, one in found.items()})
+
+    assert "| server processor for them | 8.33 × 6.00 ms | **0.0500 cores** |" in page
+    assert "| 60.0 events a second × 500 followers | **30,000** |" in page
+    assert "(20,000 × 0.00400 s + 10,000 × 0.0200 s) / 86,400 s" in page
+
+
 def test_the_first_row_of_a_plan_is_the_resource_that_ends_first(pages):
     page = pages["capacity_page"].page(
         {"footprint": {"machine": MACHINE, "found": {"databases": {"sqlite": DATABASE}}}}
