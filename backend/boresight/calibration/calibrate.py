@@ -110,7 +110,7 @@ def _calibrated(
     clock.lap("arcs")
     if first.problem.arcs.n_exposures == 0:
         return result.nothing_estimated(first.problem, parameters, settings, sha256s), None
-    listener = Listener(first.problem, parameters, settings, sha256s, place.report)
+    listener = Listener(first.problem, parameters, settings, sha256s, place.report, sets.prepared)
     run = filter_set if settings.sequential else fit_in_cycles
     ended = run(sets, first, parameters, settings, listener, place.cancelled)
     ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))

@@ -92,6 +92,10 @@ class AnySet(Protocol):
     def renewed(self) -> Renewed | None:
         """What matches it under other states; None where the given matches stand."""
 
+    @property
+    def prepared(self) -> float:
+        """Share of a calibration's progress that making it ready took."""
+
     def at_start(self) -> AnyMatched:
         """The set under the sensor's own parameters."""
 

@@ -50,10 +50,12 @@ class Listener:
         settings: CalibrationSettings,
         sha256s: Mapping[str, str],
         report: Callable[[Progress], None] | None,
+        begins: float = 0.0,
     ) -> None:
         self._of = (problem, parameters, settings)
         self._sha256s = sha256s
         self._report = report
+        self._begins = begins  # share of the progress that is made before the estimator begins
         self._due = 0.0
 
     def __call__(self, estimate: Estimate, fraction: float, message: str) -> None:
@@ -62,7 +64,7 @@ class Listener:
         if self._report is None or began < self._due:
             return
         partial = result.document(*self._of, estimate, self._sha256s) | {"frames_done": self._frames_done(estimate)}
-        self._report(Progress(fraction, message, partial))
+        self._report(Progress(self._begins + (1 - self._begins) * fraction, message, partial))
         ended = time.perf_counter()
         self._due = ended + max(REPORT_EVERY_S, (ended - began) / REPORT_SHARE)
 

@@ -153,6 +153,11 @@ class MatchedSet:
             self._standing = Matched(problem, telemetry, given)
 
     @property
+    def prepared(self) -> float:
+        """Share of a calibration's progress that making it ready took."""
+        return 0.0
+
+    @property
     def renewed(self) -> MatchedSet | None:
         """The set where its matches follow the state."""
         return None if self.matcher is None else self

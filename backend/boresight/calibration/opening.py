@@ -15,14 +15,11 @@ from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.spread import InThisProcess, Spread
 from boresight.calibration.streaming.rematched_set import RematchedSet
-from boresight.calibration.streaming.streamed_set import StreamedSet, copied
+from boresight.calibration.streaming.streamed_set import PREPARED, StreamedSet, copied
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.detector import check_against_sensor
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
-
-#: Share of the progress that making a large set ready takes.
-PREPARED = 0.5
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from boresight.calibration.streaming.matching import (
 from boresight.calibration.streaming.ordering import problem_of_parts, refuse_timeless, write_catalogue
 from boresight.calibration.streaming.sample import judged_frames, judged_telemetry
 from boresight.calibration.streaming.stored_problem import StoredProblem
-from boresight.calibration.streaming.streamed_set import READING, Prepared, WorkingCopy
+from boresight.calibration.streaming.streamed_set import PREPARED, READING, Prepared, WorkingCopy
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterState
 from boresight.sky.catalogue import Catalogue
@@ -78,6 +78,11 @@ class RematchedSet:
             for first in range(0, copy.n_frames, MATCHED_FRAMES)
         ]
         self._states: list[RematchedSetState] = []
+
+    @property
+    def prepared(self) -> float:
+        """Share of a calibration's progress that making it ready took."""
+        return PREPARED
 
     @property
     def renewed(self) -> RematchedSet:

@@ -25,8 +25,8 @@ from boresight.telemetry.sensors import Sensor
 
 #: Told how far the copying and ordering of a set is: fraction and a line for a log.
 Prepared = Callable[[float, str], None]
-#: Share of the preparation that reading takes.
-READING = 0.6
+#: Share of a calibration's progress that making a large set ready is, and of that, reading.
+PREPARED, READING = 0.5, 0.6
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,11 @@ class StreamedSet:
             lambda k, n: told(READING + (1 - READING) * k / n, f"ordered {k} of {n} pieces"),
         )  # fmt: skip
         self._standing = StreamedMatched(problem)
+
+    @property
+    def prepared(self) -> float:
+        """Share of a calibration's progress that making it ready took."""
+        return PREPARED
 
     @property
     def renewed(self) -> None:
