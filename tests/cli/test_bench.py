@@ -77,3 +77,35 @@ def test_a_size_that_cannot_be_read_is_refused(boresight, word):
 
     assert refused.exit_code == 2
     assert word.partition("=")[2] in refused.stderr
+
+
+@pytest.fixture
+def other_interpreter(tmp_path, monkeypatch):
+    """Stand for the processes of several parts: one measures, the other ends with an error; returns what they were told."""
+    told = tmp_path / "told"
+    program = tmp_path / "python"
+    program.write_text(
+        f"""#!/bin/sh
+echo "$*" >> {told}
+while [ "$1" != --json ]; do test "$1" = --part && part=$2; shift; done
+test $part = kernels && echo '{{"kernels": {{"frames": 50, "limits": {{}}}}}}' > $2
+"""
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    return told
+
+
+def test_several_parts_run_each_in_a_process_of_its_own_and_one_that_fails_takes_no_other_with_it(
+    boresight, other_interpreter
+):
+    words = ("--part", "kernels", "--part", "accuracy", "--frames", "50", "--size", "accuracy.sets=2")
+    done = boresight("bench", *words, "--json", "-")
+    found = orjson.loads(done.stdout)
+
+    assert done.exit_code == 0
+    assert found["kernels"] == {"frames": 50, "limits": {}}
+    assert "exit code 1" in found["accuracy"]["failed"]
+    first, second = other_interpreter.read_text().splitlines()
+    assert first.startswith("-m boresight bench --part kernels ")
+    assert second.endswith("--frames 50 --size accuracy.sets=2")
