@@ -5,20 +5,24 @@ from __future__ import annotations
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
-from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.readers import read_telemetry, write_parquet
 
 #: Of the document, what depends on the clock.
 TIMED = ("timing_s",)
 
 
-def streamed(telemetry, sensor, catalogue, folder, chunk_frames, validation=None, **choices):
-    """Calibrate a set from a file, so many frames a piece; keyword arguments beyond settings go to `calibrate`."""
+def written(telemetry, folder):
+    """Write a set; returns the path and the set as the file gives it, which is not always the same to the last bit."""
     path = folder / "set.parquet"
     write_parquet(telemetry, path)
+    return path, read_telemetry(path)
+
+
+def streamed(path, sensor, catalogue, chunk_frames, validation=None, **choices):
+    """Calibrate a set from a file, so many frames a piece; keyword arguments beyond settings go to `calibrate`."""
     file = TelemetryFile(path, large_rows=0, chunk_frames=chunk_frames)
-    return calibrate(
-        file, sensor, catalogue, *_settings(choices), validation=validation, scratch_folder=folder, **choices
-    )
+    choices = {"scratch_folder": path.parent, **choices}
+    return calibrate(file, sensor, catalogue, *_settings(choices), validation=validation, **choices)
 
 
 def in_memory(telemetry, sensor, catalogue, validation=None, **choices):
