@@ -60,7 +60,11 @@ PARTS: dict[str, Part] = {
         "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars",
     ),
     "growth": Part("boresight.measurements.growth", "time and memory from a thousand frames to a million"),
+    "spread": Part("boresight.measurements.spread", "one batch over one worker, two, and two of which one is killed"),
     "queue": Part("boresight.measurements.queue", "thousands of small runs: what the queue adds, and what kills lose"),
+    "clients": Part(
+        "boresight.measurements.clients", "200 clients on the list of runs, 500 that follow the feed and miss nothing"
+    ),
     "footprint": Part(
         "boresight.measurements.footprint", "what one more frame, run, sensor and record costs in time, files and rows"
     ),

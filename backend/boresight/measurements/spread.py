@@ -1,0 +1,234 @@
+"""One batch over two worker processes: how much sooner than over one, and whether it is the same answer, even with one killed.
+
+A scheduler and workers are started by their commands; a client hands them the very task that the server's engine hands them, and
+times it from there to its result in the folder of blobs. Every worker has computed a small set before, so nothing waits for a
+compiler or an import. In the third run the worker that is lent pieces is killed with SIGKILL when the first tenth of the pieces of
+the fit may be done, and its nanny brings another, which takes part again.
+
+On two cores there is no room for anybody else: the scheduler and this process take a few per cent of a core, and so does reading
+pieces from the disk. What the workers used is told beside the times, and the load of the machine before each run: what it was above
+the two of the run before was somebody else's, and the ratio says less than it could.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+import psutil
+from distributed import Client
+
+from boresight.measurements import Report
+from boresight.measurements.installation import free_port
+from boresight.measurements.synthetic_file import write_synthetic
+from boresight.simulation.sensors import st16_sensor
+from boresight.store.blobs import BlobStore
+from boresight.telemetry.sensors import sensor_document
+from boresight.workers.tasks import Inputs, execute_group
+
+RATIO_LIMIT = 1.6
+ANSWER_LIMIT_SIGMA = 1e-9
+JOIN_S = 120.0
+WARM_FRAMES = 25_000  # enough to be spread
+ESTIMATE = ("parameters", "sigma", "covariance", "chi2_per_dof", "rms_arc_rad", "frames", "stars", "pairs")
+RUN_ID = 1
+
+
+def measure(report: Report, *, frames: int = 1_000_000, method: str = "batch", seed: int = 1) -> dict[str, Any]:
+    """Calibrate one set on one worker, on two, and on two of which one is killed.
+
+    Parameters
+    ----------
+    report
+        Told the fraction done and what is measured next.
+    frames
+        Of the set; from about 21,000 on it is spread.
+    method
+        The estimator.
+    seed
+        Of the set.
+    """
+    with tempfile.TemporaryDirectory(prefix="boresight-spread-") as folder:
+        site = Site(Path(folder), method)
+        report(0.0, f"writing {frames:,} frames")
+        small, large = (site.table(count, seed) for count in (WARM_FRAMES, frames))
+        with site.cluster(workers=1) as client:
+            report(0.1, "warming one worker")
+            site.warm(client, small)
+            report(0.15, f"{frames:,} frames on one worker")
+            one = site.run(client, large)
+        with site.cluster(workers=2) as client:
+            report(0.55, "warming two workers")
+            site.warm(client, small)
+            report(0.6, f"{frames:,} frames on two workers")
+            two = site.run(client, large)
+            report(0.8, f"{frames:,} frames on two workers, one of them killed")
+            killed = site.run(client, large, kill_after_s=_middle_s(two))
+    return _found(frames, {"one_worker": one, "two_workers": two, "one_of_two_killed": killed})
+
+
+class Site:
+    """A data folder with sets, and the services that compute on it."""
+
+    def __init__(self, folder: Path, method: str) -> None:
+        self.folder = folder
+        self._method = method
+        self._blobs = BlobStore(folder / "blobs")
+        self._environment = os.environ | {"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_BLOBS": ""}
+        self._environment.setdefault("NUMBA_CACHE_DIR", str(folder / "kernels"))
+        self._runs = 0
+
+    def table(self, frames: int, seed: int) -> str:
+        """Make a set; returns its address."""
+        path = self.folder / "set.parquet"
+        write_synthetic(path, frames, seed)
+        sha256 = self._blobs.put(path)
+        path.unlink()
+        return sha256
+
+    @contextmanager
+    def cluster(self, workers: int) -> Iterator[Client]:
+        """Start a scheduler and workers, and connect to them."""
+        address = f"tcp://127.0.0.1:{free_port()}"
+        services = [self._start("scheduler", "--port", address.rpartition(":")[2])]
+        try:
+            services += [self._start("worker", "--scheduler", address) for _ in range(workers)]
+            with Client(address, timeout=JOIN_S, set_as_default=False) as client:
+                client.wait_for_workers(workers, timeout=JOIN_S)
+                yield client
+        finally:
+            for service in reversed(services):
+                service.terminate()
+                service.wait()
+
+    def _start(self, *words: str) -> subprocess.Popen[bytes]:
+        """Start a command, its output in a file for whoever wonders."""
+        with (self.folder / "services.log").open("ab") as log:
+            command = [sys.executable, "-m", "boresight", *words]
+            return subprocess.Popen(command, env=self._environment, stdout=log, stderr=log, cwd=self.folder)  # noqa: S603 - words of our own
+
+    def warm(self, client: Client, table: str) -> None:
+        """Let every worker compute a small set by itself, and then one together."""
+        for worker in sorted(client.nthreads()):
+            self._submit(client, table, worker).result()
+
+    def run(self, client: Client, table: str, kill_after_s: float | None = None) -> dict[str, Any]:
+        """Compute a set, and say what it took and what was found."""
+        own, *others = sorted(client.nthreads())
+        pids = client.run(os.getpid)
+        load, before_s = os.getloadavg()[0], _cpu_s(pids.values())
+        began_s = time.perf_counter()
+        future = self._submit(client, table, own)
+        after_s = _cpu_until(future, pids, None if kill_after_s is None else (pids[others[0]], kill_after_s))
+        (outcome,) = future.result()
+        took_s = time.perf_counter() - began_s
+        if outcome["result_sha256"] is None:
+            raise RuntimeError(f"The run ended {outcome['state']}: {outcome['reason']}")
+        cpu_s = {f"worker_{n}": round(after_s[pid] - before_s[pid], 3) for n, pid in enumerate(sorted_by(pids, own), 1)}
+        document = orjson.loads(self._blobs.read(outcome["result_sha256"]))
+        return {
+            "seconds": took_s,
+            "load_before": load,
+            "cpu_s": cpu_s,
+            "timing_s": document["timing_s"],
+            "document": document,
+        }
+
+    def _submit(self, client: Client, table: str, worker: str) -> Any:
+        """Hand a run to a worker, as the engine does."""
+        self._runs += 1
+        inputs = Inputs(
+            blob_address=str(self.folder / "blobs"),
+            catalogue_folder=str(self.folder / "catalogue"),
+            table_sha256=table,
+            validation_sha256=None,
+            sensor_document=sensor_document(st16_sensor(1)),
+            settings={"method": self._method, "match": "given"},
+        )
+        key = f"run-{RUN_ID}-{self._runs}"
+        work = [(RUN_ID, self._runs, inputs)]
+        return client.submit(execute_group, work, workers=[worker], key=key, pure=False)
+
+
+def sorted_by(pids: Mapping[str, int], own: str) -> list[int]:
+    """Processes of the workers, the run's own first."""
+    return [pids[own], *(pid for worker, pid in sorted(pids.items()) if worker != own)]
+
+
+def _cpu_s(pids: Any) -> dict[int, float]:
+    """Processor time of processes so far; of one that is gone nothing."""
+    found = {}
+    for pid in pids:
+        try:
+            times = psutil.Process(pid).cpu_times()
+        except psutil.Error:
+            continue
+        found[pid] = times.user + times.system
+    return found
+
+
+def _cpu_until(future: Any, pids: Mapping[str, int], kill: tuple[int, float] | None) -> dict[int, float]:
+    """Wait for a run's end, killing a process on the way; returns the processor times that were seen last."""
+    began_s = time.perf_counter()
+    seen = _cpu_s(pids.values())
+    while not future.done():
+        time.sleep(0.05)
+        seen |= _cpu_s(pids.values())
+        if kill is not None and time.perf_counter() - began_s > kill[1]:
+            os.kill(kill[0], signal.SIGKILL)
+            kill = None
+    return seen
+
+
+def _middle_s(run: Mapping[str, Any]) -> float:
+    """When a run that takes as long as this one is in the middle of its fit."""
+    timing = run["timing_s"]
+    return float(timing["arcs"] + timing["fit"] / 2)
+
+
+def _found(frames: int, runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Compare the runs with the first."""
+    documents = {name: run.pop("document") for name, run in runs.items()}
+    first = documents["one_worker"]
+    differences = {name: _difference_sigma(first, document) for name, document in documents.items()}
+    bits = {name: all(document[key] == first[key] for key in ESTIMATE) for name, document in documents.items()}
+    ratio = runs["one_worker"]["seconds"] / runs["two_workers"]["seconds"]
+    return {
+        "frames": frames,
+        "cores": os.cpu_count(),
+        "runs": runs,
+        "ratio": ratio,
+        "largest_difference_sigma": differences,
+        "same_bits": bits,
+        "limits": {
+            "two_workers_over_one": {
+                "limit": RATIO_LIMIT, "measured": ratio, "kept": ratio >= RATIO_LIMIT, "at_least": True,
+            },
+            **{
+                f"answer_of_{name}": {
+                    "limit": ANSWER_LIMIT_SIGMA,
+                    "measured": difference,
+                    "kept": difference <= ANSWER_LIMIT_SIGMA,
+                    "unit": "sigma",
+                }
+                for name, difference in differences.items() if name != "one_worker"
+            },
+        },
+    }  # fmt: skip
+
+
+def _difference_sigma(first: Mapping[str, Any], second: Mapping[str, Any]) -> float:
+    """Largest difference of an estimated parameter, in its sigma."""
+    free = first["free"]
+    x, y = (np.array([document["parameters"][name] for name in free]) for document in (first, second))
+    return float(np.max(np.abs(x - y) / np.array([first["sigma"][name] for name in free])))
