@@ -11,6 +11,9 @@ from boresight.estimation.rotations import rotation_vector
 from boresight.kernels import matching as loops
 from tests.exposures import GATE, SIGMA, Exposure
 
+#: Space for exposures of forty detections, eight parameters and fifty guide stars.
+WORK = loops.scratch(40, 11, 50)
+
 
 def off_by(field, i, V, sigmas, turn):
     """Where a star would be whose residual at detection i lies so many sigmas of V (2, 2) away in a direction."""
@@ -34,7 +37,7 @@ def test_a_star_is_taken_inside_the_gate_of_the_conditioned_gaussian_and_not_out
             used, chosen, reason = use.copy(), np.zeros(12, np.int64), np.zeros(12, np.int64)
             loops._grow(
                 field.s, field.T, field.A, field.sigma, field.C, 1, c[None], np.empty((1, 3)), np.zeros(1, np.bool_),
-                0.0, GATE, np.tril(Lambda), eta.copy(), used, chosen, reason, np.zeros((11, 11)), np.empty(11),
+                0.0, GATE, np.tril(Lambda), eta.copy(), used, chosen, reason, np.zeros((11, 11)), np.empty(11), WORK,
             )  # fmt: skip
             assert reason[i] == expected
             assert used[i] == (expected == loops.MATCHED)
@@ -49,7 +52,7 @@ def pruned(field, c, named, use):
     kept, reason, tolerance = use.copy(), np.zeros(12, np.int64), np.full(12, np.nan)
     loops._prune(
         field.s, field.T, field.A, field.sigma, field.C, c, named, GATE, Lambda, eta, kept, reason, tolerance,
-        np.zeros((11, 11)), np.empty(11),
+        np.zeros((11, 11)), np.empty(11), WORK,
     )  # fmt: skip
     return kept, tolerance
 
@@ -106,7 +109,7 @@ def test_two_detections_in_one_place_have_no_arc():
 def test_the_attitude_covariance_is_that_of_many_draws_of_noise_and_parameters(n):
     rng = np.random.default_rng(n)
     field, covariance, draws = Exposure(rng, n), np.empty((3, 3)), 3000
-    loops._attitude_covariance(field.A, field.sigma, np.ones(n, np.bool_), covariance)
+    loops._attitude_covariance(field.A, field.sigma, np.ones(n, np.bool_), covariance, WORK)
 
     true = np.stack([field.stars(np.r_[np.zeros(3), w]) for w in 0.2 * rng.normal(size=(draws, 8))])
     noise = 0.2 * SIGMA * rng.normal(size=(draws, n, 2))

@@ -13,6 +13,9 @@ from boresight.sky.catalogue import load_catalogue
 from boresight.sky.guide_stars import guide_stars, observer_motion
 from tests.exposures import SIGMA, Exposure
 
+#: Space for exposures of thirty detections, eight parameters and fifty guide stars.
+WORK = loops.scratch(30, 11, 50)
+
 # Wahba.
 
 
@@ -26,7 +29,7 @@ def test_newton_steps_from_a_triad_reach_the_rotation_of_the_singular_values(see
     sigma = SIGMA * rng.uniform(0.5, 2, n)
     c, C = field.stars(), np.empty((3, 3))
 
-    assert loops._wahba(s, c, 1 / sigma**2, np.ones(n, np.bool_), C)
+    assert loops._wahba(s, c, 1 / sigma**2, np.ones(n, np.bool_), C, WORK)
 
     # what a nearly flat cost leaves open is bounded by the weakest axis; the rest is rounding
     plain = wahba(s, c, sigma)
@@ -40,7 +43,7 @@ def test_stars_that_are_not_used_do_not_pull():
     c = field.stars()
     c[3] = -c[3]
 
-    loops._wahba(field.s, c, 1 / field.sigma**2, np.arange(8) != 3, C)
+    loops._wahba(field.s, c, 1 / field.sigma**2, np.arange(8) != 3, C, WORK)
 
     np.testing.assert_allclose(C, field.C, atol=1e-12)
 
@@ -48,12 +51,12 @@ def test_stars_that_are_not_used_do_not_pull():
 @pytest.mark.parametrize("apart", [0.0, 1e-4])
 def test_stars_in_one_direction_give_no_attitude(apart):
     s = np.array([[0.0, 0.0, 1.0], [apart, 0.0, np.sqrt(1 - apart**2)]])
-    assert not loops._wahba(s, s.copy(), np.full(2, 1e8), np.ones(2, np.bool_), np.empty((3, 3)))
+    assert not loops._wahba(s, s.copy(), np.full(2, 1e8), np.ones(2, np.bool_), np.empty((3, 3)), WORK)
 
 
 def test_one_star_gives_no_attitude():
     s = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, np.sqrt(0.99)]])
-    assert not loops._wahba(s, s.copy(), np.full(2, 1e8), np.array([True, False]), np.empty((3, 3)))
+    assert not loops._wahba(s, s.copy(), np.full(2, 1e8), np.array([True, False]), np.empty((3, 3)), WORK)
 
 
 # Apparent places.
@@ -125,7 +128,7 @@ def test_what_stars_say_of_the_parameters_is_the_schur_complement(seed):
     Lambda, eta = field.information(np.ones(7, np.bool_), rng.normal(size=11) * ([1e-3] * 3 + [1] * 8))
     M, m, L = np.empty((8, 8)), np.empty(8), np.empty((11, 11))
 
-    loops._marginal(np.tril(Lambda), eta, 11, L, M, m)
+    loops._marginal(np.tril(Lambda), eta, 11, L, M, m, WORK)
 
     a, b, c = Lambda[:3, :3], Lambda[3:, :3], Lambda[3:, 3:]
     np.testing.assert_allclose(M, c - b @ np.linalg.solve(a, b.T), rtol=1e-7, atol=1e-10 * np.abs(c).max())
@@ -171,7 +174,7 @@ def test_refraction_is_carried_from_named_stars_to_the_others(named):
     twin = np.where(np.arange(24) < named, np.arange(24), -1)
 
     moved = c.copy()
-    assert loops._affine(24, moved, shifted, twin, twin >= 0, SIGMA)
+    assert loops._affine(24, moved, shifted, twin, twin >= 0, SIGMA, WORK)
 
     assert np.linalg.norm(c - shifted, axis=1).min() > 1e-4
     assert np.linalg.norm(moved - shifted, axis=1).max() < 0.2 * SIGMA
@@ -181,4 +184,4 @@ def test_shifts_that_no_affine_map_explains_are_refused():
     rng = np.random.default_rng(5)
     c = sky_patch(rng)
     scattered = c + 5 * SIGMA * rng.normal(size=c.shape)
-    assert not loops._affine(24, c.copy(), scattered, np.arange(24), np.ones(24, np.bool_), SIGMA)
+    assert not loops._affine(24, c.copy(), scattered, np.arange(24), np.ones(24, np.bool_), SIGMA, WORK)

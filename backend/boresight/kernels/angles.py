@@ -46,13 +46,12 @@ def _pair(s, i, j, t_i, t_j):
 
 
 @_jit
-def _add_turns(s, sigma, axes, M):
+def _add_turns(s, sigma, axes, M, turn):
     """Add K K^T to M (2 n, 2 n), the bulk rotations that no pair sees, of the size of its own entries."""
     n = s.shape[0]
     mean = 0.0
     for i in range(n):
         mean += sigma[i] / n
-    turn = np.empty(2 * n)
     for k in range(3):
         a, b = (k + 1) % 3, (k + 2) % 3
         for i in range(n):
@@ -83,6 +82,7 @@ def weigh_pairs(star_start, s_i, sigma, phi, G, L):
     lower factor of G^T G + K K^T.
     """
     most = L.shape[1] // 2
+    turn = np.empty(2 * most)
     axes, t_i, t_j, places = np.empty((most, 2, 3)), np.empty(3), np.empty(3), np.empty(4, np.int64)
     for e in range(star_start.shape[0] - 1):
         s, error = s_i[star_start[e] : star_start[e + 1]], sigma[star_start[e] : star_start[e + 1]]
@@ -109,7 +109,7 @@ def weigh_pairs(star_start, s_i, sigma, phi, G, L):
         for p in range(2 * n):
             for q in range(p + 1):
                 L[e, p, q] /= scale
-        _add_turns(s, error, axes, L[e])
+        _add_turns(s, error, axes, L[e], turn)
         for p in range(2 * n):
             for q in range(p + 1):
                 L[e, p, q] *= scale

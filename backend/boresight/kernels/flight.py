@@ -28,14 +28,14 @@ def _arclength(s, i, j):
 
 
 @_jit
-def _worst(excess, kept):
-    """Return the place of the match to drop from `excess` (n, n), or -1 when all that are kept agree."""
+def _worst(excess, kept, n):
+    """Return the place of the match to drop from the first n of `excess`, or -1 when all that are kept agree."""
     place, most, largest = -1, 0, 0.0
-    for i in range(len(kept)):
+    for i in range(n):
         if not kept[i]:
             continue
         count, total = 0, 0.0
-        for j in range(len(kept)):
+        for j in range(n):
             if kept[j] and excess[i, j] > 0.0:
                 count += 1
                 total += excess[i, j]
@@ -51,18 +51,24 @@ def agreeing_matches(exposure_start, s_d, s_i, matched, tolerance, accepted):
     The caller is `calibration.flight.flight_view`. `s_d`, `s_i` (n_rows, 3) are measured and catalogue directions, `matched`
     (n_rows,) says which rows have both, `tolerance` is in rad; fills `accepted` (n_rows,).
     """
+    most = 0
     for k in range(len(exposure_start) - 1):
-        first, last = exposure_start[k], exposure_start[k + 1]
-        rows = first + np.flatnonzero(matched[first:last])
-        n = len(rows)
-        excess, kept = np.zeros((n, n)), np.ones(n, np.bool_)
+        most = max(most, exposure_start[k + 1] - exposure_start[k])
+    rows, kept, excess = np.empty(most, np.int64), np.empty(most, np.bool_), np.empty((most, most))
+    for k in range(len(exposure_start) - 1):
+        n = 0
+        for row in range(exposure_start[k], exposure_start[k + 1]):
+            accepted[row] = False
+            if matched[row]:
+                rows[n], kept[n], excess[n, n] = row, True, 0.0
+                n += 1
         for i in range(n):
             for j in range(i):
                 error = abs(_arclength(s_d, rows[i], rows[j]) - _arclength(s_i, rows[i], rows[j]))
                 excess[i, j] = excess[j, i] = error - tolerance
-        place = _worst(excess, kept)
+        place = _worst(excess, kept, n)
         while place >= 0:
             kept[place] = False
-            place = _worst(excess, kept)
-        accepted[first:last] = False
-        accepted[rows] = kept
+            place = _worst(excess, kept, n)
+        for i in range(n):
+            accepted[rows[i]] = kept[i]

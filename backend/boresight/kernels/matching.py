@@ -13,6 +13,7 @@ A^T A / sigma^2 serves every candidate. `tests/sky/test_matching.py` holds the l
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -41,6 +42,54 @@ _CURVATURE = 0.1
 
 _FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
 _jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+
+
+class Scratch(NamedTuple):
+    """Space that the loops write in, made once for all frames: none of them asks for memory in between."""
+
+    f0: np.ndarray  # (d,), as f1: a row of A turned by the factor
+    f1: np.ndarray
+    r: np.ndarray  # (2,)
+    best: np.ndarray  # (most,) of detections, as the eight that follow
+    rival: np.ndarray
+    area: np.ndarray
+    spread: np.ndarray
+    believed: np.ndarray
+    place: np.ndarray
+    held: np.ndarray
+    before: np.ndarray
+    held_use: np.ndarray
+    triads: np.ndarray  # (2, 3, 3)
+    three: np.ndarray  # (3, 3)
+    factor: np.ndarray  # (3, 3)
+    wide: np.ndarray  # (d + 1, 3)
+    column: np.ndarray  # (3,)
+    row: np.ndarray  # (3,)
+    plane: np.ndarray  # (3, 3): axis, east, north
+    fit: np.ndarray  # (2, 3)
+    attitude: np.ndarray  # (3, 3)
+    twin: np.ndarray  # (n_stars,)
+    turned: np.ndarray  # (n_stars, 3)
+    detection: np.ndarray  # (associations,), as the three that follow
+    candidate: np.ndarray
+    votes: np.ndarray
+    order: np.ndarray
+    agree: np.ndarray  # (associations, associations)
+
+
+@_jit
+def scratch(most, d, n_stars):
+    """Make the space for exposures of `most` detections at most, d unknowns and so many guide stars."""
+    associations = _SEARCH_ASSOCIATIONS
+    return Scratch(
+        np.empty(d), np.empty(d), np.empty(2),
+        np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most),
+        np.empty(most, np.int64), np.empty(most, np.bool_), np.empty(most, np.bool_), np.empty(most, np.bool_),
+        np.empty((2, 3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((d + 1, 3)), np.empty(3), np.empty(3),
+        np.empty((3, 3)), np.empty((2, 3)), np.empty((3, 3)), np.empty(n_stars, np.int64), np.empty((n_stars, 3)),
+        np.empty(associations, np.int64), np.empty(associations, np.int64), np.empty(associations, np.int64),
+        np.empty(associations, np.int64), np.empty((associations, associations), np.bool_),
+    )  # fmt: skip
 
 
 @_jit
@@ -114,11 +163,11 @@ def _disagreements(s, G, sigma, c, use, gate, bad):
 
 
 @_jit
-def _verify(s, G, sigma, c, use, named, gate, bad):
+def _verify(s, G, sigma, c, use, named, gate, bad, work):
     """Drop stars whose arcs disagree with more than half of the others, the worst first; returns how many stay."""
     n = s.shape[0]
     count = 0
-    believed = np.empty(n)
+    believed = work.believed
     for i in range(n):
         believed[i] = _GIVEN_NOISE * sigma[i] if named[i] else sigma[i]
         if use[i]:
@@ -149,7 +198,7 @@ def _frame_of(ax, ay, az, bx, by, bz, F):
 
 
 @_jit
-def _wahba(s, c, weight, use, C):
+def _wahba(s, c, weight, use, C, work):
     """Fill C (3, 3) with the rotation that best turns directions c into s; False when the used stars do not fix it.
 
     From the triad of two far stars, Newton steps on Wahba's cost -sum w s.(C c): gradient sum w s_hat x s, Hessian
@@ -167,7 +216,7 @@ def _wahba(s, c, weight, use, C):
                     j, least = k, cosine
     if j < 0:
         return False
-    F, E = np.empty((3, 3)), np.empty((3, 3))
+    F, E = work.triads[0], work.triads[1]
     _frame_of(s[i, 0], s[i, 1], s[i, 2], s[j, 0], s[j, 1], s[j, 2], F)
     _frame_of(c[i, 0], c[i, 1], c[i, 2], c[j, 0], c[j, 1], c[j, 2], E)
     for a in range(3):
@@ -271,11 +320,11 @@ def _add(Lambda, eta, A, r0, r1, weight, d):
 
 
 @_jit
-def _marginal(Lambda, eta, d, L, M, m):
+def _marginal(Lambda, eta, d, L, M, m, work):
     """Information on w alone after the attitude is eliminated: M (p, p) and m (p,)."""
     p = d - 3
     _factor(Lambda, L, 3)
-    columns = np.empty((p + 1, 3))
+    columns = work.wide
     for q in range(p):
         _forward(L, Lambda[3 + q, :3], 3, columns[q])
     _forward(L, eta[:3], 3, columns[p])
@@ -347,7 +396,7 @@ def _candidates(axis, cone, place, motion, parallax, years, earth, beta, star, c
 
 
 @_jit
-def _onto_given(m, star, c, hip, given, given_s, own, sigma):
+def _onto_given(m, star, c, hip, given, given_s, own, sigma, work):
     """Bring catalogue directions onto those the file gives: replace stars it names, move the others by the same affine map.
 
     A file's own directions may hold what the catalogue's do not, such as refraction. The map is fitted in the tangent
@@ -355,7 +404,9 @@ def _onto_given(m, star, c, hip, given, given_s, own, sigma):
     Returns the new m.
     """
     n = given.shape[0]
-    twin = np.full(m, -1, np.int64)
+    twin = work.twin
+    for k in range(m):
+        twin[k] = -1
     pairs, widest, typical = 0, 0.0, 0.0
     for i in range(n):
         if given[i] <= 0 or math.isnan(given_s[i, 0]):
@@ -369,7 +420,7 @@ def _onto_given(m, star, c, hip, given, given_s, own, sigma):
                     typical += sigma[i]
                 break
     if pairs > 0 and widest > 0.1 * typical / pairs:
-        fits = pairs >= 6 and _affine(m, c, given_s, twin, own, typical / pairs)
+        fits = pairs >= 6 and _affine(m, c, given_s, twin, own, typical / pairs, work)
         if not fits:
             kept = 0
             for k in range(m):
@@ -385,60 +436,96 @@ def _onto_given(m, star, c, hip, given, given_s, own, sigma):
 
 
 @_jit
-def _affine(m, c, given_s, twin, own, sigma):
-    """Move all c by the affine map of the tangent plane that brings twins onto given directions; False where it does not fit."""
-    axis = np.zeros(3)
+def _tangent_plane(m, c, twin, own, plane):
+    """Fill plane (3, 3) with the mean of the directions that have a twin of the file's own, and with east and north of it."""
+    axis, east, north = plane[0], plane[1], plane[2]
+    axis[:] = 0.0
     for k in range(m):
         if twin[k] >= 0 and own[twin[k]]:
-            axis += c[k]
-    axis /= math.sqrt(axis @ axis)
-    east = np.array([-axis[1], axis[0], 0.0])
-    if east @ east < 1e-12:
-        east = np.array([1.0, 0.0, 0.0])
-    east /= math.sqrt(east @ east)
-    north = np.array([
-        axis[1] * east[2] - axis[2] * east[1],
-        axis[2] * east[0] - axis[0] * east[2],
-        axis[0] * east[1] - axis[1] * east[0],
-    ])  # fmt: skip
-    N, B = np.zeros((3, 3)), np.zeros((3, 2))
-    row = np.empty(3)
-    for k in range(m):
-        if twin[k] >= 0 and own[twin[k]]:
-            shift = given_s[twin[k]] - c[k]
-            row[0], row[1], row[2] = 1.0, c[k] @ east, c[k] @ north
             for a in range(3):
-                B[a, 0] += row[a] * (shift @ east)
-                B[a, 1] += row[a] * (shift @ north)
-                for b in range(3):
+                axis[a] += c[k, a]
+    norm = math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
+    for a in range(3):
+        axis[a] /= norm
+    across = math.sqrt(axis[0] * axis[0] + axis[1] * axis[1])
+    if across < 1e-6:
+        east[0], east[1], east[2] = 1.0, 0.0, 0.0
+    else:
+        east[0], east[1], east[2] = -axis[1] / across, axis[0] / across, 0.0
+    north[0] = axis[1] * east[2] - axis[2] * east[1]
+    north[1] = axis[2] * east[0] - axis[0] * east[2]
+    north[2] = axis[0] * east[1] - axis[1] * east[0]
+
+
+@_jit
+def _along(c, k, axis):
+    """Component of direction k along an axis."""
+    return c[k, 0] * axis[0] + c[k, 1] * axis[1] + c[k, 2] * axis[2]
+
+
+@_jit
+def _affine(m, c, given_s, twin, own, sigma, work):
+    """Move all c by the affine map of the tangent plane that brings twins onto given directions; False where it does not fit."""
+    _tangent_plane(m, c, twin, own, work.plane)
+    east, north, N, fit, row = work.plane[1], work.plane[2], work.three, work.fit, work.row
+    N[:] = 0.0
+    fit[:] = 0.0
+    for k in range(m):
+        i = twin[k]
+        if i >= 0 and own[i]:
+            row[0], row[1], row[2] = 1.0, _along(c, k, east), _along(c, k, north)
+            dx, dy = _along(given_s, i, east) - row[1], _along(given_s, i, north) - row[2]
+            for a in range(3):
+                fit[0, a] += row[a] * dx
+                fit[1, a] += row[a] * dy
+                for b in range(a + 1):
                     N[a, b] += row[a] * row[b]
-    fit = np.linalg.solve(N + 1e-12 * np.eye(3), B)
+    for a in range(3):
+        N[a, a] += 1e-12
+    if not _factor(N, work.factor, 3):
+        return False
+    for coordinate in range(2):
+        _forward(work.factor, fit[coordinate], 3, work.column)
+        _backward(work.factor, work.column, 3, fit[coordinate])
     total, pairs = 0.0, 0
     for k in range(m):
-        row[0], row[1], row[2] = 1.0, c[k] @ east, c[k] @ north
-        dx, dy = 0.0, 0.0
-        for a in range(3):
-            dx += row[a] * fit[a, 0]
-            dy += row[a] * fit[a, 1]
-        if twin[k] >= 0 and own[twin[k]]:
-            shift = given_s[twin[k]] - c[k]
-            total += (shift @ east - dx) ** 2 + (shift @ north - dy) ** 2
+        row[0], row[1], row[2] = 1.0, _along(c, k, east), _along(c, k, north)
+        dx = row[0] * fit[0, 0] + row[1] * fit[0, 1] + row[2] * fit[0, 2]
+        dy = row[0] * fit[1, 0] + row[1] * fit[1, 1] + row[2] * fit[1, 2]
+        i = twin[k]
+        if i >= 0 and own[i]:
+            total += (_along(given_s, i, east) - row[1] - dx) ** 2 + (_along(given_s, i, north) - row[2] - dy) ** 2
             pairs += 1
-        c[k] += dx * east + dy * north
-        c[k] /= math.sqrt(c[k] @ c[k])
+        norm = 0.0
+        for a in range(3):
+            c[k, a] += dx * east[a] + dy * north[a]
+            norm += c[k, a] * c[k, a]
+        norm = math.sqrt(norm)
+        for a in range(3):
+            c[k, a] /= norm
     return total / pairs < sigma * sigma
 
 
 @_jit
-def _search(s, G, sigma, C, radius, m, c, gate, use, chosen):
+def _by_votes(votes, total, order):
+    """Fill `order` with the first `total` associations, most votes first, equal ones as they come."""
+    for a in range(total):
+        place = a
+        while place > 0 and votes[order[place - 1]] < votes[a]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = a
+
+
+@_jit
+def _search(s, G, sigma, C, radius, m, c, gate, use, chosen, work):
     """Find a first set of stars near a start attitude: associations vote for one another by their arcs (geometric voting).
 
     Fills use (n,) and chosen (n,) = candidate. Returns the size of the largest set in which all arcs agree.
     """
     n = s.shape[0]
-    detection, candidate = np.empty(_SEARCH_ASSOCIATIONS, np.int64), np.empty(_SEARCH_ASSOCIATIONS, np.int64)
+    detection, candidate, turned = work.detection, work.candidate, work.turned
     total = 0
-    turned = np.empty((m, 3))
     for k in range(m):
         for a in range(3):
             turned[k, a] = C[a, 0] * c[k, 0] + C[a, 1] * c[k, 1] + C[a, 2] * c[k, 2]
@@ -451,10 +538,12 @@ def _search(s, G, sigma, C, radius, m, c, gate, use, chosen):
             ):
                 detection[total], candidate[total] = i, k
                 total += 1
-    agree = np.zeros((total, total), np.bool_)
-    votes = np.zeros(total, np.int64)
+    agree, votes = work.agree, work.votes
     for a in range(total):
+        votes[a] = 0
         for b in range(a):
+            agree[a, b] = False
+            agree[b, a] = False
             i, j, k, q = detection[a], detection[b], candidate[a], candidate[b]
             if i == j or k == q:
                 continue
@@ -463,13 +552,14 @@ def _search(s, G, sigma, C, radius, m, c, gate, use, chosen):
                 agree[b, a] = True
                 votes[a] += 1
                 votes[b] += 1
-    order = np.argsort(-votes)
+    order = work.order
+    _by_votes(votes, total, order)
     best = 0
-    members, held = np.empty(n, np.int64), np.zeros(n, np.bool_)
+    members, held = work.place, work.held
     for seed in range(min(total, 12)):
         size = 1
         members[0] = order[seed]
-        held[:] = False
+        held[:n] = False
         held[detection[order[seed]]] = True
         for place in range(total):
             a = order[place]
@@ -494,12 +584,11 @@ def _search(s, G, sigma, C, radius, m, c, gate, use, chosen):
 
 
 @_jit
-def _grow(s, T, A, sigma, C, m, c, turned, taken, density, gate, Lambda, eta, use, chosen, reason, L, y):
+def _grow(s, T, A, sigma, C, m, c, turned, taken, density, gate, Lambda, eta, use, chosen, reason, L, y, work):
     """Take in detection after detection, the best predicted first; returns False when the information is not positive definite."""
     n, d = s.shape[0], A.shape[2]
-    f0, f1, r = np.empty(d), np.empty(d), np.empty(2)
-    best, rival, place = np.empty(n), np.empty(n), np.empty(n, np.int64)
-    area, spread = np.empty(n), np.empty(n)
+    f0, f1, r = work.f0, work.f1, work.r
+    best, rival, place, area, spread = work.best, work.rival, work.place, work.area, work.spread
     for k in range(m):
         for a in range(3):
             turned[k, a] = C[a, 0] * c[k, 0] + C[a, 1] * c[k, 1] + C[a, 2] * c[k, 2]
@@ -576,13 +665,13 @@ def _grow(s, T, A, sigma, C, m, c, turned, taken, density, gate, Lambda, eta, us
 
 
 @_jit
-def _prune(s, T, A, sigma, C, c, named, gate, Lambda, eta, use, reason, tolerance, L, y):
+def _prune(s, T, A, sigma, C, c, named, gate, Lambda, eta, use, reason, tolerance, L, y, work):
     """Drop stars that the joint fit of all the others rejects, the worst first; c (n, 3) are the stars' directions.
 
     Fills `tolerance` (n,) with the gate about the place that the others predict for each star that stays, rad.
     """
     n, d = s.shape[0], A.shape[2]
-    f0, f1, r = np.empty(d), np.empty(d), np.empty(2)
+    f0, f1, r = work.f0, work.f1, work.r
     while True:
         if not _factor(Lambda, L, d):
             return False
@@ -629,11 +718,13 @@ def _prune(s, T, A, sigma, C, c, named, gate, Lambda, eta, use, reason, toleranc
 
 
 @_jit
-def _attitude_covariance(A, sigma, use, covariance):
+def _attitude_covariance(A, sigma, use, covariance, work):
     """Covariance of Wahba's attitude, (3, 3) rad^2 about the axes of D: centroid noise, and parameters through the attitude."""
     p = A.shape[2] - 3
-    N, M, L, column = np.zeros((3, 3)), np.zeros((3, p + 3)), np.zeros((3, 3)), np.empty(3)
-    for i in range(A.shape[0]):
+    N, M, L, column = work.three, work.wide, work.factor, work.column
+    N[:] = 0.0
+    M[:] = 0.0
+    for i in range(sigma.shape[0]):
         if use[i]:
             weight = 1.0 / (sigma[i] * sigma[i])
             for row in range(2):
@@ -641,21 +732,21 @@ def _attitude_covariance(A, sigma, use, covariance):
                     for b in range(a + 1):
                         N[a, b] += weight * A[i, row, a] * A[i, row, b]
                     for q in range(p):
-                        M[a, q] += weight * A[i, row, a] * A[i, row, 3 + q]
+                        M[q, a] += weight * A[i, row, a] * A[i, row, 3 + q]
     _factor(N, L, 3)
     # [N^-1 M, L^-T]: its product with its transpose is N^-1 M M^T N^-1 + N^-1
     for q in range(p):
-        _forward(L, M[:, q], 3, column)
-        _backward(L, column, 3, M[:, q])
+        _forward(L, M[q], 3, column)
+        _backward(L, column, 3, M[q])
     for q in range(3):
         column[:] = 0.0
         column[q] = 1.0
-        _backward(L, column, 3, M[:, p + q])
+        _backward(L, column, 3, M[p + q])
     for a in range(3):
         for b in range(3):
             value = 0.0
             for q in range(p + 3):
-                value += M[a, q] * M[b, q]
+                value += M[q, a] * M[q, b]
             covariance[a, b] = value
 
 
@@ -688,8 +779,9 @@ def match_frames(
     shared, shared_eta = np.zeros((widest, p, p)), np.zeros((widest, p))
     total, total_eta = np.empty((d, d)), np.empty(d)
     L, y, r, axis = np.zeros((d, d)), np.empty(d), np.empty(2), np.empty(3)
-    star, taken = np.empty(n_stars, np.int64), np.empty(n_stars, np.bool_)
-    c, turned = np.empty((n_stars, 3)), np.empty((n_stars, 3))
+    star, taken, c = np.empty(n_stars, np.int64), np.empty(n_stars, np.bool_), np.empty((n_stars, 3))
+    work = scratch(most, d, n_stars)
+    turned, before, fallback_use, fallback_attitude = work.turned, work.before, work.held_use, work.attitude
     weight = 1.0 / (sigma * sigma)
     for k in range(frame_start.shape[0] - 1):
         e0, e1 = frame_start[k], frame_start[k + 1]
@@ -707,10 +799,10 @@ def match_frames(
                 star_id[i0 + i] = given[i0 + i] if use[q, i] else 0
             _rows(s[i0:i1], G[i0:i1], A[q], T[q])
             n_named = _count(use[q], n)
-            agreed = _verify(s[i0:i1], G[i0:i1], sigma[i0:i1], direction[i0:i1], use[q], named[q], gate, bad)
+            agreed = _verify(s[i0:i1], G[i0:i1], sigma[i0:i1], direction[i0:i1], use[q], named[q], gate, bad, work)
             # two that agree among many that do not are a coincidence
             if agreed >= 3 or (agreed == 2 and n_named <= 3):
-                solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e])
+                solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e], work)
             if solved[q]:
                 start[e] = GIVEN
             else:
@@ -721,8 +813,9 @@ def match_frames(
             if solved[q] and _count(use[q], i1 - i0) >= min(3, minimum_stars):
                 continue
             n = i1 - i0
-            fallback, fallback_use = solved[q], use[q].copy()
-            fallback_attitude = attitude[e].copy()
+            fallback = solved[q]
+            fallback_use[:] = use[q]
+            fallback_attitude[:] = attitude[e]
             for attempt in range(2):
                 radius = 0.0
                 kind = NO_START
@@ -740,8 +833,8 @@ def match_frames(
                 axis[:] = attitude[e, 2]
                 m = _candidates(axis, cone + radius, place, motion, parallax, years[e], earth[e], beta[e], star, c)
                 if any_own:
-                    m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1])
-                found = _search(s[i0:i1], G[i0:i1], sigma[i0:i1], attitude[e], radius, m, c, gate, use[q], chosen)
+                    m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1], work)
+                found = _search(s[i0:i1], G[i0:i1], sigma[i0:i1], attitude[e], radius, m, c, gate, use[q], chosen, work)
                 if found < wanted:
                     use[q, :n] = False
                     solved[q] = False
@@ -751,7 +844,7 @@ def match_frames(
                     if use[q, i]:
                         star_id[i0 + i] = hip[star[chosen[i]]]
                         direction[i0 + i] = c[chosen[i]]
-                solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e])
+                solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e], work)
                 if solved[q]:
                     start[e] = kind
                     break
@@ -776,7 +869,7 @@ def match_frames(
                 if use[q, i]:
                     _residual(s[i0 + i], T[q, i], attitude[e], direction[i0 + i], r)
                     _add(Lambda[q], eta[q], A[q, i], r[0], r[1], 1.0 / _variance(sigma[i0 + i], r[0], r[1]), d)
-            _marginal(Lambda[q], eta[q], d, L, shared[q], shared_eta[q])
+            _marginal(Lambda[q], eta[q], d, L, shared[q], shared_eta[q], work)
         # growth, exposure by exposure, each with what the others know
         for e in range(e0, e1):
             q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
@@ -800,7 +893,7 @@ def match_frames(
             axis[:] = attitude[e, 2]
             m = _candidates(axis, cone, place, motion, parallax, years[e], earth[e], beta[e], star, c)
             if any_own:
-                m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1])
+                m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1], work)
             taken[:m] = False
             for i in range(n):
                 named[q, i] = use[q, i] and star_id[i0 + i] == given[i0 + i]
@@ -810,10 +903,10 @@ def match_frames(
                         if hip[star[j]] == star_id[i0 + i]:
                             taken[j] = True
                     chosen[i] = -1
-            before = use[q].copy()
+            before[:] = use[q]
             _prune(
                 s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], named[q], gate,
-                total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y,
+                total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y, work,
             )  # fmt: skip
             for i in range(n):
                 if before[i] and not use[q, i]:
@@ -822,7 +915,7 @@ def match_frames(
                             taken[j] = False
             ok = _grow(
                 s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], m, c, turned, taken, density, gate,
-                total, total_eta, use[q], chosen, reason[i0:i1], L, y,
+                total, total_eta, use[q], chosen, reason[i0:i1], L, y, work,
             )  # fmt: skip
             for i in range(n):
                 if use[q, i] and not before[i]:
@@ -830,12 +923,12 @@ def match_frames(
                     direction[i0 + i] = c[chosen[i]]
             ok = ok and _prune(
                 s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], named[q], gate,
-                total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y,
+                total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y, work,
             )  # fmt: skip
             _finish(
                 s[i0:i1], G[i0:i1], A[q], sigma[i0:i1], weight[i0:i1], named[q], gate, n + 1 if not ok else 2 if start[e] <=
                 OTHER_EXPOSURE else minimum_stars, use[q], star_id[i0:i1], direction[i0:i1], reason[i0:i1], attitude[e],
-                covariance[e], bad,
+                covariance[e], bad, work,
             )  # fmt: skip
             count = _count(use[q], n)
             n_named, n_kept = 0, 0
@@ -866,7 +959,7 @@ def match_frames(
                 if use[q, i]:
                     _residual(s[i0 + i], T[q, i], attitude[e], direction[i0 + i], r)
                     _add(Lambda[q], eta[q], A[q, i], r[0], r[1], 1.0 / _variance(sigma[i0 + i], r[0], r[1]), d)
-            _marginal(Lambda[q], eta[q], d, L, shared[q], shared_eta[q])
+            _marginal(Lambda[q], eta[q], d, L, shared[q], shared_eta[q], work)
 
 
 @_jit
@@ -881,16 +974,18 @@ def _count(use, n):
 
 @_jit
 def _finish(
-    s, G, A, sigma, weight, named, gate, fewest, use, star_id, direction, reason, attitude, covariance, bad
+    s, G, A, sigma, weight, named, gate, fewest, use, star_id, direction, reason, attitude, covariance, bad, work
 ):  # fmt: skip
     """Verify all arcs, solve the attitude with what is left, at least `fewest` stars, and blank what is not matched."""
     n = s.shape[0]
-    held = use[:n].copy()
-    count = _verify(s, G, sigma, direction, use, named, gate, bad)
+    held = work.held
+    for i in range(n):
+        held[i] = use[i]
+    count = _verify(s, G, sigma, direction, use, named, gate, bad, work)
     for i in range(n):
         if held[i] and not use[i]:
             reason[i] = DISAGREES
-    if count < fewest or not _wahba(s, direction, weight, use, attitude):
+    if count < fewest or not _wahba(s, direction, weight, use, attitude, work):
         attitude[:] = np.nan
         covariance[:] = np.nan
         for i in range(n):
@@ -898,7 +993,7 @@ def _finish(
                 reason[i] = FEW_STARS
             use[i] = False
     else:
-        _attitude_covariance(A[:n], sigma, use, covariance)
+        _attitude_covariance(A[:n], sigma, use, covariance, work)
     for i in range(n):
         if not use[i]:
             star_id[i] = 0

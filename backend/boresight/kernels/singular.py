@@ -215,11 +215,13 @@ def weigh_values(star_start, s_i, sigma, model, chosen, apart, determined, rows,
     prefix, sums = np.empty((most + 1, _SIX)), np.empty(_SIX)
     A, P, value = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     full, ends = np.empty((3 * most, 3 * most)), np.empty(3 * most, np.int64)
-    variance, left = np.empty(3 * most), np.empty(3 * most)
+    variance, left, G = np.empty(3 * most), np.empty(3 * most), np.empty((3 * most, 3 * most))
     for e in range(star_start.shape[0] - 1):
         s, noise = s_i[star_start[e] : star_start[e + 1]], sigma[star_start[e] : star_start[e + 1]]
         n = s.shape[0]
-        G = np.zeros((3 * most, 3 * n))
+        for r in range(3 * n):
+            for t in range(3 * n):
+                G[r, t] = 0.0
         _prefix(s, prefix)
         z[e] = 0.0
         m = 0

@@ -41,6 +41,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.estimation.blocks import in_blocks
 from boresight.estimation.rotations import matrix_of, quaternion_of
 from boresight.kernels import matching as loops
 from boresight.sky.detections import Detections
@@ -85,6 +86,8 @@ OTHER_EXPOSURE, QUATERNION, NEIGHBOUR, LOST = (
 #: How far the first stars are sought from where a start says, rad: under a ground calibration the boresight may be off by degrees.
 START_RADIUS = {OTHER_EXPOSURE: 0.03, QUATERNION: 0.06, NEIGHBOUR: 0.06, LOST: 0.03}
 NEIGHBOUR_ROUNDS = 8
+#: Frames a block: their matching takes some milliseconds, and a block's own space for the guide stars nothing beside it.
+FRAMES = 256
 #: Frames that lost-in-space identification may fail on in a row before it is given up: under a wrong focal length it knows none.
 GIVE_UP = 40
 
@@ -206,20 +209,29 @@ class _Matcher:
         `believe` starts from the given matches where they agree among themselves.
         """
         part, rows, exposures = self.detections.frames(frames)
-        n, e, stars = len(rows), len(exposures), self._stars
+        n, e, stars, motion = len(rows), len(exposures), self._stars, self._motion
         star_id, direction, reason = np.zeros(n, np.int64), np.full((n, 3), np.nan), np.zeros(n, np.int64)
         tolerance = np.full(n, np.nan)
         start, valid = np.zeros(e, np.int64), np.zeros(e, np.bool_)
         C, covariance = np.zeros((e, 3, 3)), np.zeros((e, 3, 3))
         kind = kind[exposures]
         radius = np.array([START_RADIUS.get(place, 0.0) for place in range(len(STARTS))])[kind]
-        loops.match_frames(
-            part.frame_start, part.row_start, part.s, part.G, part.sigma_rad, part.star_id, part.given_s, part.own,
-            bool(part.own.any()), believe, matrix_of(hint[exposures]), radius, kind, self._motion.years[exposures],
-            self._motion.earth_au[exposures], self._motion.beta[exposures], stars.hip, stars.place, stars.motion,
-            stars.parallax_rad, stars.density, self._cone, GATE, self._minimum_stars,
-            star_id, direction, reason, tolerance, start, valid, C, covariance,
-        )  # fmt: skip
+        hints, any_own = matrix_of(hint[exposures]), bool(part.own.any())
+        years, earth_au, beta = (values[exposures] for values in (motion.years, motion.earth_au, motion.beta))
+
+        def match_block(first: int, last: int) -> None:
+            e0, e1 = part.frame_start[first], part.frame_start[last]
+            r0, r1 = part.row_start[e0], part.row_start[e1]
+            x, r = slice(e0, e1), slice(r0, r1)
+            loops.match_frames(
+                part.frame_start[first : last + 1] - e0, part.row_start[e0 : e1 + 1] - r0, part.s[r], part.G[r],
+                part.sigma_rad[r], part.star_id[r], part.given_s[r], part.own[r], any_own, believe, hints[x], radius[x], kind[x],
+                years[x], earth_au[x], beta[x], stars.hip, stars.place, stars.motion, stars.parallax_rad,
+                stars.density, self._cone, GATE, self._minimum_stars, star_id[r], direction[r], reason[r], tolerance[r], start[x],
+                valid[x], C[x], covariance[x],
+            )  # fmt: skip
+
+        in_blocks(match_block, len(frames), FRAMES)
         before = np.add.reduceat(self.answer.star_id[rows] > 0, part.row_start[:-1], dtype=np.int64)
         after = np.add.reduceat(star_id > 0, part.row_start[:-1], dtype=np.int64)
         new = (after > before) | ((before == 0) & (self.answer.start[exposures] == 0))
