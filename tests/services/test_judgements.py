@@ -49,7 +49,7 @@ def test_a_second_look_at_an_unchanged_fleet_reads_no_run(engine: Engine, monkey
         audit.append(session, COMMAND_LINE, "calibrated", "sensors/1")
     with reading(engine) as session:
         before = conditions(session)
-    monkeypatch.setattr(judgements, "trend_of", lambda *_: pytest.fail("a trend was read again"))
+    monkeypatch.setattr(judgements, "trends_of", lambda *_: pytest.fail("a trend was read again"))
     for transaction in (reading, writing):
         with transaction(engine) as session:
             assert conditions(session) == before

@@ -49,5 +49,5 @@ def test_a_trend_and_the_newest_summaries_are_read(store: Engine) -> None:
         assert (document["drift"]["verdict"], len(document["points"])) == ("DRIFT", 5)
         newest = trends.recent_summaries(session, 3)[1]
         assert [summary["trend"]["parameters"] for summary in newest] == [
-            run.summary["trend"]["parameters"] for run in trends.finished(session, 1)[-3:]
+            run.summary["trend"]["parameters"] for run in trends.finished(session, [1])[1][-3:]
         ]

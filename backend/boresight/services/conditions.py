@@ -20,7 +20,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from boresight.services.fleet import OLD_DAYS, days_since
-from boresight.services.judgements import Judgement, judgement
+from boresight.services.judgements import Judgement, judgements
 from boresight.store import sensors as rows
 from boresight.store import trends
 from boresight.store.sessions import Session, utc_text
@@ -59,12 +59,14 @@ def conditions(session: Session, sensor_ids: Sequence[int] | None = None) -> lis
     onboard = defaultdict[int, list[ParameterSet]](list)
     for row in rows.onboard_sets(session, sensor_ids):
         onboard[row.sensor_id].append(row)
+    fleet = rows.sensors(session, sensor_ids)
+    drifts = judgements(session, fleet, baselines, stamps)
     return [
         found
-        for sensor in rows.sensors(session, sensor_ids)
+        for sensor in fleet
         for found in (
             *_mismatches(sensor, onboard[sensor.id]),
-            *_drift(sensor, judgement(session, sensor, baselines.get(sensor.id), stamps.get(sensor.id))),
+            *_drift(sensor, drifts[sensor.id]),
             *_age(sensor, baselines.get(sensor.id)),
         )
     ]

@@ -7,14 +7,17 @@ fleet, and is made anew when one of them is another. What is remembered is small
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
 from boresight.services import drift
-from boresight.services.trend import trend_of
+from boresight.services.trend import trends_of
 from boresight.store.sessions import Session
 from boresight.store.tables import ParameterSet, Sensor
+
+TOGETHER = 16  # sensors whose runs are held in memory at once
 
 
 @dataclass(frozen=True)
@@ -40,11 +43,23 @@ def judgement(session: Session, sensor: Sensor, baseline: ParameterSet | None, s
     stamp
         Of its runs, as `store.trends.stamps` gives it; None where none succeeded.
     """
+    return judgements(session, [sensor], {sensor.id: baseline}, {sensor.id: stamp})[sensor.id]
+
+
+def judgements(
+    session: Session, sensors: Sequence[Sensor], baselines: Mapping[int, ParameterSet | None], stamps: Mapping[int, Any]
+) -> dict[int, Judgement]:
+    """Return whether some sensors drift; see `judgement`. Those that must be asked anew are, `TOGETHER` at a time."""
     of_store = _known.setdefault(session.get_bind().pool, {})  # an engine with options is another object
-    rests_on = (None if baseline is None else baseline.id, sensor.version, stamp)
-    before, known = of_store.get(sensor.id, (None, None))
-    if known is None or before != rests_on:
-        found = drift.judge(trend_of(session, sensor.id))
-        known = Judgement(found.verdict, found.sentence, drift.document(found))
-        of_store[sensor.id] = rests_on, known
-    return known
+    rests_on = {sensor.id: _rests_on(sensor, baselines.get(sensor.id), stamps.get(sensor.id)) for sensor in sensors}
+    unknown = [sensor for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
+    for start in range(0, len(unknown), TOGETHER):
+        for sensor_id, trend in trends_of(session, unknown[start : start + TOGETHER]).items():
+            found = drift.judge(trend)
+            of_store[sensor_id] = rests_on[sensor_id], Judgement(found.verdict, found.sentence, drift.document(found))
+    return {sensor.id: of_store[sensor.id][1] for sensor in sensors}
+
+
+def _rests_on(sensor: Sensor, baseline: ParameterSet | None, stamp: Any) -> tuple[Any, ...]:
+    """Return what changes when a sensor's trend does."""
+    return None if baseline is None else baseline.id, sensor.version, stamp

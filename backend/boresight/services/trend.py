@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from boresight.services.transitions import get_sensor
 from boresight.store import trends as rows
 from boresight.store.sessions import Session, utc_text
-from boresight.store.tables import ParameterSet, Sensor, TelemetrySet
+from boresight.store.tables import ParameterSet, Promotion, Sensor, TelemetrySet, Uplink
 
 FloatArray = NDArray[np.float64]
 
@@ -146,13 +146,35 @@ def trend_of(session: Session, sensor_id: int) -> Trend:
     NotFoundError
         When there is no such sensor.
     """
-    sensor = get_sensor(session, sensor_id)
-    promoted, telemetry = rows.baselines(session, sensor_id), rows.telemetry(session, sensor_id)
+    return trends_of(session, [get_sensor(session, sensor_id)])[sensor_id]
+
+
+def trends_of(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]:
+    """Gather some sensors over the mission, in as many queries as for one."""
+    ids = [sensor.id for sensor in sensors]
+    finished, telemetry = rows.finished(session, ids), rows.telemetry(session, ids)
+    promoted, records = rows.baselines(session, ids), rows.records(session, ids)
+    return {
+        sensor.id: _trend(
+            sensor, promoted[sensor.id], finished[sensor.id], telemetry[sensor.id], _marks(records[sensor.id])
+        )
+        for sensor in sensors
+    }
+
+
+def _trend(
+    sensor: Sensor,
+    promoted: Sequence[tuple[Promotion, ParameterSet]],
+    finished: Sequence[Any],
+    telemetry: Mapping[int, TelemetrySet],
+    marks: Sequence[Mark],
+) -> Trend:
+    """Judge which calibrations of a sensor count, and put them in order."""
     baseline = promoted[-1][1] if promoted else None
     model = str((baseline.document if baseline else sensor.document)["camera_model"])
     found = [
         _point(run, telemetry[run.telemetry_set_id])
-        for run in rows.finished(session, sensor_id)
+        for run in finished
         if (run.summary or {}).get("status") is not None
     ]
     judged = [_comparable(point, sensor, baseline) for point in found if point.camera_model == model]
@@ -163,12 +185,14 @@ def trend_of(session: Session, sensor_id: int) -> Trend:
         points=sorted(_counted_once(judged), key=_place),
         others=sorted((point for point in found if point.camera_model not in {model, ""}), key=_place),
         periods=list(_periods([(promotion.at_utc, row) for promotion, row in promoted])),
-        marks=[
-            Mark(record.recorded_utc, record.onboard_state, row.id, row.name)
-            for record, row in rows.records(session, sensor_id)
-        ],
+        marks=marks,
         telemetry=telemetry,
     )
+
+
+def _marks(records: Sequence[tuple[Uplink, ParameterSet]]) -> list[Mark]:
+    """Say what was recorded on board."""
+    return [Mark(record.recorded_utc, record.onboard_state, row.id, row.name) for record, row in records]
 
 
 def span_of(row: TelemetrySet) -> tuple[str, str, bool]:

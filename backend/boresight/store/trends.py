@@ -1,8 +1,8 @@
-"""Queries on a sensor over the mission: its finished calibrations, the data behind them, its baselines, its records on board."""
+"""Queries on sensors over the mission, some at once: finished calibrations, the data behind them, baselines, records on board."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import sqlalchemy as sa
@@ -11,11 +11,11 @@ from boresight.store.sessions import Session
 from boresight.store.tables import ParameterSet, Promotion, Run, Sensor, TelemetrySet, Uplink
 
 
-def finished(session: Session, sensor_id: int) -> Sequence[Any]:
-    """Return id, telemetry_set_id, method, label, ended_utc and summary of a sensor's runs that succeeded."""
-    columns = (Run.id, Run.telemetry_set_id, Run.method, Run.label, Run.ended_utc, Run.summary)
-    query = sa.select(*columns).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED")
-    return session.execute(query.order_by(Run.id)).all()
+def finished(session: Session, sensor_ids: Collection[int]) -> dict[int, list[Any]]:
+    """Return sensor_id, id, telemetry_set_id, method, label, ended_utc and summary of the runs that succeeded, by sensor."""
+    columns = (Run.sensor_id, Run.id, Run.telemetry_set_id, Run.method, Run.label, Run.ended_utc, Run.summary)
+    query = sa.select(*columns).where(Run.sensor_id.in_(sensor_ids), Run.state == "SUCCEEDED")
+    return _by_sensor(sensor_ids, session.execute(query.order_by(Run.sensor_id, Run.id)), lambda row: row)
 
 
 def stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, tuple[int, str | None]]:
@@ -27,25 +27,39 @@ def stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[
     return {sensor_id: (count, ended_utc) for sensor_id, count, ended_utc in rows}
 
 
-def telemetry(session: Session, sensor_id: int) -> dict[int, TelemetrySet]:
-    """Return all telemetry sets of a sensor, and those that its runs used, by number."""
-    used = sa.select(Run.telemetry_set_id).where(Run.sensor_id == sensor_id)
-    query = sa.select(TelemetrySet).where(sa.or_(TelemetrySet.sensor_id == sensor_id, TelemetrySet.id.in_(used)))
-    return {row.id: row for row in session.scalars(query.order_by(TelemetrySet.id))}
+def telemetry(session: Session, sensor_ids: Collection[int]) -> dict[int, dict[int, TelemetrySet]]:
+    """Return all telemetry sets of each sensor, and those that its runs used, by number."""
+    used = sa.select(Run.sensor_id, Run.telemetry_set_id).where(Run.sensor_id.in_(sensor_ids)).distinct()
+    pairs = {(sensor_id, set_id) for sensor_id, set_id in session.execute(used)}
+    named = sa.or_(TelemetrySet.sensor_id.in_(sensor_ids), TelemetrySet.id.in_({set_id for _, set_id in pairs}))
+    sets = {row.id: row for row in session.scalars(sa.select(TelemetrySet).where(named).order_by(TelemetrySet.id))}
+    pairs |= {(row.sensor_id, row.id) for row in sets.values()}
+    return {
+        sensor_id: {number: sets[number] for number in sets if (sensor_id, number) in pairs} for sensor_id in sensor_ids
+    }
 
 
-def baselines(session: Session, sensor_id: int) -> Sequence[tuple[Promotion, ParameterSet]]:
-    """Return a sensor's promotions with their sets, oldest first."""
-    query = sa.select(Promotion, ParameterSet).join(ParameterSet, Promotion.parameter_set_id == ParameterSet.id)
-    rows = session.execute(query.where(Promotion.sensor_id == sensor_id).order_by(Promotion.at_utc, Promotion.id))
-    return [(promotion, row) for promotion, row in rows]
+def baselines(session: Session, sensor_ids: Collection[int]) -> dict[int, list[tuple[Promotion, ParameterSet]]]:
+    """Return the promotions of each sensor with their sets, oldest first."""
+    query = sa.select(Promotion.sensor_id, Promotion, ParameterSet).where(Promotion.sensor_id.in_(sensor_ids))
+    query = query.join(ParameterSet, Promotion.parameter_set_id == ParameterSet.id)
+    rows = session.execute(query.order_by(Promotion.at_utc, Promotion.id))
+    return _by_sensor(sensor_ids, rows, lambda row: (row[1], row[2]))
 
 
-def records(session: Session, sensor_id: int) -> Sequence[tuple[Uplink, ParameterSet]]:
-    """Return what was recorded on board of a sensor's sets, oldest first."""
-    query = sa.select(Uplink, ParameterSet).join(ParameterSet, Uplink.parameter_set_id == ParameterSet.id)
-    rows = session.execute(query.where(ParameterSet.sensor_id == sensor_id).order_by(Uplink.id))
-    return [(uplink, row) for uplink, row in rows]
+def records(session: Session, sensor_ids: Collection[int]) -> dict[int, list[tuple[Uplink, ParameterSet]]]:
+    """Return what was recorded on board of each sensor's sets, oldest first."""
+    query = sa.select(ParameterSet.sensor_id, Uplink, ParameterSet).where(ParameterSet.sensor_id.in_(sensor_ids))
+    query = query.join(ParameterSet, Uplink.parameter_set_id == ParameterSet.id)
+    return _by_sensor(sensor_ids, session.execute(query.order_by(Uplink.id)), lambda row: (row[1], row[2]))
+
+
+def _by_sensor(sensor_ids: Collection[int], rows: Iterable[Any], part: Callable[[Any], Any]) -> dict[int, list[Any]]:
+    """Sort rows, whose first column is a sensor, under their sensors."""
+    found: dict[int, list[Any]] = {sensor_id: [] for sensor_id in sensor_ids}
+    for row in rows:
+        found[row[0]].append(part(row))
+    return found
 
 
 def recent_summaries(session: Session, limit: int) -> dict[int, list[dict[str, Any]]]:
