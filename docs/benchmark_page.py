@@ -131,6 +131,7 @@ def _accuracy(found: dict[str, Any]) -> str:
         rows = [_accuracy_row(row) for row in found["estimators"].values() if row["problem"] == problem]
         if rows:
             text += f"### {title}\n\n" + table(ACCURACY_HEADS, rows) + "\n"
+    text += "### How time and memory grow with the frames\n\n" + _peer_growth(found) + "\n"
     text += "### Root mean square error of each parameter, and over its bound\n\n" + _parameters(found)
     unfair = "".join(f"- {peer.title}: {peer.unfair}\n" for name, peer in PEERS.items() if name in found["estimators"])
     return text + AFTER_ACCURACY + "\nWhat is not the same:\n\n" + unfair
@@ -156,6 +157,17 @@ def _accuracy_row(row: dict[str, Any]) -> list[str]:
     shown = [*map(number, cells)]
     shown[2] += f" ({number(row['peak_rss_mb'])})"
     return [row["title"] + failed, str(row["frames"]), *shown]
+
+
+def _peer_growth(found: dict[str, Any]) -> str:
+    """Exponent of time, and memory at the longer set."""
+    rows = [
+        [row["title"], f"{grown['from_frames']:,}", f"{grown['to_frames']:,}", number(grown["exponent"]),
+         number(grown["us_per_frame"]), number(grown["work_rss_mb"])]
+        for row in found["estimators"].values()
+        if (grown := row.get("growth"))
+    ]  # fmt: skip
+    return table(("estimator", "from frames", "to frames", "exponent", "µs a frame there", "memory there, MB"), rows)
 
 
 def _parameters(found: dict[str, Any]) -> str:

@@ -101,12 +101,18 @@ def test_the_part_sets_each_peer_beside_the_batch_on_the_same_frames_in_the_same
     told = []
 
     found = accuracy.measure(
-        lambda fraction, message: told.append((fraction, message)), frames=12, sets=2, peers=["scipy_least_squares"]
+        lambda fraction, message: told.append((fraction, message)),
+        frames=12,
+        sets=2,
+        more_frames=24,
+        peers=["scipy_least_squares"],
     )
 
     batch, scipy = (found["estimators"][name] for name in ("boresight_batch", "scipy_least_squares"))
     assert scipy["us_per_frame_over_ours"] == pytest.approx(scipy["us_per_frame"] / batch["us_per_frame"])
     assert scipy["error_over_bound"] == pytest.approx(batch["error_over_bound"], rel=0.2)
+    assert (scipy["growth"]["from_frames"], scipy["growth"]["to_frames"]) == (12, 24)
+    assert scipy["growth"]["exponent"] < 4
     assert len(batch["error"]) == len(found["parameters"]) == 8
     assert {limit["kept"] for limit in found["limits"].values()} <= {True, False}
     assert [fraction for fraction, _ in told] == sorted(fraction for fraction, _ in told)
@@ -115,7 +121,7 @@ def test_the_part_sets_each_peer_beside_the_batch_on_the_same_frames_in_the_same
 def test_a_peer_that_is_not_installed_is_said_to_be_missing(monkeypatch):
     monkeypatch.setattr(type(PEERS["pyceres"]), "installed", property(lambda self: self.needs is None))
 
-    found = accuracy.measure(lambda _fraction, _message: None, frames=12, sets=1, peers=["pyceres"])
+    found = accuracy.measure(lambda _fraction, _message: None, frames=12, sets=1, more_frames=12, peers=["pyceres"])
 
     assert found["estimators"]["pyceres"]["missing"] == "pyceres is not installed (pip install boresight[bench])"
     assert "us_per_frame" not in found["estimators"]["pyceres"]

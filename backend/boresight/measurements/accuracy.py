@@ -11,6 +11,9 @@ stars, several sets of them; `peers` says what problem each solves. Three figure
   hundred is confidently wrong; NEES says the same of all parameters together, and should lie near eight.
 
 `rms_px` is the residual that each is left with: by it alone the right and the wrong cannot be told apart.
+
+`growth` is how time grows from one length of set to another: the exponent log(t_2/t_1) / log(n_2/n_1). A peer that is fast enough
+gets one set of `more_frames`, and its memory there; any other a quarter of its frames.
 """
 
 from __future__ import annotations
@@ -38,9 +41,14 @@ OVER_BOUND = 1.25
 #: Most that it may err over the best of the peers on the same frames.
 OVER_BEST_PEER = 1.1
 NEES_CHANCE = 0.999
+#: Longest that a peer may be expected to take over the longer set.
+PATIENCE_S = 30.0
+SHORTER = 4
 
 
-def measure(report: Report, frames: int = 200, sets: int = 12, peers: list[str] | None = None) -> dict[str, Any]:
+def measure(
+    report: Report, frames: int = 200, sets: int = 12, more_frames: int = 4000, peers: list[str] | None = None
+) -> dict[str, Any]:
     """Run every installed peer on the same sets.
 
     Parameters
@@ -51,6 +59,8 @@ def measure(report: Report, frames: int = 200, sets: int = 12, peers: list[str] 
         Frames a set; a peer that cannot bear so many gets the first of them, and Boresight the same once more.
     sets
         Simulated sets.
+    more_frames
+        Frames of the one longer set.
     peers
         Names of those to run, all by default.
     """
@@ -58,6 +68,7 @@ def measure(report: Report, frames: int = 200, sets: int = 12, peers: list[str] 
     report(0.0, "simulating the sets")
     catalogue = load_catalogue(None)
     views = [simulated_views(frames, seed, catalogue) for seed in range(sets)]
+    longer = simulated_views(more_frames, sets, catalogue)
     found = dict[str, dict[str, Any]]()
     ours = dict[int, dict[str, Any]]()
     for turn, name in enumerate(chosen):
@@ -69,9 +80,12 @@ def measure(report: Report, frames: int = 200, sets: int = 12, peers: list[str] 
             continue
         size = min(frames, PEERS[name].frames)
         part = [one.first(size) for one in views]
-        ours.setdefault(size, _summary(_in_its_own_process(OURS, part)))
+        if size not in ours:
+            ours[size] = _summary(_in_its_own_process(OURS, part))
         summary = ours[size] if name == OURS else _summary(_in_its_own_process(name, part))
-        found[name] = _described(name) | summary | _beside(summary, ours[size])
+        found[name] = (
+            _described(name) | summary | _beside(summary, ours[size]) | _growth(name, summary, part[0], longer)
+        )
     return {
         "frames": frames, "sets": sets, "centroid_sigma_px": ST16_CENTROID_SIGMA_PX,
         "parameters": list(CAMERA_MODELS["inverted_wang"].parameter_names), "estimators": found, "limits": _limits(found, sets),
@@ -129,6 +143,25 @@ def _beside(summary: dict[str, Any], ours: dict[str, Any]) -> dict[str, Any]:
     """Ratios to Boresight's batch on the same frames."""
     keys = ("us_per_frame", "detector_px", "work_rss_mb")
     return {f"{key}_over_ours": summary[key] / ours[key] for key in keys if summary.get(key) and ours.get(key)}
+
+
+def _growth(name: str, summary: dict[str, Any], views: Views, longer: Views) -> dict[str, Any]:
+    """Time of another length of set, and the exponent between both; nothing of a peer that failed."""
+    if "us_per_frame" not in summary:
+        return {}
+    patient = summary["us_per_frame"] * 1e-6 * longer.n_frames < PATIENCE_S and PEERS[name].frames >= longer.n_frames
+    other = _summary(_in_its_own_process(name, [longer if patient else views.first(max(1, views.n_frames // SHORTER))]))
+    if "us_per_frame" not in other or other["frames"] == summary["frames"]:
+        return {}
+    small, large = (summary, other) if patient else (other, summary)
+    n = large["frames"] / small["frames"]
+    exponent = 1 + float(np.log(large["us_per_frame"] / small["us_per_frame"]) / np.log(n))
+    return {
+        "growth": {
+            "from_frames": small["frames"], "to_frames": large["frames"], "exponent": exponent,
+            "us_per_frame": large["us_per_frame"], "work_rss_mb": large["work_rss_mb"],
+        }
+    }  # fmt: skip
 
 
 def _limits(found: dict[str, dict[str, Any]], sets: int) -> dict[str, dict[str, Any]]:
