@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from boresight.estimation import singular_values
+from boresight.estimation import references, singular_values
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.references import (
     View,
     information_content,
+    judged,
     observability_of_models,
     observability_of_values,
     relative,
+    seen,
 )
 from boresight.estimation.singular_values import Selection
 from tests.estimation.fields import FREE, SCALE, TRUTH, star_field, weighed
@@ -85,3 +87,15 @@ def test_a_frame_with_fewer_rows_than_parameters_observes_nothing():
 def test_what_does_not_determine_all_parameters_has_no_share():
     assert relative(np.diag([1.0, 0.0]), np.eye(2)).tolist() == [0.0, 0.0]
     assert relative(np.diag([1.0, 0.25]), np.eye(2)).tolist() == [1.0, 0.25]
+
+
+@pytest.mark.parametrize("most_squares", [1, 1500, 1e9])
+def test_the_runs_in_which_frames_are_taken_change_nothing(field, monkeypatch, most_squares):
+    monkeypatch.setattr(references, "MOST_SQUARES", most_squares)
+    runs = seen(VIEW, field)
+    smallest, information = judged(VIEW, runs, Selection(4))
+    one_by_one = [judged(VIEW, seen(VIEW, field.frames(k, k + 1)), Selection(4)) for k in range(field.n_frames)]
+
+    assert sum(len(run.frame_start) - 1 for run in runs) == field.n_frames
+    np.testing.assert_allclose(smallest, np.concatenate([found[0] for found in one_by_one]), rtol=1e-9)
+    np.testing.assert_allclose(information, sum(found[1] for found in one_by_one), rtol=1e-9, atol=1e-6)

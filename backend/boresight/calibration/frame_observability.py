@@ -61,14 +61,14 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
     """
     arcs = weighed(chosen(problem.arcs, _taken(problem.arcs)), problem.camera, estimate.x)
     view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
-    frames = seen(view, arcs)
-    found = {chosen_values: judged(view, frames, Selection(*chosen_values)) for chosen_values in SELECTIONS}
+    runs = seen(view, arcs)
+    found = {chosen_values: judged(view, runs, Selection(*chosen_values)) for chosen_values in SELECTIONS}
     models = _known([found[model, CHOSEN.values][0] for model in STAR_MODELS])
     values = _known([found[CHOSEN.model, (k,)][0] for k in VALUES])
     names = [*(f"model_{model}" for model in STAR_MODELS), *(f"sigma_{k}" for k in VALUES)]
     curves = zip(names, (*models, *values), strict=True)
     held = {name: found[selection][1] for name, selection in REFERENCES.items()}
-    held = {"angular": information_of_pairs(view, frames)} | held
+    held = {"angular": information_of_pairs(view, runs)} | held
     information = _information(view, arcs, held, [problem.camera.parameter_names[p] for p in parameters.free])
     return {
         "frame": arcs.frame.tolist(),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -65,10 +66,18 @@ def header(
         "left_out": [vars(item) for item in problem.left_out],
         "inputs": {
             "sha256s": dict(sha256s),
-            "versions": {name: version(name) for name in ("numpy", "numba", "scipy", "pyerfa")}
-            | {"boresight": __version__, "python": platform.python_version()},
+            "versions": dict(_versions()),
             "settings": settings.document(),
         },
+    }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """What computes here; asking the installed packages takes as long as a short fit."""
+    return {name: version(name) for name in ("numpy", "numba", "scipy", "pyerfa")} | {
+        "boresight": __version__,
+        "python": platform.python_version(),
     }
 
 

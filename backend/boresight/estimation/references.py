@@ -38,6 +38,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Rows = tuple[FloatArray, FloatArray]
 
+#: Stars of the fullest exposure squared, times the exposures of a run: its covariances take nine times as many numbers.
+MOST_SQUARES = 2e5
+
 
 @dataclass(frozen=True)
 class View:
@@ -60,11 +63,13 @@ class View:
 
 
 @dataclass(frozen=True)
-class SeenFrame:
-    """A frame as it is seen under a view, once for all references.
+class SeenFrames:
+    """Some frames as they are seen under a view, once for all references.
 
     Parameters
     ----------
+    frame_start
+        (n_frames + 1,) first exposure of each frame.
     star_start
         (n_exposures + 1,) first star of each exposure.
     s_i, sigma_rad
@@ -73,6 +78,7 @@ class SeenFrame:
         (n_stars, 3) measured directions and (n_stars, 3, N_PARAMETERS) ds/dx.
     """
 
+    frame_start: IntArray
     star_start: IntArray
     s_i: FloatArray
     sigma_rad: FloatArray
@@ -95,7 +101,7 @@ def _smallest(view: View, arcs: ArcSet, selection: Selection) -> FloatArray:
     return judged(view, seen(view, arcs), selection)[0]
 
 
-def judged(view: View, frames: Sequence[SeenFrame], selection: Selection) -> tuple[FloatArray, FloatArray]:
+def judged(view: View, runs: Sequence[SeenFrames], selection: Selection) -> tuple[FloatArray, FloatArray]:
     """Both measures of a selection of singular values, for the price of one.
 
     Returns
@@ -106,34 +112,50 @@ def judged(view: View, frames: Sequence[SeenFrame], selection: Selection) -> tup
         H^T R^+ H of all frames, (n_free, n_free).
     """
     reference = SingularValues(selection, view.free, view.scale)
-    n = len(view.free)
-    A, flat = np.zeros((n, n)), list[FloatArray]()
-    for frame in frames:
-        reference.weigh(frame.star_start, frame.s_i, frame.sigma_rad)
-        unwhitened, (_, H) = reference.both(frame.s, frame.D)
+    A, smallest = np.zeros((len(view.free),) * 2), list[FloatArray]()
+    for run in runs:
+        reference.weigh(run.star_start, run.s_i, run.sigma_rad)
+        unwhitened, (_, H) = reference.both(run.s, run.D)
         A += H.T @ H
-        flat.append(unwhitened.reshape(-1, n))
-    smallest = np.zeros(len(frames))
-    rows = np.array([len(H) for H in flat])
-    for size in np.unique(rows):  # rows that are not measured are zero, and add nothing
-        of = np.flatnonzero(rows == size)
-        stacked = np.stack([flat[k] for k in of])
-        full = np.any(stacked, axis=2).sum(axis=1) >= n
-        smallest[of[full]] = np.linalg.svd(stacked[full], compute_uv=False)[:, -1]
-    return smallest, A
+        smallest.append(_smallest_of(unwhitened, run.frame_start))
+    return np.concatenate(smallest), A
 
 
-def seen(view: View, arcs: ArcSet) -> list[SeenFrame]:
-    """Frames of a weighed set under a view, with the direction errors of its state."""
+def _smallest_of(H: FloatArray, frame_start: IntArray) -> FloatArray:
+    """Smallest singular values (n_frames,) of the rows (n_exposures, n_rows, n_free) of each frame."""
+    smallest, counts, n_free = np.zeros(len(frame_start) - 1), np.diff(frame_start), H.shape[2]
+    for count in np.unique(counts):
+        of = np.flatnonzero(counts == count)
+        rows = H[frame_start[of][:, None] + np.arange(count)].reshape(len(of), -1, n_free)
+        full = np.any(rows, axis=2).sum(axis=1) >= n_free  # rows that are not measured are zero, and add nothing
+        smallest[of[full]] = np.linalg.svd(rows[full], compute_uv=False)[:, -1]
+    return smallest
+
+
+def seen(view: View, arcs: ArcSet) -> list[SeenFrames]:
+    """Frames of a set under a view, with the direction errors of its state, in runs whose covariances fit into memory."""
     sigma_rad, star_start = angular_sigma(view.camera, view.x, arcs), arcs.star_start
     s, D = np.empty((arcs.n_stars, 3)), np.empty((arcs.n_stars, 3, kernels.N_PARAMETERS))
     kernels.rays_and_jacobians(arcs.model, view.x, arcs.pitch, arcs.row_px, arcs.col_px, s, D)
-    frames = []
-    for first, last in pairwise(arcs.frame_start.tolist()):
-        stars = slice(int(star_start[first]), int(star_start[last]))
-        starts = star_start[first : last + 1] - stars.start
-        frames.append(SeenFrame(starts, arcs.s_i[stars], sigma_rad[stars], s[stars], D[stars]))
-    return frames
+    runs = []
+    for first, last in pairwise(_runs(arcs)):
+        e0, e1 = int(arcs.frame_start[first]), int(arcs.frame_start[last])
+        stars = slice(int(star_start[e0]), int(star_start[e1]))
+        frame_start, starts = arcs.frame_start[first : last + 1] - e0, star_start[e0 : e1 + 1] - stars.start
+        runs.append(SeenFrames(frame_start, starts, arcs.s_i[stars], sigma_rad[stars], s[stars], D[stars]))
+    return runs
+
+
+def _runs(arcs: ArcSet) -> list[int]:
+    """First frame of each run, and the end: the exposures of a run times the square of the fullest one's stars are bounded."""
+    edges, most, exposures = [0], 0, 0
+    fullest = np.maximum.reduceat(np.diff(arcs.star_start), arcs.frame_start[:-1])
+    for k, (stars, count) in enumerate(zip(fullest.tolist(), np.diff(arcs.frame_start).tolist(), strict=True)):
+        most, exposures = max(most, stars), exposures + count
+        if exposures * most**2 > MOST_SQUARES and k > edges[-1]:
+            edges.append(k)
+            most, exposures = stars, count
+    return [*edges, arcs.n_frames]
 
 
 @dataclass(frozen=True)
@@ -185,17 +207,17 @@ def relative(A: FloatArray, bound: FloatArray) -> FloatArray:
 
 def whitened_information(view: View, arcs: ArcSet, selection: Selection | None) -> FloatArray:
     """H^T R^+ H of a weighed set (n_free, n_free): of singular values, or of all pairs for None."""
-    frames = seen(view, arcs)
-    return information_of_pairs(view, frames) if selection is None else judged(view, frames, selection)[1]
+    runs = seen(view, arcs)
+    return information_of_pairs(view, runs) if selection is None else judged(view, runs, selection)[1]
 
 
-def information_of_pairs(view: View, frames: Sequence[SeenFrame]) -> FloatArray:
+def information_of_pairs(view: View, runs: Sequence[SeenFrames]) -> FloatArray:
     """H^T R^+ H of all pairs of some frames, (n_free, n_free)."""
     reference = AllPairs(view.free, view.scale)
     A = np.zeros((len(view.free), len(view.free)))
-    for frame in frames:
-        reference.weigh(frame.star_start, frame.s_i, frame.sigma_rad)
-        _, H = reference.rows(frame.s, frame.D)
+    for run in runs:
+        reference.weigh(run.star_start, run.s_i, run.sigma_rad)
+        _, H = reference.rows(run.s, run.D)
         A += H.T @ H
     return A
 

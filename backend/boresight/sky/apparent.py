@@ -26,6 +26,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.estimation.blocks import in_blocks
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.earth import days_since_j2000, earth_state
 
@@ -37,6 +38,8 @@ DAYS_PER_YEAR = 365.25
 _ARCSEC_PER_RAD = 180.0 * 3600.0 / np.pi
 C_AU_DAY = 173.1446326846693
 C_M_S = 299792458.0
+#: Directions found at a time: few enough to stay in the processor's cache, many enough to be worth a thread.
+ROWS = 16_384
 
 
 def apparent_directions(
@@ -64,9 +67,13 @@ def apparent_directions(
     """
     directions = np.full((len(index), 3), np.nan)
     known = np.flatnonzero((index >= 0) & ~np.isnat(time_utc))
-    if len(known):
-        velocity = None if velocity_m_s is None else velocity_m_s[known]
-        directions[known] = _seen(catalogue, index[known], time_utc[known], velocity)
+
+    def see(first: int, last: int) -> None:
+        rows = known[first:last]
+        velocity = None if velocity_m_s is None else velocity_m_s[rows]
+        directions[rows] = _seen(catalogue, index[rows], time_utc[rows], velocity)
+
+    in_blocks(see, len(known), ROWS)
     return directions
 
 

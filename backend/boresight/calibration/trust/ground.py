@@ -241,7 +241,8 @@ def nested(values: NDArray[Any]) -> list[Any]:
     """Nested lists of five significant digits, with null for what is not finite: for drawing, not for computing on."""
     if values.ndim > 1:
         return [nested(row) for row in values]
-    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values.tolist()]
+    written = ("%.5g " * len(values) % tuple(values.tolist())).split()
+    return [float(text) if known else None for text, known in zip(written, np.isfinite(values).tolist(), strict=True)]
 
 
 def probability(p: float) -> str:
