@@ -16,6 +16,7 @@ from contextlib import asynccontextmanager
 from functools import cache
 
 import uvicorn
+from anyio.to_thread import current_default_thread_limiter
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from starlette.concurrency import run_in_threadpool
@@ -23,18 +24,24 @@ from starlette.exceptions import HTTPException
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.types import Scope
 
 import boresight
 from boresight.api import static_files
 from boresight.api.broadcast import Broadcast
+from boresight.api.changes import Changes
 from boresight.api.cookies import LogInCookie
+from boresight.api.credentials import prove
 from boresight.api.deliveries import Deliveries
 from boresight.api.drawn import Drawn
+from boresight.api.gate import Gate
 from boresight.api.heartbeat import Heartbeat
+from boresight.api.keeping import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, Keeping
 from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
 from boresight.api.problems import problem_of, problem_response
+from boresight.api.ready import Answering, Proof, Ready
 from boresight.api.routes import router as api_router
 from boresight.api.upkeep import Upkeep
 from boresight.errors import BoresightError
@@ -45,14 +52,14 @@ from boresight.services.forecasts import Sight
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blobs import open_blobs
+from boresight.store.marks import Marks
 from boresight.store.sessions import migrate, open_engine, reading
 from boresight.workers.engine import Engine
 
 log = logging.getLogger(__name__)
 
-COMPRESS_FROM_BYTES = 2048
-COMPRESSION_LEVEL = 5
 DRAIN_S = 10
+THREADS = 8  # of requests: more of them only take the interpreter from each other (ADR 0041)
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -76,7 +83,10 @@ def create_app(settings: Settings) -> FastAPI:
     app.include_router(pages_router)
     for kind in (BoresightError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, _refuse)
+    app.add_middleware(Keeping, ready=app.state.ready)  # what is added later is further out
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
+    app.add_middleware(Gate, refuse=_turn_away)
+    app.add_middleware(Answering, ready=app.state.ready)
     limit_mb = settings.upload_limit_mb
     app.add_middleware(
         Border,
@@ -104,6 +114,8 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
     state.upkeep = Upkeep(state.engine)
     state.deliveries = Deliveries(state.engine, local=bool(settings.webhooks_local))
+    state.changes = Changes(Marks(state.engine))
+    state.ready = Ready(state.changes, _prove, state.upkeep.light)
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
@@ -132,6 +144,7 @@ def _lazy_catalogue(settings: Settings) -> Callable[[], Catalogue]:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Open the parts in order, and close them in reverse."""
     state = app.state
+    current_default_thread_limiter().total_tokens = THREADS
     await run_in_threadpool(migrate, state.engine)
     state.write_lock = asyncio.Lock()
     state.broadcast.start()
@@ -149,6 +162,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.heartbeat.close)
         await run_in_threadpool(state.upkeep.close)
         await run_in_threadpool(state.broadcast.close)
+        state.changes.close()
         state.engine.dispose()
 
 
@@ -158,6 +172,22 @@ def _warm(catalogue: Callable[[], Catalogue]) -> None:
         catalogue()
     except Exception:
         log.exception("The star catalogue could not be loaded; the first upload tries again")
+
+
+async def _prove(scope: Scope) -> Proof | None:
+    """Look up the credentials of a request: one read, so short on SQLite that a thread would take longer."""
+    if scope["app"].state.engine.dialect.name == "sqlite":
+        return prove(scope)
+    return await run_in_threadpool(prove, scope)
+
+
+def _turn_away(request: Request, error: Exception) -> Response:
+    """Answer who is not let in, without a thread and without the store."""
+    if is_page(request):
+        response = bare_problem_page(request, error)
+        response.headers.update(problem_of(error).headers or {})
+        return response
+    return problem_response(request, problem_of(error))
 
 
 async def _refuse(request: Request, error: Exception) -> Response:

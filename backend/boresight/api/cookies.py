@@ -36,6 +36,7 @@ class LogIn:
     user_id: int
     epoch: int
     csrf_token: str
+    ends_s: float = 0.0  # by the clock, however much it is used
 
 
 def read_secret(folder: Path) -> bytes:
@@ -102,11 +103,20 @@ class LogInCookie:
             When it is too old, was idle for too long, is altered, or signed by another installation.
         """
         try:
-            user_id, epoch, csrf_token = self._serializer.loads(value, max_age=self._max_age_s)
+            said, signed = self._serializer.loads(value, max_age=self._max_age_s, return_timestamp=True)
+            user_id, epoch, csrf_token = said
         except (BadData, ValueError, TypeError) as error:
             raise UnauthenticatedError("Your log-in has expired; log in again.") from error
         self._refuse_idle(str(csrf_token), active=active)
-        return LogIn(int(user_id), int(epoch), str(csrf_token))
+        return LogIn(int(user_id), int(epoch), str(csrf_token), signed.timestamp() + self._max_age_s)
+
+    def use(self, log_in: LogIn) -> bool:
+        """Count a use of a log-in that was read before; whether it was not idle for too long."""
+        try:
+            self._refuse_idle(log_in.csrf_token, active=True)
+        except UnauthenticatedError:
+            return False
+        return True
 
     def _refuse_idle(self, csrf_token: str, *, active: bool) -> None:
         """Refuse a log-in that was not used for too long, and go on refusing it."""

@@ -11,16 +11,15 @@ import hashlib
 import hmac
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import Depends, Header, Query
 from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
-from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api.cookies import SESSION_COOKIE, LogIn
+from boresight.api.credentials import bearer, current_actor
 from boresight.errors import (
     ForbiddenError,
     PreconditionRequiredError,
@@ -28,71 +27,16 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import api_keys, users
+from boresight.services import users
 from boresight.services.actors import Actor, Policy
 from boresight.services.forecasts import Sight
 from boresight.store.sessions import Session, only_try, reading, writing
 
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
-WHILE_PASSWORD_IS_DUE = (
-    "/api/v1/sessions",
-    "/api/v1/sessions/current",
-    "/password",
-    "/logout",
-)  # what goes until one has set one's own
 CSRF_HEADER = "X-CSRF-Token"
 CSRF_FIELD = "csrf_token"
 DRY = "Check everything, change nothing: 200 with what would be, and `X-Validate-Only: true`."
-
-
-def _bearer(headers: Headers) -> str | None:
-    """Return the API key that the request carries, if any."""
-    scheme, _, secret = headers.get("authorization", "").partition(" ")
-    return secret.strip() if scheme.lower() == "bearer" else None
-
-
-def current_actor(request: Request) -> Actor:
-    """Return who acts: the owner of the API key if one is given, else the person whose log-in cookie it is.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When nobody is logged in, the log-in has ended, or the key is not valid.
-    PasswordDueError
-        When the person must set a password of their own first.
-    """
-    known = getattr(request.state, "actor", None)
-    if known is None:
-        known = request.state.actor = replace(_identify(request), request_id=request.state.request_id)
-    return known
-
-
-def _identify(request: Request, *, active: bool = True) -> Actor:
-    """Look up the credential in the store."""
-    secret = _bearer(request.headers)
-    if secret is not None:
-        with reading(request.app.state.engine) as session:
-            actor = api_keys.actor_of_key(session, secret)
-        request.app.state.upkeep.used(actor.credential)
-        return actor
-    if SESSION_COOKIE not in request.cookies:
-        raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
-    log_in: LogIn = request.app.state.log_in_cookie.read(request.cookies[SESSION_COOKIE], active=active)
-    request.state.csrf_token = log_in.csrf_token
-    due = f"/api/v1/users/{log_in.user_id}:change-password"
-    with reading(request.app.state.engine) as session:
-        sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
-        return users.actor_of_session(session, log_in.user_id, log_in.epoch, sets_password=sets_password)
-
-
-def still_known(request: Request) -> bool:
-    """Whether the credential of a long request still holds: not logged out everywhere, revoked, expired or disabled."""
-    try:
-        _identify(request, active=False)
-    except UnauthenticatedError:
-        return False
-    return True
 
 
 async def read_session(request: Request) -> AsyncIterator[Session]:
@@ -114,7 +58,7 @@ async def write_session(request: Request) -> AsyncIterator[Session]:
     state.workers.notify()
 
 
-def only_asked(validate_only: Annotated[bool, Query(description=DRY)] = False) -> bool:
+async def only_asked(validate_only: Annotated[bool, Query(description=DRY)] = False) -> bool:
     """Whether the request only asks what would come of it."""
     return validate_only
 
@@ -122,7 +66,7 @@ def only_asked(validate_only: Annotated[bool, Query(description=DRY)] = False) -
 OnlyAsked = Annotated[bool, Depends(only_asked)]
 
 
-def never_tried(request: Request) -> None:
+async def never_tried(request: Request) -> None:
     """Refuse `validate_only` where there is nothing to try.
 
     Raises
@@ -160,7 +104,7 @@ async def csrf(request: Request) -> None:
     ForbiddenError
         When the token is missing or another, or when the browser says that another site made the request.
     """
-    if request.method in SAFE_METHODS or _bearer(request.headers) is not None:
+    if request.method in SAFE_METHODS or bearer(request.headers) is not None:
         return
     if request.headers.get("sec-fetch-site") == "cross-site":
         raise ForbiddenError("This request was made by another site; make it from Boresight's own pages.")
@@ -183,7 +127,7 @@ async def _form_token(request: Request) -> str:
     return value if isinstance(value, str) else ""
 
 
-def seen_tag(
+async def seen_tag(
     if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read.")] = None,
 ) -> str:
     """Return the tag in `If-Match`, which every transition must state.
@@ -201,7 +145,7 @@ def seen_tag(
 SeenTag = Annotated[str, Depends(seen_tag)]
 
 
-def seen_version(given: SeenTag) -> int:
+async def seen_version(given: SeenTag) -> int:
     """Return the version that the tag in `If-Match` names.
 
     Raises
@@ -220,7 +164,7 @@ def etag(version: int) -> str:
     return f'"v{version}"'
 
 
-def maybe_seen_tag(
+async def maybe_seen_tag(
     if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read, if you did.")] = None,
 ) -> str | None:
     """Return the tag in `If-Match`, where a transition may be asked without having looked."""
@@ -247,13 +191,13 @@ def require_tag(given: str, current: str, name: str) -> None:
         raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
 
 
-def policy_of(request: Request) -> Policy:
+async def policy_of(request: Request) -> Policy:
     """Return what this installation asks of a request for approval."""
     policy: Policy = request.app.state.policy
     return policy
 
 
-def sight_of(request: Request) -> Sight:
+async def sight_of(request: Request) -> Sight:
     """Return what a dry run may look at."""
     sight: Sight = request.app.state.sight
     return sight

@@ -39,6 +39,10 @@ class Place:
         """Write the place as an event id."""
         return f"{self.run_event}.{self.record}.{self.progress}"
 
+    def covers(self, other: Place) -> bool:
+        """Whether everything before another place is before this one too."""
+        return self.run_event >= other.run_event and self.record >= other.record and self.progress >= other.progress
+
     @classmethod
     def parse(cls, text: str) -> Place | None:
         """Read an event id; None when it is none of ours."""
@@ -96,6 +100,11 @@ class Event:
     def text_with_history(self) -> str:
         """The same for those who follow the run."""
         return orjson.dumps(self.data | {"history": self.history}).decode()
+
+    def wire(self, place: Place, *, with_history: bool = False) -> bytes:
+        """Write it as a server-sent event, its id the place after it."""
+        text = self.text_with_history if with_history and self.history is not None else self.text
+        return f"event: {self.kind}\ndata: {text}\nid: {place}\n\n".encode()
 
 
 class Ring:

@@ -53,6 +53,7 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
+SECURITY_PAIRS = tuple((name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items())
 REQUEST_ID = "X-Request-ID"
 FOUR_EYES = "Boresight-Four-Eyes"
 ALONE = "four-eyes-off-"  # begins the names of files
@@ -149,12 +150,12 @@ class _Answer:
         """Add the headers to the start of the answer."""
         if message["type"] == "http.response.start":
             self.status = message["status"]
-            headers = MutableHeaders(scope=message)
-            for name, value in SECURITY_HEADERS.items():
-                headers.setdefault(name, value)
-            headers[REQUEST_ID] = self._state["request_id"]
+            given = message["headers"]
+            names = {name for name, _ in given}
+            given = [*given, *(pair for pair in SECURITY_PAIRS if pair[0] not in names)]
+            message["headers"] = [*given, (b"x-request-id", self._state["request_id"].encode())]
             if not self._four_eyes:
-                _say_alone(headers)
+                _say_alone(MutableHeaders(scope=message))
         await self._send(message)
 
     async def fail(self, error: Exception, refuse: Refuse) -> None:

@@ -73,7 +73,7 @@ def _last_id(cursor: str, filters: str) -> int:
     return number
 
 
-def paging(
+async def paging(
     request: Request,
     cursor: Annotated[str | None, Query(description="`next` of the page before.")] = None,
     limit: Annotated[int, Query(ge=1, le=LONGEST, description="Items on a page.")] = USUAL_LENGTH,

@@ -84,10 +84,11 @@ class Upkeep:
         self._rounds.close(PATIENCE_S)
         self._rounds.take(self.write_uses)
 
-    def used(self, credential: str) -> None:
-        """Remember that a key was used now."""
+    def used(self, credential: str) -> bool:
+        """Remember that a key was used now, which is always allowed."""
         with self._guard:
             self._used_utc[credential.removeprefix("key:")] = utc_now()
+        return True
 
     def write_uses(self) -> None:
         """Write the uses since the last round."""

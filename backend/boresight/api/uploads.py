@@ -21,7 +21,8 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
 from boresight.api.answers import IdempotencyKey, Once, digest
-from boresight.api.dependencies import OnlyAsked, current_actor
+from boresight.api.credentials import current_actor
+from boresight.api.dependencies import OnlyAsked
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
 

@@ -15,7 +15,8 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
-from boresight.api.dependencies import Reading, current_actor
+from boresight.api.credentials import current_actor
+from boresight.api.dependencies import Reading
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE, radial_contrast

@@ -18,7 +18,7 @@ from urllib.parse import unquote
 
 from fastapi import Request
 
-from boresight.api.dependencies import current_actor
+from boresight.api.credentials import current_actor
 from boresight.api.upkeep import Light
 from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.pages.fleet import Standing, fleet_standing

@@ -13,7 +13,7 @@ from itertools import zip_longest
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.dependencies import current_actor
+from boresight.api.credentials import current_actor
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES, WIDE, figure_json
 from boresight.figures.evidence import LEVELS, marks

@@ -8,7 +8,8 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Form, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.dependencies import csrf, current_actor, log_in_person, log_out_person
+from boresight.api.credentials import current_actor
+from boresight.api.dependencies import csrf, log_in_person, log_out_person
 from boresight.errors import ForbiddenError, UnauthenticatedError
 from boresight.pages.attempts import attempt
 from boresight.pages.rendering import redirect, render

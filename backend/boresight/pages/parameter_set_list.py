@@ -9,7 +9,9 @@ from typing import Any
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.dependencies import Reading, current_actor
+from boresight.api.credentials import current_actor
+from boresight.api.dependencies import Reading
+from boresight.api.keeping import same_for_one
 from boresight.pages.rendering import render
 from boresight.pages.runs import Names, read_names
 from boresight.pages.tables import Column, Table, View, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
@@ -49,7 +51,7 @@ CSV_FIELDS = {
 router = APIRouter(dependencies=[Depends(current_actor)])
 
 
-@router.get("/parameter-sets", response_class=HTMLResponse)
+@router.get("/parameter-sets", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
     """Show a page of sets."""
     view = read_view(request, SETS)

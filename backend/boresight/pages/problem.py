@@ -11,7 +11,7 @@ from fastapi import Request
 from fastapi.responses import HTMLResponse, Response
 from starlette.exceptions import HTTPException
 
-from boresight.api.dependencies import current_actor
+from boresight.api.credentials import current_actor
 from boresight.api.problems import problem_of
 from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.pages.rendering import TEMPLATES, redirect, render

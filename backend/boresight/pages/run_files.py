@@ -5,7 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse, PlainTextResponse
 
-from boresight.api.dependencies import Reading, current_actor
+from boresight.api.credentials import current_actor
+from boresight.api.dependencies import Reading
 from boresight.services import runs
 
 router = APIRouter(dependencies=[Depends(current_actor)])

@@ -63,6 +63,8 @@ class Actor:
         What a key may write; None when not limited to scopes.
     request_id
         Of the HTTP request or job, for the audit log.
+    until_utc
+        When the credential ends by the clock; None where it does not, or where the door that let the actor in knows.
     """
 
     user_id: int | None
@@ -72,6 +74,7 @@ class Actor:
     credential: str
     scopes: frozenset[str] | None = None
     request_id: str | None = None
+    until_utc: str | None = None
 
     @property
     def is_key(self) -> bool:

@@ -89,7 +89,8 @@ def actor_of_key(session: Session, secret: str, request_id: str | None = None) -
     if user is None or user.disabled_utc is not None:
         raise UnauthenticatedError(f"The owner of the API key {key.label!r} is disabled; ask an administrator.")
     roles, scopes = frozenset(user.roles), frozenset(key.scopes)
-    return Actor(user.id, user.name, user.printed_name, roles, f"key:{key.prefix}", scopes, request_id)
+    credential = f"key:{key.prefix}"
+    return Actor(user.id, user.name, user.printed_name, roles, credential, scopes, request_id, key.expires_utc)
 
 
 def list_keys(session: Session, user_id: int | None = None) -> Sequence[ApiKey]:

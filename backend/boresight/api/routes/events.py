@@ -3,25 +3,35 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
+import orjson
 from fastapi import APIRouter, Header, Query
 from fastapi.concurrency import run_in_threadpool
-from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.requests import Request
+from starlette.responses import StreamingResponse
 
-from boresight.api.broadcast import Broadcast, Listener
-from boresight.api.dependencies import Who, still_known
+from boresight.api.broadcast import Broadcast, Listener, Telling
+from boresight.api.credentials import still_known
+from boresight.api.dependencies import Who
 from boresight.api.feed import Event, Place, events_after
 from boresight.store.sessions import Engine, reading
 
 router = APIRouter(prefix="/events", tags=["events"])
 
-WAIT_S = 5.0
+PING_S = 15.0
 ASK_AGAIN_S = 30.0  # who is disabled or logged out everywhere stops hearing within this time
 RETRY_MS = 2000
+HEADERS = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
+PING = b": ping\n\n"
+
+
+class EventStream(StreamingResponse):
+    """Server-sent events, written by the feed itself: the framework's own writer would write each anew for each listener."""
+
+    media_type = "text/event-stream"
 
 
 @dataclass(frozen=True)
@@ -31,19 +41,20 @@ class _Wish:
     run: int | None
     history: int | None
 
-    def concerns(self, event: Event) -> bool:
-        """Whether an event is about the run, or any will do."""
+    @property
+    def is_everything(self) -> bool:
+        """Whether it is what is written once for all."""
+        return self.run is None and self.history is None
+
+    def written(self, event: Event, place: Place) -> bytes:
+        """Write an event, with the new points of its course for who draws it; nothing where it is not wished for."""
         about = event.data.get("run_id") == self.run or event.data.get("object") == f"runs/{self.run}"
-        return self.run is None or about
-
-    def sent(self, event: Event, place: Place) -> ServerSentEvent:
-        """Write an event, with the new points of its course for who draws it."""
-        follows = event.history is not None and event.data.get("run_id") == self.history
-        text = event.text_with_history if follows else event.text
-        return ServerSentEvent(event=event.kind, raw_data=text, id=str(place))
+        if self.run is not None and not about:
+            return b""
+        return event.wire(place, with_history=event.data.get("run_id") == self.history)
 
 
-@router.get("", name="stream_events", summary="Follow what happens", response_class=EventSourceResponse)
+@router.get("", name="stream_events", summary="Follow what happens", response_class=EventStream)
 async def stream_events(
     actor: Who,  # noqa: ARG001 - whoever is known may listen
     request: Request,
@@ -54,28 +65,37 @@ async def stream_events(
     last_event_id: Annotated[
         str | None, Header(description="The last `id` heard; what came after is told first.")
     ] = None,
-) -> AsyncIterator[ServerSentEvent]:
+) -> EventStream:
     """Follow the feed: `run` (a change of state), `log` (another line of a run's log), `progress`, `audit`.
 
     Every event carries an id and is told again after a break. Progress is kept for a short time only: after `missed` some of
     it was lost, so read the run again. A listener that falls too far behind gets `dropped` and the stream ends; come back
     with `Last-Event-ID` and nothing is missed.
     """
+    return EventStream(_stream(request, _Wish(run, history), last_event_id), headers=HEADERS)
+
+
+async def _stream(request: Request, wish: _Wish, last_event_id: str | None) -> AsyncIterator[bytes]:
+    """Write a stream: where it begins, what was missed, then what happens."""
     broadcast: Broadcast = request.app.state.broadcast
-    wish = _Wish(run, history)
     with broadcast.listening() as listener:
-        newest = broadcast.progress
-        place = await run_in_threadpool(_begin, request.app.state.engine, last_event_id, newest)
-        yield ServerSentEvent(comment="connected", id=str(place), retry=RETRY_MS)
-        async for event in _past(request.app.state.engine, broadcast, place):
-            place = event.move(place)
-            if wish.concerns(event):
-                yield wish.sent(event, place)
-        if place.progress < newest or place.progress > broadcast.progress:
-            place = replace(place, progress=newest)
-            yield ServerSentEvent(event="missed", data={"id": str(place)}, id=str(place))
-        async for told in _live(request, listener, place, wish):
-            yield told
+        brought, newest, told = Place.parse(last_event_id or ""), broadcast.progress, broadcast.place
+        place = brought or told
+        yield f": connected\nid: {place}\nretry: {RETRY_MS}\n\n".encode()
+        if brought is not None:
+            async for event in _past(request.app.state.engine, broadcast, place):
+                place = event.move(place)
+                yield wish.written(event, place)
+            if place.progress < newest or place.progress > broadcast.progress:
+                place = replace(place, progress=newest)
+                yield _said("missed", place)
+        async for piece in _live(request, listener, _Live(place, wish, told)):
+            yield piece
+
+
+def _said(word: str, place: Place) -> bytes:
+    """Write a word to the listener alone."""
+    return f"event: {word}\ndata: {orjson.dumps({'id': str(place)}).decode()}\nid: {place}\n\n".encode()
 
 
 async def _past(database: Engine, broadcast: Broadcast, place: Place) -> AsyncIterator[Event]:
@@ -88,34 +108,71 @@ async def _past(database: Engine, broadcast: Broadcast, place: Place) -> AsyncIt
         yield event
 
 
-def _begin(database: Engine, last_event_id: str | None, progress: int) -> Place:
-    """Return where a listener goes on: after the id it brings, else from now."""
-    brought = Place.parse(last_event_id or "")
-    if brought is not None:
-        return brought
-    with reading(database) as session:
-        return Place.now(session, progress)
-
-
 def _missed(database: Engine, place: Place) -> Iterable[Event]:
     """Return a page of the rows after a place."""
     with reading(database) as session:
         return events_after(session, place)
 
 
-async def _live(request: Request, listener: Listener, place: Place, wish: _Wish) -> AsyncIterator[ServerSentEvent]:
+class _Live:
+    """Writes what is told for one listener.
+
+    What a listener heard of the past may lie ahead of what the feed has told: until the feed has caught up, each event is held
+    against the listener's own place. From then on the feed's places are the listener's, and its bytes are sent as they are.
+
+    Parameters
+    ----------
+    place
+        How far the listener was told.
+    told
+        How far the feed had told when the listener began to hear.
+    """
+
+    def __init__(self, place: Place, wish: _Wish, told: Place) -> None:
+        self.place = place
+        self._wish = wish
+        self._is_level = told.covers(place)
+
+    def written(self, telling: Telling) -> bytes:
+        """Write a telling."""
+        if self._is_level and self._wish.is_everything:
+            self.place = telling.told[-1].place
+            return telling.wire
+        return b"".join(self._each(telling))
+
+    def _each(self, telling: Telling) -> Iterable[bytes]:
+        """Write each event that was not heard yet."""
+        for one in telling.told:
+            if self._is_level:
+                self.place = one.place
+            elif one.event.is_after(self.place):
+                self.place = one.event.move(self.place)
+            else:
+                continue
+            yield self._wish.written(one.event, self.place)
+            self._is_level = self._is_level or one.place.covers(self.place)
+
+
+async def _live(request: Request, listener: Listener, live: _Live) -> AsyncIterator[bytes]:
     """Tell what happens from here on, until the server stops, the listener is too slow, or the log-in ends."""
-    asked_s = time.monotonic()
+    asked_s = said_s = time.monotonic()
     while True:
-        for event in await listener.next(WAIT_S):
-            if event is None:
-                yield ServerSentEvent(event="dropped" if listener.dropped else "closing", data={"id": str(place)})
-                return
-            if event.is_after(place):
-                place = event.move(place)
-                if wish.concerns(event):
-                    yield wish.sent(event, place)
+        found = await listener.next(min(PING_S, ASK_AGAIN_S))
+        piece = _piece(live, found)
+        if found and found[-1] is None:
+            yield piece + _said("dropped" if listener.dropped else "closing", live.place)
+            return
+        if not piece and time.monotonic() - said_s >= PING_S:
+            piece = PING
+        if piece:
+            yield piece
+            said_s = time.monotonic()
         if time.monotonic() - asked_s > ASK_AGAIN_S:
             if not await run_in_threadpool(still_known, request):
                 return
             asked_s = time.monotonic()
+
+
+def _piece(live: _Live, found: Sequence[Telling | None]) -> bytes:
+    """Write all that was told before an end."""
+    return b"".join(live.written(telling) for telling in found if telling is not None)

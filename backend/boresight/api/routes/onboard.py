@@ -17,7 +17,8 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, IdempotencyKey, Idempotent, Once, digest
-from boresight.api.dependencies import OnlyAsked, SeenVersion, Who, Writing, current_actor
+from boresight.api.credentials import current_actor
+from boresight.api.dependencies import OnlyAsked, SeenVersion, Who, Writing
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.services import read_backs, uplinks

@@ -12,6 +12,7 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, etag
+from boresight.api.keeping import Known
 from boresight.api.measured import Measured
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
@@ -55,7 +56,7 @@ def _answer(row: Any, status: int = 200, **headers: str) -> Answer:
 
 @router.get("", name="list_parameter_sets", summary="List parameter sets", response_model=Page[schemas.ParameterSet])
 def list_parameter_sets(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
+    known: Known,  # noqa: ARG001 - asked for what it refuses
     session: Reading,
     page: Paged,
     sensor_id: Id | None = None,
@@ -95,7 +96,7 @@ def create_parameter_set(source: FromRun, actor: Who, once: Idempotent, session:
 )
 def get_parameter_set(
     parameter_set_id: Id,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
+    known: Known,  # noqa: ARG001 - asked for what it refuses
     session: Reading,
 ) -> Response:
     """Read a parameter set; the ETag is for its transitions."""

@@ -13,6 +13,7 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import OnlyAsked, Reading, SeenTag, Sighted, Who, Writing, require_tag, tag_of
+from boresight.api.keeping import Known, whole_tag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -20,6 +21,7 @@ from boresight.figures.report import render_report
 from boresight.services import runs
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
+from boresight.store.tables import TERMINAL_RUN_STATES
 
 router = APIRouter(prefix="/runs", tags=["runs"])
 
@@ -67,7 +69,7 @@ def _shown(row: Any) -> schemas.Document:
 
 @router.get("", name="list_runs", summary="List runs", response_model=Page[schemas.Run])
 def list_runs(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
+    known: Known,  # noqa: ARG001 - asked for what it refuses
     session: Reading,
     page: Paged,
     sensor_id: Id | None = None,
@@ -123,9 +125,11 @@ def launch_run(
 
 
 @router.get("/{run_id}", name="get_run", summary="Read a run", response_model=schemas.Run, responses=refusals(404))
-def get_run(run_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+def get_run(run_id: Id, known: Known, session: Reading, request: Request) -> Response:  # noqa: ARG001 - asked for what it refuses
     """Read a run: its state, its progress, and when it has ended its summary."""
-    return _tagged(runs.get_run(session, run_id)).response()
+    row = runs.get_run(session, run_id)
+    whole_tag(request, holds=row.state in TERMINAL_RUN_STATES)  # while it runs its progress moves under one tag
+    return _tagged(row).response()
 
 
 @router.post(
@@ -168,7 +172,7 @@ def get_run_result(
 )
 def get_run_log(
     run_id: Id,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
+    known: Known,  # noqa: ARG001 - asked for what it refuses
     session: Reading,
     page: Paged,
 ) -> Response:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Query
+from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.keeping import Known, whole_tag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -34,7 +36,7 @@ def _shown(row: Any, status: int = 200, **headers: str) -> Answer:
 
 
 @router.get("", name="list_sensors", summary="List the fleet", response_model=Page[schemas.Sensor])
-def list_sensors(actor: Who, session: Reading, page: Paged) -> Response:  # noqa: ARG001 - whoever is known may read
+def list_sensors(known: Known, session: Reading, page: Paged) -> Response:  # noqa: ARG001 - asked for what it refuses
     """List the fleet by name."""
     return json_response(
         page.cut_whole(sensors.list_sensors(session), lambda row: schemas.written(schemas.Sensor, row))
@@ -66,8 +68,9 @@ def register_sensor(document: SensorFile, actor: Who, once: Idempotent, session:
     response_model=schemas.Sensor,
     responses=refusals(404),
 )
-def get_sensor(sensor_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+def get_sensor(sensor_id: Id, known: Known, session: Reading, request: Request) -> Response:  # noqa: ARG001 - asked for what it refuses
     """Read a sensor with its file; the ETag is for `PUT`."""
+    whole_tag(request)
     return _shown(sensors.get_sensor(session, sensor_id)).response()
 
 
@@ -92,7 +95,7 @@ def edit_sensor(sensor_id: Id, document: SensorFile, actor: Who, seen: SeenVersi
 def get_sensor_at(
     sensor_id: Id,
     at: Annotated[str, Query(description="ISO 8601, UTC.", examples=["2026-11-21T03:04:05Z"])],
-    actor: Who,  # noqa: ARG001 - whoever is known may read
+    known: Known,  # noqa: ARG001 - asked for what it refuses
     session: Reading,
 ) -> Response:
     """Say what was the sensor's baseline at a time, and what was recorded on board."""

@@ -1,9 +1,17 @@
-"""Is it alive, is it ready, how is it doing: for load balancers and monitoring; no log-in, nothing secret."""
+"""Is it alive, is it ready, how is it doing: for load balancers and monitoring; no log-in, nothing secret.
+
+They answer under any load: the first needs no thread, and the others have one of their own, so that a crowd which waits for the
+threads of the endpoints does not look like a server that is dead.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+from anyio import CapacityLimiter
+from anyio.lowlevel import RunVar
+from anyio.to_thread import run_sync
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
@@ -16,16 +24,29 @@ from boresight.store.sessions import current_revision, head_revision
 router = APIRouter(tags=["server"])
 
 
+_thread: RunVar[CapacityLimiter] = RunVar("the thread for those who watch the server")
+
+
+async def _apart(act: Callable[..., Any], *given: Any) -> Any:
+    """Do something in the thread for those who watch the server."""
+    try:
+        limiter = _thread.get()
+    except LookupError:
+        limiter = CapacityLimiter(1)
+        _thread.set(limiter)
+    return await run_sync(act, *given, limiter=limiter)
+
+
 @router.get("/healthz", name="health", summary="Is the process alive")
-def health() -> dict[str, str]:
+async def health() -> dict[str, str]:
     """Say that the process answers; nothing else is looked at."""
     return {"status": "ok"}
 
 
 @router.get("/readyz", name="readiness", summary="Can it do its work", responses=refusals(503))
-def readiness(request: Request) -> Response:
+async def readiness(request: Request) -> Response:
     """Say whether the store answers with the right schema and whether the workers are there: 200, or 503 with what is not."""
-    checks = {"store": _store(request), "workers": _workers(request)}
+    checks = {"store": await _apart(_store, request), "workers": await _apart(_workers, request)}
     ready = all(check["ready"] for check in checks.values())
     return json_response({"status": "ready" if ready else "not ready", "checks": checks}, 200 if ready else 503)
 
@@ -48,6 +69,7 @@ def _workers(request: Request) -> dict[str, Any]:
 
 
 @router.get("/metrics", name="metrics", summary="Prometheus metrics", response_class=Response)
-def metrics(request: Request) -> Response:
+async def metrics(request: Request) -> Response:
     """Return the series of this server in the Prometheus exposition format."""
-    return Response(request.app.state.metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+    text = await _apart(request.app.state.metrics.text)
+    return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")

@@ -12,6 +12,7 @@ from starlette.responses import FileResponse, Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, SeenTag, Who, Writing, require_tag, tag_of
+from boresight.api.keeping import Known, whole_tag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -67,7 +68,7 @@ def _shown(row: Any) -> schemas.Document:
 
 @router.get("", name="list_telemetry_sets", summary="List telemetry sets", response_model=Page[schemas.TelemetrySet])
 def list_telemetry_sets(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
+    known: Known,  # noqa: ARG001 - asked for what it refuses
     session: Reading,
     page: Paged,
     sensor_id: Id | None = None,
@@ -121,10 +122,12 @@ def upload_telemetry_set(
 )
 def get_telemetry_set(
     telemetry_set_id: Id,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
+    known: Known,  # noqa: ARG001 - asked for what it refuses
     session: Reading,
+    request: Request,
 ) -> Response:
     """Read a telemetry set with its quality report."""
+    whole_tag(request)
     return _tagged(telemetry_sets.get_telemetry_set(session, telemetry_set_id)).response()
 
 

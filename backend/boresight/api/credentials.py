@@ -1,0 +1,102 @@
+"""Whose a request is: the credential that it carries, looked up in the store, and the proof of it for answers that stand ready."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.types import Scope
+
+from boresight.api.cookies import SESSION_COOKIE, LogInCookie
+from boresight.api.ready import Proof
+from boresight.errors import BoresightError, UnauthenticatedError
+from boresight.services import api_keys, users
+from boresight.services.actors import Actor
+from boresight.store.sessions import reading
+
+WHILE_PASSWORD_IS_DUE = (
+    "/api/v1/sessions",
+    "/api/v1/sessions/current",
+    "/password",
+    "/logout",
+)  # what goes until one has set one's own
+
+
+def bearer(headers: Headers) -> str | None:
+    """Return the API key that the request carries, if any."""
+    scheme, _, secret = headers.get("authorization", "").partition(" ")
+    return secret.strip() if scheme.lower() == "bearer" else None
+
+
+def current_actor(request: Request) -> Actor:
+    """Return who acts: the owner of the API key if one is given, else the person whose log-in cookie it is.
+
+    Raises
+    ------
+    UnauthenticatedError
+        When nobody is logged in, the log-in has ended, or the key is not valid.
+    PasswordDueError
+        When the person must set a password of their own first.
+    """
+    known = getattr(request.state, "actor", None)
+    if known is None:
+        known = request.state.actor = replace(_identify(request), request_id=request.state.request_id)
+    return known
+
+
+def _identify(request: Request, *, active: bool = True) -> Actor:
+    """Look up the credential in the store."""
+    secret = bearer(request.headers)
+    if secret is not None:
+        with reading(request.app.state.engine) as session:
+            actor = api_keys.actor_of_key(session, secret)
+        use: Callable[[], bool] = partial(request.app.state.upkeep.used, actor.credential)
+        use()
+        request.state.proof = Proof(_seconds(actor.until_utc), use)
+        return actor
+    if SESSION_COOKIE not in request.cookies:
+        raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
+    cookie: LogInCookie = request.app.state.log_in_cookie
+    log_in = cookie.read(request.cookies[SESSION_COOKIE], active=active)
+    request.state.csrf_token = log_in.csrf_token
+    due = f"/api/v1/users/{log_in.user_id}:change-password"
+    with reading(request.app.state.engine) as session:
+        sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
+        actor = users.actor_of_session(session, log_in.user_id, log_in.epoch, sets_password=sets_password)
+    if not sets_password:  # what goes until one has set one's own password proves nothing for other addresses
+        request.state.proof = Proof(log_in.ends_s, partial(cookie.use, log_in))
+    return actor
+
+
+def _seconds(time_utc: str | None) -> float:
+    """Return a time of the store as seconds of the clock; infinity for none."""
+    return math.inf if time_utc is None else datetime.fromisoformat(time_utc).timestamp()
+
+
+def proof_of(scope: Scope) -> Proof | None:
+    """Return the proof of a request's credentials, if they were looked up and hold for every address."""
+    proof: Proof | None = scope["state"].get("proof")
+    return proof
+
+
+def prove(scope: Scope) -> Proof | None:
+    """Look up a request's credentials; None where they do not hold, or not for every address."""
+    try:
+        current_actor(Request(scope))
+    except BoresightError:
+        return None
+    return proof_of(scope)
+
+
+def still_known(request: Request) -> bool:
+    """Whether the credential of a long request still holds: not logged out everywhere, revoked, expired or disabled."""
+    try:
+        _identify(request, active=False)
+    except UnauthenticatedError:
+        return False
+    return True

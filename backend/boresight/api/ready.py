@@ -1,0 +1,263 @@
+"""Answers that stand ready: given again without asking anybody, for as long as they are what would be answered.
+
+An endpoint whose answer follows from the address and the rows of the store says so by `same_for_all` or `same_for_one`
+(`boresight.api.keeping`). Its answer is then kept, compressed and with its tag, and given again while all of this holds:
+
+1. Nothing was committed since: the store's mark (`boresight.store.marks`), looked for anew for this very request, equals the mark
+   that was looked for before the answer was read. So who commits reads their own writes, from whichever server or command.
+2. Whoever asks is known *now*: exactly these credentials (the `Authorization` and `Cookie` headers, byte for byte) were proven
+   under this mark, and their end by the clock has not come. Keys revoked, log-ins ended, people disabled, roles changed are all
+   commits, so they act with the next request. Credentials not proven under this mark are proven first, by one read.
+3. It is theirs: an answer `same_for_one` stands under their credentials and is given to no others. One `same_for_all` was made by
+   an endpoint that was never told who asks, so it cannot hold anything of the one who happened to ask first.
+4. It is young: what the rows say of time (an age, a key that expires) is never older than `HELD_S`.
+
+When many ask for one answer that does not stand ready, the first makes it and the others wait for it. Everything here runs on the
+event loop, so nothing is locked.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Hashable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from boresight.api.changes import Changes
+from boresight.store.marks import Mark
+
+HELD_S = 30.0
+KEPT_BYTES = 64 << 20
+LARGEST_SHARE = 16
+MOST_PROOFS = 10_000
+ASKED = "asked"
+
+Address = tuple[str, bytes, bool]
+Asker = tuple[bytes, bytes]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What decides a request's answer: its address, whether it takes gzip, and the credentials it carries."""
+
+    address: Address
+    asker: Asker
+    known_tags: bytes
+    mark: Mark | None = None
+    beside: Hashable = None
+
+    @classmethod
+    def of(cls, scope: Scope) -> Asked | None:
+        """Read a request; None where it is none that an answer may stand ready for."""
+        if scope["type"] != "http" or scope["method"] != "GET":
+            return None
+        credentials, found, takes = {b"authorization": b"", b"cookie": b""}, b"", b""
+        for name, value in scope["headers"]:
+            if name in credentials:
+                if credentials[name]:
+                    return None  # given twice: let the endpoint decide which counts
+                credentials[name] = value
+            elif name == b"accept-encoding":
+                takes += value
+            elif name == b"if-none-match":
+                found += value
+        asker = (credentials[b"authorization"], credentials[b"cookie"])
+        if not any(asker):
+            return None
+        return cls((scope["path"], scope["query_string"], b"gzip" in takes), asker, found)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """That credentials hold: until when by the clock, and what is to be done whenever they are used."""
+
+    until_s: float
+    use: Callable[[], bool]
+
+    def holds(self) -> bool:
+        """Whether they hold still; counts as a use."""
+        return time.time() < self.until_s and self.use()
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An answer as it is sent.
+
+    Parameters
+    ----------
+    headers
+        Of the answer in full, without its length.
+    body
+        As it is sent, compressed or not.
+    tag
+        Its entity tag; empty where it is not to be stored by anybody.
+    whole
+        Whether the tag changes with everything in the body, so that it may stand for it.
+    mark, beside, made_s
+        The store before it was read, what else it depends on, and when it was made.
+    route
+        Of the endpoint, by which it is counted.
+    """
+
+    headers: tuple[tuple[bytes, bytes], ...]
+    body: bytes
+    tag: bytes
+    whole: bool
+    mark: Mark | None = None
+    beside: Hashable = None
+    made_s: float = 0.0
+    route: Any = None
+
+    async def send(self, send: Send, known_tags: bytes) -> None:
+        """Send it, or that the copy which the asker has is still right."""
+        if self.whole and self.tag and knows(known_tags, self.tag):
+            headers = [pair for pair in self.headers if pair[0] in {b"etag", b"vary", b"cache-control"}]
+            await send({"type": "http.response.start", "status": 304, "headers": headers})
+            await send({"type": "http.response.body", "body": b""})
+            return
+        headers = [*self.headers, (b"content-length", str(len(self.body)).encode())]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        await send({"type": "http.response.body", "body": self.body})
+
+
+def knows(known_tags: bytes, tag: bytes) -> bool:
+    """Whether `If-None-Match` names a tag; weak and strong tags compare alike there (RFC 9110, 13.1.2)."""
+    opaque = tag.removeprefix(b"W/")
+    return known_tags.strip() == b"*" or opaque in [one.strip().removeprefix(b"W/") for one in known_tags.split(b",")]
+
+
+class Ready:
+    """The answers of one server that stand ready.
+
+    Parameters
+    ----------
+    changes
+        Asks for the store's mark.
+    prove
+        Proves a request's credentials by the store, as its endpoint would; None where they do not hold.
+    beside
+        What answers for one person depend on besides the store.
+    """
+
+    def __init__(
+        self,
+        changes: Changes,
+        prove: Callable[[Scope], Awaitable[Proof | None]],
+        beside: Callable[[], Hashable],
+        limit_bytes: int = KEPT_BYTES,
+    ) -> None:
+        self.changes = changes
+        self.beside = beside
+        self.held_bytes = 0
+        self._prove = prove
+        self._limit_bytes = limit_bytes
+        self._kept: OrderedDict[Hashable, Kept] = OrderedDict()
+        self._proofs: OrderedDict[Asker, tuple[Mark, Proof]] = OrderedDict()
+        self._making: dict[tuple[Address, Mark], asyncio.Future[Kept | None]] = {}
+
+    async def find(self, scope: Scope, asked: Asked, mark: Mark) -> Kept | None:
+        """Return the answer that stands ready for who asks, waiting for it when it is being made for all."""
+        kept = self._standing(asked, mark)
+        if kept is None:
+            making = self._making.get((asked.address, mark))
+            kept = None if making is None else await asyncio.shield(making)
+        return kept if kept is not None and await self._is_known(scope, asked, mark) else None
+
+    def _standing(self, asked: Asked, mark: Mark) -> Kept | None:
+        """Return what stands under an address, for all or for who asks, and still holds."""
+        for key in (asked.address, (asked.address, asked.asker)):
+            kept = self._kept.get(key)
+            if kept is not None and kept.mark == mark and self._is_young(kept):
+                self._kept.move_to_end(key)
+                return kept
+        return None
+
+    def _is_young(self, kept: Kept) -> bool:
+        """Whether an answer is not too old, and what it depends on besides the store is as it was."""
+        return time.monotonic() - kept.made_s < HELD_S and kept.beside in {None, self.beside()}
+
+    async def _is_known(self, scope: Scope, asked: Asked, mark: Mark) -> bool:
+        """Whether the credentials hold now."""
+        proven = self._proofs.get(asked.asker)
+        if proven is not None and proven[0] == mark:
+            return proven[1].holds()
+        proof = await self._prove(scope)
+        if proof is not None:
+            self.remember(asked.asker, mark, proof)
+        return proof is not None
+
+    def remember(self, asker: Asker, mark: Mark, proof: Proof) -> None:
+        """Note that credentials were proven by a read after a mark."""
+        self._proofs[asker] = (mark, proof)
+        self._proofs.move_to_end(asker)
+        if len(self._proofs) > MOST_PROOFS:
+            self._proofs.popitem(last=False)
+
+    def keep(self, asked: Asked, kept: Kept, *, for_all: bool) -> None:
+        """Let an answer stand ready, and give it to those who wait for it."""
+        size = len(kept.body)
+        if size * LARGEST_SHARE > self._limit_bytes:
+            return
+        key: Hashable = asked.address if for_all else (asked.address, asked.asker)
+        self._drop(key)
+        self._kept[key] = kept
+        self.held_bytes += size
+        while self.held_bytes > self._limit_bytes:
+            self._drop(next(iter(self._kept)))
+        making = self._making.get((asked.address, asked.mark)) if for_all and asked.mark else None
+        if making is not None and not making.done():
+            making.set_result(kept)
+
+    def _drop(self, key: Hashable) -> None:
+        """Let go of an answer."""
+        kept = self._kept.pop(key, None)
+        self.held_bytes -= 0 if kept is None else len(kept.body)
+
+    def begins(self, asked: Asked, mark: Mark | None) -> Callable[[], None]:
+        """Say that an answer is being made; returns what to call when that is over, however it went.
+
+        Others wait only for what stood ready for all before: of other addresses nobody knows whether the answer is theirs too.
+        """
+        if mark is None or asked.address not in self._kept or (asked.address, mark) in self._making:
+            return lambda: None
+        key = (asked.address, mark)
+        making: asyncio.Future[Kept | None] = asyncio.get_running_loop().create_future()
+        self._making[key] = making
+
+        def over() -> None:
+            del self._making[key]
+            if not making.done():
+                making.set_result(None)
+
+        return over
+
+
+class Answering:
+    """The layer that gives what stands ready, and passes on what does not."""
+
+    def __init__(self, app: ASGIApp, ready: Ready) -> None:
+        self.app = app
+        self.ready = ready
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+        asked = Asked.of(scope)
+        if asked is None:
+            await self.app(scope, receive, send)
+            return
+        mark = await self.ready.changes.now()
+        kept = None if mark is None else await self.ready.find(scope, asked, mark)
+        if kept is not None:
+            scope["route"] = kept.route
+            await kept.send(send, asked.known_tags)
+            return
+        scope["state"][ASKED] = replace(asked, mark=mark, beside=self.ready.beside())
+        over = self.ready.begins(asked, mark)
+        try:
+            await self.app(scope, receive, send)
+        finally:
+            over()

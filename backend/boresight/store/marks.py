@@ -1,0 +1,76 @@
+"""Whether anything was committed since: a mark of the store's state that changes with every commit, whoever's it is.
+
+Two equal marks of one `Marks` mean that both times the same rows were to be seen, so what was read after the first still holds
+at the second. SQLite counts for each connection the commits of all others (`PRAGMA data_version`), so one connection that never
+writes sees every one: a look costs some microseconds. PostgreSQL names its snapshot (`pg_current_snapshot()`): its text changes
+when a transaction that wrote anything ends, in this database or another of the cluster, and a look costs a question to the server.
+A mark carries the number of its connection too: those of a later connection might meet it by chance.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from boresight.store.sessions import Engine
+
+Mark = tuple[int, int | str]  # the number of the connection that it was seen over, and what was seen
+QUESTIONS = {"sqlite": "PRAGMA data_version", "postgresql": "SELECT pg_current_snapshot()::text"}
+
+
+class Marks:
+    """Looks for the mark of one store over a connection of its own.
+
+    Parameters
+    ----------
+    engine
+        The store.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._question = QUESTIONS[engine.dialect.name]
+        self._lock = threading.Lock()
+        self._connection: Any = None
+        self._opened = 0
+
+    @property
+    def at_once(self) -> bool:
+        """Whether a look is so short that it needs no thread."""
+        return self._engine.dialect.name == "sqlite"
+
+    def look(self) -> Mark | None:
+        """Return the mark of now; None where the store cannot say."""
+        with self._lock:
+            try:
+                if self._connection is None:
+                    self._connection = self._connect()
+                seen = self._connection.dbapi_connection.execute(self._question).fetchone()[0]
+            except Exception:  # noqa: BLE001 - the drivers' own errors differ, and each means that nothing is known
+                self._let_go()
+                return None
+            return self._opened, seen
+
+    def _connect(self) -> Any:
+        """Open a connection outside the pool and outside transactions, which waits for nobody."""
+        self._opened += 1
+        pooled = self._engine.raw_connection()
+        pooled.detach()  # ours from now on, and open for as long as it is held
+        connection: Any = pooled.dbapi_connection
+        if self.at_once:
+            connection.execute("PRAGMA busy_timeout=0").close()
+        else:
+            connection.rollback()
+            connection.autocommit = True
+        return pooled
+
+    def _let_go(self) -> None:
+        """Close what is left of a connection; the next look opens another, whose marks are others too."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+
+    def close(self) -> None:
+        """Close the connection."""
+        with self._lock:
+            self._let_go()

@@ -1,0 +1,283 @@
+"""Answers that stand ready: fresh after every commit, nobody's but their own, and only for credentials that hold now."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import httpx
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from boresight.api import ready as standing
+from boresight.services import audit
+from boresight.services.actors import SYSTEM
+from boresight.store.sessions import open_engine, utc_after, writing
+from boresight.store.tables import ApiKey, Run
+
+from .conftest import PASSWORD, House
+
+RUNS = "/api/v1/runs"
+LISTS = (RUNS, "/api/v1/sensors", "/api/v1/telemetry-sets", "/api/v1/parameter-sets")
+
+
+def served(house: House) -> int:
+    """Count the answers that stand ready."""
+    return len(house.app.state.ready._kept)
+
+
+def fresh(client: httpx.Client, path: str) -> httpx.Response:
+    """Ask so that nothing that stands ready can be the answer: for an address that nobody has asked for."""
+    mark = "&" if "?" in path else "?"
+    return client.get(f"{path}{mark}unheard={time.perf_counter_ns()}")
+
+
+def test_the_second_of_two_questions_is_answered_without_the_endpoint(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = house.person("ada").get(RUNS)
+    monkeypatch.setattr("boresight.services.runs.list_runs", lambda *_, **__: pytest.fail("it was asked"))
+    second = house.person("ada").get(RUNS)
+    assert second.status_code == 200
+    assert second.content == first.content
+    assert second.headers["etag"] == first.headers["etag"]
+
+
+@pytest.mark.parametrize("path", LISTS)
+def test_who_commits_reads_their_own_writes(house: House, path: str) -> None:
+    client = house.person("ada")
+    for _ in range(3):
+        before = client.get(path).json()
+        run = house.launched()
+        after = client.get(path).json()
+        assert after == fresh(client, path).json()
+        if path == RUNS:
+            assert after["items"][0]["id"] == run["id"]
+            assert run["id"] not in [row["id"] for row in before["items"]]
+
+
+def test_what_another_process_commits_is_seen_by_the_next_question(house: House) -> None:
+    run = house.launched()
+    client = house.person("victor")
+    assert client.get(f"{RUNS}/{run['id']}").json()["label"] != "renamed"
+    other = open_engine(house.app.state.settings.database_url)
+    with writing(other) as session:
+        session.get_one(Run, run["id"]).label = "renamed"
+        audit.append(session, SYSTEM, "renamed", f"runs/{run['id']}")
+    other.dispose()
+    assert client.get(f"{RUNS}/{run['id']}").json()["label"] == "renamed"
+
+
+def test_a_page_names_the_person_it_was_made_for(house: House) -> None:
+    people = ("ada", "alan", "olga", "victor", "adele")
+    for _ in range(2):
+        for name in people:
+            page = house.person(name).get("/runs").text
+            assert f"<b>{name.title()}</b>" in page
+            assert house.person(name).headers["X-CSRF-Token"] in page
+            assert not any(f"<b>{other.title()}</b>" in page for other in people if other != name)
+
+
+def test_two_log_ins_of_one_person_never_share_a_token(house: House) -> None:
+    one, other = house.log_in("victor"), house.log_in("victor")
+    for client, stranger in ((one, other), (other, one), (one, other)):
+        page = client.get("/runs").text
+        assert client.headers["X-CSRF-Token"] in page
+        assert stranger.headers["X-CSRF-Token"] not in page
+
+
+def test_nobody_reads_what_stands_ready_for_the_known(house: House) -> None:
+    house.person("ada").get(RUNS)
+    house.person("ada").get("/runs")
+    assert house.anybody().get(RUNS).status_code == 401
+    assert house.anybody(Authorization="Bearer bs_00000000_nonsense").get(RUNS).status_code == 401
+    assert house.anybody(Cookie="boresight_session=nonsense").get(RUNS).status_code == 401
+    assert house.anybody().get("/runs", headers={"Accept": "text/html"}).status_code == 303
+
+
+def test_a_wrong_key_beside_a_good_log_in_is_refused_as_without_ready_answers(house: House) -> None:
+    client = house.log_in("ada")
+    assert client.get(RUNS).status_code == 200
+    assert client.get(RUNS, headers={"Authorization": "Bearer bs_00000000_nonsense"}).status_code == 401
+
+
+def test_a_revoked_key_is_refused_at_once(house: House) -> None:
+    key = house.key("ada", "runs")
+    assert [key.get(RUNS).status_code for _ in range(3)] == [200] * 3
+    owner = house.person("ada")
+    row = owner.get("/api/v1/api-keys").json()["items"][0]
+    revoked = owner.post(f"/api/v1/api-keys/{row['id']}:revoke")
+    assert revoked.status_code in {200, 204}, revoked.text
+    assert owner.get(RUNS).status_code == 200
+    assert key.get(RUNS).status_code == 401
+
+
+def test_ended_log_ins_and_disabled_people_are_refused_at_once(house: House) -> None:
+    administrator = house.person("adele")
+    made = administrator.post(
+        "/api/v1/users",
+        json={"name": f"guest-{time.time_ns()}", "printed_name": "Guest", "password": PASSWORD, "roles": ["viewer"]},
+    ).json()
+    client = house.anybody()
+    logged_in = client.post("/api/v1/sessions", json={"name": made["name"], "password": PASSWORD})
+    assert logged_in.status_code == 201, logged_in.text
+    assert [client.get(RUNS).status_code for _ in range(2)] == [200] * 2
+    person = f"/api/v1/users/{made['id']}"
+    tag = administrator.get(person).headers["etag"]
+    assert administrator.post(f"{person}:disable", headers={"If-Match": tag}).status_code == 200
+    assert administrator.get(RUNS).status_code == 200
+    assert client.get(RUNS).status_code == 401
+
+
+def test_who_must_set_a_password_gets_nothing_that_stands_ready(house: House) -> None:
+    name = f"new-{time.time_ns()}"
+    house.person("adele").post(
+        "/api/v1/users",
+        json={
+            "name": name,
+            "printed_name": "New",
+            "password": PASSWORD,
+            "roles": ["viewer"],
+            "must_change_password": True,
+        },
+    )
+    client = house.anybody()
+    client.post("/api/v1/sessions", json={"name": name, "password": PASSWORD})
+    house.person("ada").get(RUNS)
+    assert client.get("/api/v1/sessions/current").status_code == 200
+    assert client.get(RUNS).status_code == 403
+
+
+def test_a_key_that_expires_by_the_clock_is_refused_without_any_commit(house: House) -> None:
+    key = house.key("ada")
+    prefix = key.headers["Authorization"].split("_")[1]
+    with writing(house.app.state.engine) as session:
+        row = session.query(ApiKey).filter_by(prefix=prefix).one()
+        row.expires_utc = utc_after(1.0)
+        audit.append(session, SYSTEM, "shortened", f"api-keys/{row.id}")
+    assert key.get(RUNS).status_code == 200
+    assert key.get(RUNS).status_code == 200
+    time.sleep(1.05)
+    assert key.get(RUNS).status_code == 401
+
+
+def test_a_log_in_that_expires_by_the_clock_is_refused_without_any_commit(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client = house.log_in("victor")
+    assert client.get(RUNS).status_code == 200
+    now_s = time.time()
+    monkeypatch.setattr("boresight.api.ready.time.time", lambda: now_s + 12 * 3600 + 5)
+    monkeypatch.setattr("itsdangerous.timed.time.time", lambda: now_s + 12 * 3600 + 5)
+    assert client.get(RUNS).status_code == 401
+
+
+def test_what_stands_ready_counts_as_a_use_of_the_log_in(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    cookie = house.app.state.log_in_cookie
+    monkeypatch.setattr(cookie, "_idle_s", 0.6)
+    client = house.log_in("victor")
+    for _ in range(4):
+        assert client.get(RUNS).status_code == 200
+        time.sleep(0.25)
+    time.sleep(0.7)
+    assert client.get(RUNS).status_code == 401
+
+
+def test_a_copy_that_still_holds_is_not_sent_again(house: House) -> None:
+    client = house.person("ada")
+    run = house.launched()
+    for path in (*LISTS, "/api/v1/audit", "/api/v1/users", f"{RUNS}/{run['id']}/log", f"{RUNS}/{run['id']}/result"):
+        answer = client.get(path)
+        assert answer.headers["etag"].startswith('W/"'), path
+        assert "Accept-Encoding" in answer.headers["vary"]
+        again = client.get(path, headers={"If-None-Match": answer.headers["etag"]})
+        assert (again.status_code, again.content) == (304, b""), path
+        assert again.headers["etag"] == answer.headers["etag"]
+        assert client.get(path, headers={"If-None-Match": '"another"'}).status_code == 200
+    house.launched()
+    listed = client.get(RUNS)
+    assert client.get(RUNS, headers={"If-None-Match": f'"x", {listed.headers["etag"]}'}).status_code == 304
+
+
+def test_a_copy_that_holds_no_more_is_sent_anew(house: House) -> None:
+    client = house.person("ada")
+    old = client.get(RUNS).headers["etag"]
+    house.launched()
+    assert client.get(RUNS, headers={"If-None-Match": old}).status_code == 200
+
+
+def test_the_tag_is_the_same_compressed_or_not(house: House) -> None:
+    house.launched()
+    client = house.person("ada")
+    plain = client.get(RUNS, headers={"Accept-Encoding": "identity"})
+    zipped = client.get(RUNS, headers={"Accept-Encoding": "gzip"})
+    assert plain.headers["etag"] == zipped.headers["etag"]
+    assert plain.content == zipped.content
+    assert "content-encoding" not in plain.headers
+
+
+def test_a_row_whose_tag_says_all_is_not_sent_again_and_one_that_moves_is(house: House) -> None:
+    client = house.person("ada")
+    run = house.launched()
+    sensor = f"/api/v1/sensors/{run['sensor_id']}"
+    tag = client.get(sensor).headers["etag"]
+    assert client.get(sensor, headers={"If-None-Match": tag}).status_code == 304
+    at_work = client.get(f"{RUNS}/{run['id']}").headers["etag"]
+    assert client.get(f"{RUNS}/{run['id']}", headers={"If-None-Match": at_work}).status_code == 200
+    house.end(run["id"])
+    ended = client.get(f"{RUNS}/{run['id']}").headers["etag"]
+    assert client.get(f"{RUNS}/{run['id']}", headers={"If-None-Match": ended}).status_code == 304
+
+
+def test_a_page_is_stored_by_no_browser(house: House) -> None:
+    page = house.person("ada").get("/runs")
+    assert page.headers["cache-control"] == "no-store"
+    assert "etag" not in page.headers
+
+
+def test_an_old_answer_is_made_anew(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = house.person("ada")
+    client.get("/runs")
+    monkeypatch.setattr(standing, "HELD_S", 0.0)
+    asked: list[Any] = []
+    original = house.app.state.ready.keep
+    monkeypatch.setattr(house.app.state.ready, "keep", lambda *a, **k: (asked.append(a), original(*a, **k))[1])
+    client.get("/runs")
+    assert asked
+
+
+def test_what_stands_ready_is_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = house.person("ada")
+    house.launched()
+    client.get(RUNS)
+    size = house.app.state.ready.held_bytes
+    monkeypatch.setattr(house.app.state.ready, "_limit_bytes", max(20_000, 2 * size))
+    for limit in range(1, 60):
+        client.get(f"{RUNS}?limit={limit}")
+    assert house.app.state.ready.held_bytes <= max(20_000, 2 * size)
+    assert served(house) > 0
+
+
+ACTS = st.lists(st.sampled_from(("launch", "cancel", "end", "sensor", "read")), min_size=1, max_size=8)
+
+
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(acts=ACTS)
+def test_after_any_acts_what_stands_ready_equals_what_would_be_answered(house: House, acts: list[str]) -> None:
+    people = [house.person(name) for name in ("ada", "victor", "olga")]
+    runs: list[dict[str, Any]] = []
+    for act in acts:
+        if act == "launch":
+            runs.append(house.launched())
+        elif act == "cancel" and runs:
+            run = runs.pop()
+            tag = people[0].get(f"{RUNS}/{run['id']}").headers["etag"]
+            assert people[0].post(f"{RUNS}/{run['id']}:cancel", headers={"If-Match": tag}).status_code == 200
+        elif act == "end" and runs:
+            house.end(runs.pop()["id"])
+        elif act == "sensor":
+            house.new_sensor()
+        for client in people:
+            for path in LISTS:
+                assert client.get(path).json() == fresh(client, path).json(), (act, path)
