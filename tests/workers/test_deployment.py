@@ -82,11 +82,13 @@ def site(tmp_path_factory):
     (made.folder / "data").mkdir()
     (made.folder / "password.txt").write_text(f"{PASSWORD}\n")
     assert made.shell(made.once).wait(600) == 0, made.log()
-    for name in made.services:
-        made.start(name)
-    wait_for(lambda: is_ready(made), 300)
-    yield made
-    made.stop()
+    try:
+        for name in made.services:
+            made.start(name)
+        wait_for(lambda: is_ready(made), 300)
+        yield made
+    finally:
+        made.stop()
 
 
 def is_ready(site: Site) -> bool:

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Collection
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import dask
@@ -79,11 +80,16 @@ class Cluster:
                 set_as_default=False,
                 heartbeat_interval="2s",
             )
-        client.subscribe_topic(TOPIC, lambda event: on_progress(event[1]))
-        if settings.scheduler:
-            client.register_plugin(Fitness(boresight.__version__, _shared_folder(settings)))
-        client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
-        return cls(client, local)
+        opened = cls(client, local)
+        try:
+            client.subscribe_topic(TOPIC, lambda event: on_progress(event[1]))
+            if settings.scheduler:
+                client.register_plugin(Fitness(boresight.__version__, _shared_folder(settings)))
+            client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
+        except Exception:
+            opened.close(())
+            raise
+        return opened
 
     @property
     def connected(self) -> bool:
@@ -156,10 +162,11 @@ class Cluster:
 
 def _shared_folder(settings: Settings) -> str:
     """Return the folder that every worker must see, made if this is the first start; empty where files are in an object store."""
-    if not settings.blob_place.is_folder:
+    place = settings.blob_place
+    if not place.is_folder:
         return ""
-    settings.blob_folder.mkdir(parents=True, exist_ok=True)
-    return str(settings.blob_folder)
+    Path(place.address).mkdir(parents=True, exist_ok=True)
+    return place.address
 
 
 def _local_cluster(settings: Settings) -> Any:

@@ -63,7 +63,6 @@ class ClusterSpread:
     """
 
     def __init__(self, name: str, folder: Path, cancelled: Callable[[], bool]) -> None:
-        self._client = get_client()
         self._worker = get_worker()
         self._cancelled = cancelled
         self._seconds: dict[str, float | None] = {}
@@ -140,7 +139,7 @@ class ClusterSpread:
             if not group:
                 return
             self._tell_lent(worker, _patience_s(work.pieces, group))
-            future = self._client.submit(
+            future = get_client().submit(
                 compute_group,
                 str(self._sign),
                 work.function,
@@ -158,7 +157,10 @@ class ClusterSpread:
         if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
             self._looked_s = time.monotonic()
             ours = {loan.future.key for loan in loans.values()}
-            at_work = self._client.processing()
+            try:
+                at_work = get_client().processing()
+            except OSError:  # the scheduler is too busy to say, or gone; the run does not depend on it
+                at_work = {}
             busy = {worker for worker, keys in at_work.items() if not ours.issuperset(map(str, keys))}
             self._idle = sorted(at_work.keys() - busy - self._blind - {self._worker.address})
         return self._idle
