@@ -61,7 +61,7 @@ def measure(report: Report, *, frames: int = 1_000_000, method: str = "batch", s
     with tempfile.TemporaryDirectory(prefix="boresight-spread-") as folder:
         site = Site(Path(folder), method)
         report(0.0, f"writing {frames:,} frames")
-        small, large = (site.table(count, seed) for count in (WARM_FRAMES, frames))
+        small, large = (site.table(count, seed) for count in (min(WARM_FRAMES, frames), frames))
         with site.cluster(workers=1) as client:
             report(0.1, "warming one worker")
             site.warm(client, small)
