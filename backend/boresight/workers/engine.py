@@ -34,12 +34,13 @@ log = logging.getLogger(__name__)
 
 BUSY_TURN_S = 0.1
 IDLE_TURN_S = 0.25
+LOOK_EVERY_S = 0.5  # at the workers, while no task has ended
 PAUSE_AFTER_ERROR_S = 1.0
 CANCEL_GRACE_S = 5.0
 GONE_S = 1.0
 GONE = "its worker was gone before the task reached it, or before its result was fetched"
 KILL_AGAIN_S = 20.0
-OVERDUE_S = 10.0
+OVERDUE_S = 30.0
 LOOK_AHEAD = 64  # runs a thread
 JOIN_S = 30.0
 
@@ -82,7 +83,7 @@ class Engine:
         self._threads: dict[str, int] = {}
         self._lookout = Lookout(database)
         self._reports = Reports()
-        self._renewed_s = 0.0
+        self._renewed_s = self._looked_s = 0.0
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="boresight-engine", daemon=True)
@@ -169,9 +170,9 @@ class Engine:
 
     def _settle(self) -> None:
         """Write the ends of finished and of lost tasks."""
-        if self._flights:
-            self._threads = self._on_cluster().workers()
-            self._flights.advance(self._threads)
+        if self._flights and (self._flights.any_done() or time.monotonic() - self._looked_s > LOOK_EVERY_S):
+            self._threads, self._looked_s = self._on_cluster().workers(), time.monotonic()
+        self._flights.advance(self._threads)
         self._recall()
         for flight in self._flights:
             if self._is_settled(flight, alive=flight.worker in self._threads):

@@ -70,6 +70,10 @@ class Flights:
         """Return the task of an attempt."""
         return next(flight for flight in self._all if held in flight.members)
 
+    def any_done(self) -> bool:
+        """Whether any task has ended, well or not."""
+        return any(flight.future.done() for flight in self._all)
+
     def advance(self, threads: Mapping[str, int]) -> None:
         """Let tasks that waited behind come to the threads that are free now; `threads` counts those of the workers there are."""
         free = Counter(threads)

@@ -1,7 +1,8 @@
 """The thread between a computing run and the server: progress goes up, the wish to stop comes down.
 
 Progress is an event on a topic of the scheduler, at most four a second, its histories thinned; the wish to stop is a
-`distributed.Event` named after run and attempt, looked at five times a second at most, because a look is a round trip.
+`distributed.Event` named after run and attempt, looked at five times a second at most, because a look is a round trip. A
+run that is over within half a second tells nothing on its way: nobody could see it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from boresight.errors import CancelledError
 
 TOPIC = "boresight-progress"
 REPORT_EVERY_S = 0.25
+FIRST_REPORT_S = 0.5
 LOOK_EVERY_S = 0.2
 HISTORY_POINTS = 300
 
@@ -44,8 +46,8 @@ class Link:
         self.run_id = run_id
         self.attempt = attempt
         self._stop = Event(cancel_event(run_id, attempt))
-        self._reported_s = -REPORT_EVERY_S
         self._begun_s = self._looked_s = time.monotonic()
+        self._reported_s = self._begun_s + FIRST_REPORT_S - REPORT_EVERY_S
         self._stopped = False
 
     def report(self, progress: Progress) -> None:

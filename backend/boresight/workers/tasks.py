@@ -14,7 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypedDict, cast
@@ -29,6 +29,7 @@ from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blob_places import BlobPlace
 from boresight.store.blobs import BlobStore, open_blobs
 from boresight.store.queued_runs import Claimed
+from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
 from boresight.workers.link import Link
 from boresight.workers.scratch import scratch_of
@@ -36,6 +37,7 @@ from boresight.workers.spread import ClusterSpread
 from boresight.workers.summary import summary_of
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
+TABLES = 2  # kept in a worker process; none is so large that it is spread
 
 
 class Inputs(TypedDict):
@@ -159,11 +161,11 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
             spread = ClusterSpread(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
             folders = {"scratch_folder": folder, "spread": spread}
         return _function(calculation)(
-            source if large else source.read(),
+            source if large else _telemetry(source.path),
             parse_sensor(inputs["sensor_document"]),
             _catalogue(inputs["catalogue_folder"]),
             CalibrationSettings.parse(inputs["settings"]),
-            validation=held_out if held_out is None or held_out.large() else held_out.read(),
+            validation=held_out if held_out is None or held_out.large() else _telemetry(held_out.path),
             report=link.report,
             cancelled=link.cancelled,
             cache_folder=Path(inputs["catalogue_folder"]),
@@ -196,6 +198,12 @@ def _function(dotted: str) -> Callable[..., dict[str, Any]]:
     """Import `module:function`."""
     module, _, name = dotted.partition(":")
     return cast("Callable[..., dict[str, Any]]", getattr(import_module(module), name))
+
+
+@lru_cache(maxsize=TABLES)
+def _telemetry(path: Path) -> Telemetry:
+    """Read a table; the few newest are kept, for a group often has several runs of one. Its content never changes."""
+    return TelemetryFile(path).read()
 
 
 @cache
