@@ -7,10 +7,13 @@ is marked, and the exit code is 0.
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -74,12 +77,13 @@ def bench(parts: tuple[str, ...], frames: int | None, sizes: dict[str, dict[str,
     """
     check_writable(json_file)
     use_kernel_folder(read_settings())
-    if not parts:
-        measured = _measured("kernels", frames, sizes)
-        shown = [_table(measured), LEGEND]
-    else:
-        measured = _all_parts(list(PARTS) if "all" in parts else list(dict.fromkeys(parts)), frames, sizes)
-        shown = [_table(measured), *_promises(measured["limits"])]
+    with _ending_in_order():
+        if not parts:
+            measured = _measured("kernels", frames, sizes)
+            shown = [_table(measured), LEGEND]
+        else:
+            measured = _all_parts(list(PARTS) if "all" in parts else list(dict.fromkeys(parts)), frames, sizes)
+            shown = [_table(measured), *_promises(measured["limits"])]
     write_json(measured, json_file)
     if json_file != "-":
         click.echo("\n".join(shown))
@@ -121,13 +125,39 @@ def _in_its_own_process(part: str, frames: int | None, sizes: dict[str, Any]) ->
         words += [
             word for key, value in sizes.items() for word in ("--size", f"{part}.{key}={orjson.dumps(value).decode()}")
         ]
-        done = subprocess.run(words, stdout=subprocess.DEVNULL, check=False)  # noqa: S603 - words of our own
-        if done.returncode or not answer.exists():
-            return {
-                "failed": f"The measurement ended with exit code {done.returncode}; run --part {part} alone to see why."
-            }
+        exit_code = _run(words)
+        if exit_code or not answer.exists():
+            return {"failed": f"The measurement ended with exit code {exit_code}; run --part {part} alone to see why."}
         found: dict[str, Any] = orjson.loads(answer.read_bytes())[part]
         return found
+
+
+def _run(words: list[str]) -> int:
+    """Run a command; when this one is stopped, it is asked to stop too, so that it can take its servers away."""
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL)  # noqa: S603 - words of our own
+    try:
+        return process.wait()
+    except BaseException:
+        process.terminate()
+        process.wait()
+        raise
+
+
+@contextmanager
+def _ending_in_order() -> Iterator[None]:
+    """End by unwinding when this process is told to, so that the servers and folders of a measurement go with it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(_signal: int, _frame: object) -> None:
+        raise SystemExit(128 + signal.SIGTERM)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _table(measured: Mapping[str, Any]) -> str:
