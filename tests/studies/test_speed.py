@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from boresight.estimation.blocks import FRAMES
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.sensors import ST16_MAGNITUDE_LIMIT, st16_sensor, st16_truth
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import load_catalogue
-from boresight.studies import singular_speed, speed
+from boresight.studies import singular_speed, speed, speed_limits
 from boresight.studies.matching_peer import scipy_match
 from boresight.studies.star_frames import STARS, TIME, star_frames
 
@@ -19,7 +20,7 @@ CONTRACT = {
 
 @pytest.fixture(scope="module")
 def measured():
-    return speed.measure(30)
+    return speed.measure(30, thread_frames=2 * FRAMES)
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,22 @@ def test_every_ratio_is_a_peer_over_the_loop_that_does_its_work(measured):
     assert measured["match_per_batch_evaluation"] == pytest.approx(
         ours / measured["match_batch_evaluation_us_per_frame"]
     )
+
+
+def test_what_is_promised_of_the_loops_is_held_against_the_faster_c_of_the_same_run(measured):
+    assert set(measured["limits"]) == {"evaluation_over_c", "sqrf_over_c", "two_threads"}
+    assert all(limit["kept"] in {True, False, None} for limit in measured["limits"].values())
+
+
+def test_a_limit_is_kept_at_its_value_and_not_beyond():
+    held = speed_limits.limits(
+        {"evaluation": {"ours": 1.25, "c": 1.0, "c_fast_math": 2.0}, "sqrf": {"ours": 1.0}}, 1.59
+    )
+    assert {name: limit["kept"] for name, limit in held.items()} == {
+        "evaluation_over_c": True,
+        "sqrf_over_c": None,
+        "two_threads": False,
+    }
 
 
 @pytest.mark.parametrize("stars", singular_speed.STARS)

@@ -59,6 +59,10 @@ PARTS: dict[str, Part] = {
         "boresight.measurements.accuracy",
         "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars",
     ),
+    "fresh": Part(
+        "boresight.measurements.fresh_process",
+        "what a fresh process pays before its first calibration, beside a warm one",
+    ),
     "growth": Part("boresight.measurements.growth", "time and memory from a thousand frames to a million"),
     "spread": Part("boresight.measurements.spread", "one batch over one worker, two, and two of which one is killed"),
     "queue": Part("boresight.measurements.queue", "thousands of small runs: what the queue adds, and what kills lose"),

@@ -13,7 +13,6 @@ from __future__ import annotations
 import resource
 import sys
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,11 +23,12 @@ from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.blocks import FRAMES
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.studies import c_peer, matching_speed, peers, singular_speed
+from boresight.studies import matching_speed, peers, singular_speed, speed_limits
 from boresight.studies.processes import run_on_one_thread
 from boresight.studies.repeats import fastest
 
@@ -44,7 +44,12 @@ BATCH_PEER_FRAMES = 4000
 UPDATE = "svd_update"
 
 
-def measure(frames: int = 2000, report: Callable[[float, str], None] | None = None, seed: int = 1) -> dict[str, Any]:
+def measure(
+    frames: int = 2000,
+    report: Callable[[float, str], None] | None = None,
+    seed: int = 1,
+    thread_frames: int = 16 * FRAMES,
+) -> dict[str, Any]:
     """Time the loops and their peers; returns the contract's bench document.
 
     Parameters
@@ -55,6 +60,8 @@ def measure(frames: int = 2000, report: Callable[[float, str], None] | None = No
         Told the fraction done and what is timed next.
     seed
         Of the set.
+    thread_frames
+        Of the set that two threads evaluate: many blocks.
     """
     tell = report or (lambda _fraction, _message: None)
     sensor = st16_sensor(1)
@@ -83,7 +90,15 @@ def measure(frames: int = 2000, report: Callable[[float, str], None] | None = No
     ours |= matching
     beside |= _peers(arcs, x_0, scale, tell)
     tell(0.93, "peer: C")
-    beside |= _c_peers(arcs, x_0, scale)
+    beside_c = speed_limits.beside_c(arcs, x_0, scale, START_SIGMA)
+    beside |= {
+        f"{peer}_{work}_us_per_frame": seconds / frames * 1e6
+        for work, times in beside_c.items()
+        for peer, seconds in times.items()
+        if peer != "ours"
+    }
+    tell(0.94, "two threads")
+    gain = speed_limits.two_threads(synthetic(thread_frames, np.random.default_rng(seed)), x_0, scale)
     tell(0.95, "update by singular values")
     updates, peers_of_updates = _singular_updates()
     ours |= updates
@@ -99,6 +114,8 @@ def measure(frames: int = 2000, report: Callable[[float, str], None] | None = No
         "peak_rss_mb": _peak_rss_mb(),
         "peers": beside,
         "ratios": _ratios(ours, beside),
+        "two_threads": gain,
+        "limits": speed_limits.limits(beside_c, gain),
     }
 
 
@@ -150,21 +167,6 @@ def _peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray, tell: Callable[[flo
         tell(0.6 + 0.1 * turn, f"peer: {name}")
         times[name] = fastest(run, repeats=2) / n_frames
     return {f"{name}_us_per_frame": seconds * 1e6 for name, seconds in times.items()}
-
-
-def _c_peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray) -> dict[str, float]:
-    """Time the same arithmetic in C, microseconds a frame: the evaluation, and the filter; empty without a C compiler."""
-    pooled = pool_start(arcs, START_ARCS_PER_PARAMETER * len(x_0))
-    per_frame = 1e6 / arcs.n_frames
-    times = {}
-    with c_peer.compiled() as compiled:
-        for name, peer in compiled.items():
-            seconds = fastest(partial(peer.normal_equations, arcs, x_0, scale))
-            times[f"{name}_evaluation_us_per_frame"] = seconds * per_frame
-            begin = start(x_0, len(x_0), START_SIGMA)
-            seconds = fastest(partial(peer.square_root_filter, pooled, begin, scale, Tuning()), repeats=3)
-            times[f"{name}_sqrf_us_per_frame"] = seconds * per_frame
-    return times
 
 
 def synthetic(frames: int, rng: np.random.Generator) -> ArcSet:
