@@ -76,6 +76,16 @@ def test_putting_again_sends_nothing_and_a_fetched_file_is_not_fetched_again(
     assert worker.read(sha256, verify=True) == b"once"
 
 
+def test_what_was_sent_ahead_is_not_sent_while_others_wait(
+    blobs: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "table").write_bytes(b"stars")
+    server = blobs("server")
+    server.send_ahead(tmp_path / "table")
+    monkeypatch.setattr(obstore, "put", lambda *_: pytest.fail("it was there already"))
+    server.put(tmp_path / "table")
+
+
 def test_a_document_is_parsed_once_though_its_file_is_marked_as_used(blobs: Open) -> None:
     server = blobs("server")
     sha256 = server.put(b'{"a":1}')
