@@ -1,20 +1,25 @@
-"""A mark moves with every commit of anybody, and with nothing else."""
+"""A mark moves with every commit of anybody, and with nothing else, on either engine."""
 
 from __future__ import annotations
 
+import pytest
+
 from boresight.store.chain import append_own
 from boresight.store.marks import Marks
-from boresight.store.sessions import migrate, open_engine, reading, writing
+from boresight.store.sessions import open_engine, reading, writing
 
 
-def test_a_mark_moves_with_every_commit_and_with_nothing_else(tmp_path):
-    address = f"sqlite:///{tmp_path}/store.sqlite3"
-    engine, another = open_engine(address), open_engine(address)
-    migrate(engine)
-    marks = Marks(engine)
+@pytest.fixture(params=["sqlite", "postgresql"])
+def store(request):
+    """Each engine in turn."""
+    return request.getfixturevalue(request.param)
+
+
+def test_a_mark_moves_with_every_commit_and_with_nothing_else(store):
+    another = open_engine(store.url.render_as_string(hide_password=False))
+    marks = Marks(store)
     seen = [marks.look()]
-    assert marks.at_once
-    for database in (engine, another, engine):
+    for database in (store, another, store):
         with reading(database) as session:
             session.connection()
         assert marks.look() == seen[-1]
@@ -23,26 +28,34 @@ def test_a_mark_moves_with_every_commit_and_with_nothing_else(tmp_path):
             session.flush()
             assert marks.look() == seen[-1], "what is not committed is not to be seen"
         seen.append(marks.look())
+    assert None not in seen
     assert len(set(seen)) == len(seen)
     marks.close()
-    engine.dispose()
     another.dispose()
 
 
-def test_marks_of_another_connection_are_others(tmp_path):
-    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
-    migrate(engine)
-    marks = Marks(engine)
+def test_marks_of_another_connection_are_others(store):
+    marks = Marks(store)
     first = marks.look()
     marks.close()
     assert marks.look() != first
     marks.close()
-    engine.dispose()
+
+
+def test_a_look_holds_no_connection_of_the_pool(store):
+    marks = Marks(store)
+    marks.look()
+    assert store.pool.checkedout() == 0
+    marks.close()
+
+
+def test_only_sqlite_is_asked_at_once(sqlite, postgresql):
+    assert Marks(sqlite).at_once
+    assert not Marks(postgresql).at_once
 
 
 def test_a_store_that_cannot_say_gives_no_mark(tmp_path):
-    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
-    marks = Marks(engine)
-    (tmp_path / "store.sqlite3").write_bytes(b"this is no database, however long it may be " * 50)
-    assert marks.look() is None
+    engine = open_engine(f"sqlite:///{tmp_path}/no-store.sqlite3")
+    (tmp_path / "no-store.sqlite3").write_bytes(b"this is no database, however long it may be " * 50)
+    assert Marks(engine).look() is None
     engine.dispose()
