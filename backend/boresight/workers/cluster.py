@@ -130,7 +130,7 @@ class Cluster:
         self._lent_until_s[event["worker"]] = now_s + event["for_s"] + LENT_S
 
     def ask_to_stop(self, held: Held) -> None:
-        """Ask an attempt to stop; it looks five times a second."""
+        """Ask an attempt to stop; it looks twice a second."""
         Event(cancel_event(*held), client=self._client).set()
 
     def forget_stop(self, held: Held) -> None:

@@ -1,7 +1,7 @@
 """The thread between a computing run and the server: progress goes up, the wish to stop comes down.
 
 Progress is an event on a topic of the scheduler, at most four a second, its histories thinned; the wish to stop is a
-`distributed.Event` named after run and attempt, looked at five times a second at most, because a look is a round trip. A
+`distributed.Event` named after run and attempt, looked at twice a second at most, because a look is a round trip. A
 run that is over within half a second tells nothing on its way: nobody could see it.
 """
 
@@ -19,7 +19,7 @@ from boresight.errors import CancelledError
 TOPIC = "boresight-progress"
 REPORT_EVERY_S = 0.25
 FIRST_REPORT_S = 0.5
-LOOK_EVERY_S = 0.2
+LOOK_EVERY_S = 0.5
 HISTORY_POINTS = 300
 
 
