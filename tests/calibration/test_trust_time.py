@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from boresight.calibration.trust import innovations
 from boresight.calibration.trust.ground import frame_arcs
 from boresight.calibration.trust.innovations import nis_over_time
 from boresight.calibration.trust.whiteness import whiteness
@@ -110,3 +111,14 @@ def test_the_wandering_of_a_filter_with_process_noise_is_not_taken_for_drift_or_
     assert trust["suspects"] == []
     assert trust["efficiency"]["overall_ratio"] > 1.5
     assert "hold more than the method took" in trust["efficiency"]["sentence"]
+
+
+def test_an_outlier_of_a_long_series_is_shown_wherever_it_is():
+    values = np.random.default_rng(2).chisquare(40, 30_000) / 40
+    values[12_345], values[29_999] = 9.0, 0.01
+
+    shown = innovations._shown(values)
+
+    assert len(shown) <= innovations.MOST_POINTS
+    assert {12_345, 29_999} <= set(shown)
+    assert (np.diff(shown) > 0).all()

@@ -9,6 +9,7 @@ frame among a hundred.)
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def nis_over_time(ground: Ground) -> dict[str, Any]:
     outside = float(np.mean((beyond > 1 - tail) | (beyond < tail)))
     low, high = share_bounds(len(values), 1 - CONFIDENCE, 1 - UNLIKELY)
     runs = runs_p_value(per_dof) if len(values) >= FEWEST_FOR_RUNS else 1.0
-    shown = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_POINTS)).round().astype(int))
+    shown = _shown(per_dof)
     lower, upper = (chdtri(dof[shown], share) / dof[shown] for share in (1 - tail, tail))
     return {
         "frame": frame[shown].tolist(),
@@ -50,6 +51,15 @@ def nis_over_time(ground: Ground) -> dict[str, Any]:
         "consistent": low <= outside <= high and runs >= UNLIKELY,
         "sentence": _sentence(len(values), outside, (low, high), runs, ground.estimate.history is not None),
     }
+
+
+def _shown(values: FloatArray) -> NDArray[np.int64]:
+    """Places to draw: all, or of a long series the lowest and the highest of each stretch, so that no outlier is lost."""
+    if len(values) <= MOST_POINTS:
+        return np.arange(len(values))
+    edges = np.linspace(0, len(values), MOST_POINTS // 2 + 1).astype(np.int64)
+    stretches = [(first, values[first:last]) for first, last in pairwise(edges.tolist())]
+    return np.unique([first + end for first, part in stretches for end in (np.argmin(part), np.argmax(part))])
 
 
 def _series(ground: Ground) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
