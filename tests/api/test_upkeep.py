@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 
 from boresight.api import upkeep as upkeep_module
 from boresight.api.upkeep import Upkeep
@@ -118,7 +119,7 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
     assert (raised.kind, raised.level, raised.version) == ("CHAIN", "critical", 1)
     assert "users/1 was changed outside Boresight" in raised.sentence
     with store.begin() as connection:
-        connection.exec_driver_sql("UPDATE users SET roles = ?", (before,))
+        connection.execute(sa.text("UPDATE users SET roles = :roles"), {"roles": before})
     upkeep.verify()
     upkeep.watch()
     with reading(store) as session:
