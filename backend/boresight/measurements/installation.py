@@ -19,7 +19,7 @@ import psutil
 
 from boresight.settings import Settings
 
-READY_S = 180.0
+READY_S = 600.0
 STOP_S = 30.0
 LOOK_EVERY_S = 0.1
 CHILD = "spawn_main"  # in the command line of a process that computes
@@ -99,9 +99,7 @@ class Installation:
         self.services: dict[str, Service] = {}
         self._address = f"http://{settings.host}:{settings.port}"
         if settings.scheduler:
-            self.services["scheduler"] = Service(
-                ["distributed.cli.dask_scheduler", *_place(settings), "--no-dashboard"], settings, environment
-            )
+            self.services["scheduler"] = Service(["scheduler", *_place(settings)], settings, environment)
             for number in range(workers):
                 self.services[f"worker {number + 1}"] = Service(["worker"], settings, environment)
         self.services["server"] = Service(["serve"], settings, environment)
