@@ -4,7 +4,7 @@ The run's own worker takes pieces from the front all the time, in a thread besid
 gathers. So nothing can wait for ever: with no other worker, or with all of them busy, the run computes everything itself, and
 what is out elsewhere for too long it computes again, for a piece may be computed twice (`boresight.calibration.spread`).
 
-- A worker that computes a run, or has one waiting, is lent nothing: runs go first, and wait for one group at most.
+- A worker that computes a run, or has one waiting, is lent nothing: runs go first, and wait for the group under way at most.
 - A piece whose worker died is computed by the run itself. If it is poison it ends the run's own worker, and the engine counts that
   as a lost attempt of this run, as of any other; so two processes an attempt at most pay for it.
 - That a worker was lent is told on a topic, so that the engine charges no run with a death that a piece may have caused.
@@ -37,6 +37,10 @@ OVERDUE_S = 3.0
 OVERDUE_TIMES = 4
 AT_ONCE_S = 0.05
 BEHIND_RUNS = -1  # priority
+DEEP = 2  # groups a worker has: one that it computes, and the next, so that it does not wait for it
+
+#: A worker, and which of its groups.
+Slot = tuple[str, int]
 
 
 @dataclass
@@ -107,7 +111,7 @@ class ClusterSpread:
 
     def _shared(self, work: _Work, done: Told | None) -> None:
         """Compute in a thread beside, lend, gather, until all is there."""
-        loans: dict[str, Loan] = {}
+        loans: dict[Slot, Loan] = {}
         here = contextvars.copy_context().run
         threading.Thread(target=here, args=(work.compute_all, loans), daemon=True, name="boresight-pieces").start()
         told = 0
@@ -130,10 +134,11 @@ class ClusterSpread:
         if self._cancelled():
             raise CancelledError(f"Stopped as asked after {pieces.done} of {pieces.count} pieces")
 
-    def _lend(self, work: _Work, loans: dict[str, Loan]) -> None:
-        """Hand a group to every worker that is idle."""
-        for worker in self._idle_workers(loans):
-            if worker in loans:
+    def _lend(self, work: _Work, loans: dict[Slot, Loan]) -> None:
+        """Hand groups to every worker that is idle, first one to each."""
+        idle = self._idle_workers(loans)
+        for number, worker in ((number, worker) for number in range(DEEP) for worker in idle):
+            if (worker, number) in loans:
                 continue
             group = work.pieces.take(2 + len(loans))
             if not group:
@@ -150,9 +155,9 @@ class ClusterSpread:
                 priority=BEHIND_RUNS,
             )
             future.add_done_callback(lambda _: work.pieces.tell_news())
-            loans[worker] = Loan(future, group, time.monotonic())
+            loans[worker, number] = Loan(future, group, time.monotonic())
 
-    def _idle_workers(self, loans: dict[str, Loan]) -> list[str]:
+    def _idle_workers(self, loans: dict[Slot, Loan]) -> list[str]:
         """Return the workers that have nothing to compute but what we lent them; looked at twice a second."""
         if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
             self._looked_s = time.monotonic()
@@ -165,12 +170,14 @@ class ClusterSpread:
             self._idle = sorted(at_work.keys() - busy - self._blind - {self._worker.address})
         return self._idle
 
-    def _gather(self, work: _Work, loans: dict[str, Loan]) -> None:
+    def _gather(self, work: _Work, loans: dict[Slot, Loan]) -> None:
         """Take in what has come back; give back what was lost, or is out for too long."""
-        for worker, loan in list(loans.items()):
+        for (worker, number), loan in list(loans.items()):
             if loan.future.done():
-                del loans[worker]
-                self._tell_lent(worker, 0.0)
+                del loans[worker, number]
+                self._tell_lent(
+                    worker, 0.0 if (worker, 1 - number) not in loans else _patience_s(work.pieces, loan.group)
+                )
                 if not self._taken_in(work.pieces, worker, loan):
                     self._idle = [other for other in self._idle if other != worker]
                     work.pieces.give_back(loan.group)
@@ -209,7 +216,7 @@ class _Work:
         results, seconds = timed(self.function, [self.arguments[place] for place in group])
         self.pieces.settle(group, results, seconds)
 
-    def compute_all(self, loans: dict[str, Loan]) -> None:
+    def compute_all(self, loans: dict[Slot, Loan]) -> None:
         """Go on until all is over; returned pieces come first."""
         while not self.pieces.closed and not self.pieces.complete:
             group = self.pieces.take(2 + len(loans), returned=True)
