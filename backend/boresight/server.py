@@ -46,6 +46,7 @@ from boresight.api.routes import router as api_router
 from boresight.api.upkeep import Upkeep
 from boresight.errors import BoresightError
 from boresight.pages import router as pages_router
+from boresight.pages.fleet import FleetMemory
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
 from boresight.services import runs
 from boresight.services.forecasts import Sight
@@ -114,7 +115,8 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
     state.upkeep = Upkeep(state.engine)
     state.deliveries = Deliveries(state.engine, local=bool(settings.webhooks_local))
-    state.changes = Changes(Marks(state.engine))
+    marks = Marks(state.engine)
+    state.changes, state.fleet = Changes(marks), FleetMemory(state.engine, marks)
     state.ready = Ready(state.changes, _prove, state.upkeep.light)
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)

@@ -10,6 +10,10 @@ import pytest
 
 from boresight.pages.fleet import fleet_standing
 from boresight.pages.frame import FLASH_COOKIE, NAVIGATION
+from boresight.services import audit
+from boresight.services.actors import COMMAND_LINE
+from boresight.store.sessions import writing
+from boresight.store.tables import Sensor
 
 PAGES = ("/sensors", "/sensors/1", "/telemetry", "/audit", "/users")
 
@@ -101,7 +105,7 @@ def test_a_frame_stands_where_the_store_cannot_be_read(house, monkeypatch):
     def broken(_session):
         raise OSError("disk I/O error")
 
-    monkeypatch.setattr("boresight.pages.frame.fleet_standing", broken)
+    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", broken)
     page = visitor.get("/audit")
     assert "The store could not be read." in page
     assert "disk I/O" not in page
@@ -114,7 +118,29 @@ def test_the_frame_has_read_the_store_before_the_page_holds_a_connection(house, 
         held.append(house.engine.pool.checkedout())
         return fleet_standing(session)
 
-    monkeypatch.setattr("boresight.pages.frame.fleet_standing", watched)
+    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", watched)
+    monkeypatch.setattr("boresight.pages.fleet.HELD_S", 0.0)
     for path in PAGES:
         house.visitor("ada").get(path)
     assert held == [0] * len(PAGES)
+
+
+def test_the_top_bar_looks_at_the_fleet_once_for_many_pages_and_again_after_any_commit(house, monkeypatch):
+    looks = []
+
+    def watched(session):
+        looks.append(house.engine)
+        return fleet_standing(session)
+
+    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", watched)
+    visitor = house.visitor("ada")
+    visitor.get("/audit")
+    del looks[:]
+    for _ in range(5):
+        visitor.get("/audit")
+    assert looks == []
+    with writing(house.engine) as session:
+        session.get_one(Sensor, 1).name = "ST-RENAMED"
+        audit.append(session, COMMAND_LINE, "renamed", "sensors/1")
+    assert "ST-RENAMED" in visitor.get("/audit")
+    assert len(looks) == 1

@@ -1,14 +1,22 @@
-"""How the fleet stands, for the top bar of every page: as its worst sensor does, that sensor named."""
+"""How the fleet stands, for the top bar of every page: as its worst sensor does, that sensor named.
+
+It takes a look at every sensor, so it is remembered while nothing is committed (`store.marks`), and no longer than `HELD_S`, for
+baselines age by the clock.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from boresight.pages.states import LEVELS
 from boresight.services import alarms, approvals, sensors
 from boresight.services.sensors import SensorTile
-from boresight.store.sessions import Session
+from boresight.store.marks import Mark, Marks
+from boresight.store.sessions import Engine, Session, reading
+
+HELD_S = 30.0
 
 WORD_OF_LEVEL = {level: level.upper() for level in LEVELS} | {"off": "NO DATA"}
 
@@ -36,3 +44,30 @@ def fleet_standing(session: Session) -> tuple[Standing, int, int]:
     """Return how the fleet stands, how many requests wait for a signature, and how many alarms to be acknowledged."""
     waiting = len(approvals.list_approvals(session, state="OPEN"))
     return worst_standing(sensors.fleet_overview(session)), waiting, alarms.unacknowledged(session)
+
+
+class FleetMemory:
+    """What the top bar says, read anew only after a commit; pages in several threads may ask at once.
+
+    Parameters
+    ----------
+    engine
+        The store.
+    marks
+        Tells whether anything was committed.
+    """
+
+    def __init__(self, engine: Engine, marks: Marks) -> None:
+        self._engine, self._marks = engine, marks
+        self._known: tuple[Mark, float, tuple[Standing, int, int]] | None = None
+
+    def standing(self) -> tuple[Standing, int, int]:
+        """Return what `fleet_standing` does, from a look that no commit came after."""
+        mark, known = self._marks.look(), self._known
+        if known is not None and mark == known[0] and time.monotonic() - known[1] < HELD_S:
+            return known[2]
+        with reading(self._engine) as session:
+            found = fleet_standing(session)
+        if mark is not None:
+            self._known = mark, time.monotonic(), found
+        return found

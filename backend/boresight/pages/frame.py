@@ -21,11 +21,10 @@ from fastapi import Request
 from boresight.api.credentials import current_actor
 from boresight.api.upkeep import Light
 from boresight.errors import PasswordDueError, UnauthenticatedError
-from boresight.pages.fleet import Standing, fleet_standing
+from boresight.pages.fleet import FleetMemory, Standing
 from boresight.pages.formats import day_of_year
 from boresight.pages.states import LEVELS
 from boresight.services.actors import Actor
-from boresight.store.sessions import reading
 
 log = logging.getLogger(__name__)
 
@@ -113,8 +112,8 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None,
     if known is not None:
         return known
     try:
-        with reading(request.app.state.engine) as session:
-            return fleet_standing(session)
+        memory: FleetMemory = request.app.state.fleet
+        return memory.standing()
     except Exception:
         log.exception("The frame could not read the store")
         return UNREAD, None, None

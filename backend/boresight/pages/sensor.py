@@ -153,7 +153,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
             "sensor.html",
             status_code=422 if shown.refusal else 200,
             sensor=sensor,
-            tile=next(tile for tile in sensors.fleet_overview(session) if tile.sensor.id == sensor_id),
+            tile=sensors.fleet_overview(session, [sensor_id])[0],
             names=names,
             baseline=baseline,
             verdict_of_baseline=gates.verdicts(session, [baseline.id]).get(baseline.id) if baseline else None,

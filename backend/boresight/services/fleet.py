@@ -6,7 +6,8 @@ its sentence; a sensor shows the worst of its findings.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -67,17 +68,20 @@ class Known:
     ground_shifted: bool = False
 
 
-def fleet_overview(session: Session) -> list[SensorTile]:
-    """Return a tile for every sensor, by name."""
-    baselines, runs, counts = rows.baselines(session), rows.last_runs(session), rows.set_counts(session)
-    waiting, onboard = rows.waiting_approvals(session), rows.onboard_sets(session)
-    drifting, stamps = _drifting(session), trends.stamps(session)
+def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorTile]:
+    """Return a tile for every sensor, or for some, by name."""
+    baselines, runs = rows.baselines(session, sensor_ids), rows.last_runs(session, sensor_ids)
+    counts, waiting = rows.set_counts(session), rows.waiting_approvals(session)
+    drifting, stamps = _drifting(session), trends.stamps(session, sensor_ids)
+    onboard = defaultdict[int, list[ParameterSet]](list)
+    for row in rows.onboard_sets(session, sensor_ids):
+        onboard[row.sensor_id].append(row)
     tiles = []
-    for sensor in rows.sensors(session):
+    for sensor in rows.sensors(session, sensor_ids):
         known = Known(
             baseline=baselines.get(sensor.id),
             last_run=runs.get(sensor.id),
-            onboard=tuple(row for row in onboard if row.sensor_id == sensor.id),
+            onboard=tuple(onboard[sensor.id]),
             waiting=waiting.get(sensor.id),
             telemetry_sets=counts.get(sensor.id, 0),
             days=days_since(baselines.get(sensor.id)),

@@ -50,7 +50,7 @@ def judgements(
     session: Session, sensors: Sequence[Sensor], baselines: Mapping[int, ParameterSet | None], stamps: Mapping[int, Any]
 ) -> dict[int, Judgement]:
     """Return whether some sensors drift; see `judgement`. Those that must be asked anew are, `TOGETHER` at a time."""
-    of_store = _known.setdefault(session.get_bind().pool, {})  # an engine with options is another object
+    of_store = _known.setdefault(session.get_bind().engine.pool, {})  # an engine with options is another object
     rests_on = {sensor.id: _rests_on(sensor, baselines.get(sensor.id), stamps.get(sensor.id)) for sensor in sensors}
     unknown = [sensor for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
     for start in range(0, len(unknown), TOGETHER):

@@ -28,9 +28,9 @@ def baselines(session: Session, sensor_ids: Collection[int] | None = None) -> di
     return {row.sensor_id: row for row in session.scalars(query.where(*_of(ParameterSet.sensor_id, sensor_ids)))}
 
 
-def last_runs(session: Session) -> dict[int, Run]:
-    """Return each sensor's newest run, by sensor."""
-    newest = sa.select(sa.func.max(Run.id)).group_by(Run.sensor_id)
+def last_runs(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Run]:
+    """Return each sensor's newest run, or those of some, by sensor."""
+    newest = sa.select(sa.func.max(Run.id)).where(*_of(Run.sensor_id, sensor_ids)).group_by(Run.sensor_id)
     return {row.sensor_id: row for row in session.scalars(sa.select(Run).where(Run.id.in_(newest)))}
 
 
