@@ -256,6 +256,7 @@ def test_a_held_out_file_that_is_large_is_sampled_evenly(sensor, catalogue, tmp_
     document = in_memory(telemetry(1), sensor, catalogue, match="given", validation=held_out)
 
     assert 25 <= document["validation"]["frames"] <= 50
+    assert f"{document['validation']['frames']} of its frames" in document["advice"][-1]
 
 
 def test_pieces_are_asked_for_a_stop_before_each():
