@@ -7,6 +7,7 @@ threads of the endpoints does not look like a server that is dead.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from anyio import CapacityLimiter
@@ -54,10 +55,16 @@ async def readiness(request: Request) -> Response:
 def _store(request: Request) -> dict[str, Any]:
     """Look at the schema."""
     try:
-        found, expected = current_revision(request.app.state.engine), head_revision()
+        found, expected = current_revision(request.app.state.engine), _newest_revision()
     except (BoresightError, OSError) as error:
         return {"ready": False, "detail": str(error)}
     return {"ready": found == expected, "revision": found, "expected": expected}
+
+
+@cache
+def _newest_revision() -> str | None:
+    """Return the newest revision of this version; found once, for it takes longer than the rest of the answer."""
+    return head_revision()
 
 
 def _workers(request: Request) -> dict[str, Any]:
