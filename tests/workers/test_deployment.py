@@ -85,7 +85,8 @@ def site(tmp_path_factory):
     try:
         for name in made.services:
             made.start(name)
-        wait_for(lambda: is_ready(made), 300)
+        wait_for(lambda: is_ready(made) or any(process.poll() is not None for process in made.started.values()), 300)
+        assert is_ready(made), made.log()[-3000:]
         yield made
     finally:
         made.stop()
