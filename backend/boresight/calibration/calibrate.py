@@ -93,7 +93,9 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
         validate(document, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
         if isinstance(validation, TelemetryFile) and validation.large():
             frames = len(np.unique(judged.frame))
-            document["advice"].append(f"The validation set is large: {frames:,} of its frames, evenly spread, were looked at.")
+            document["advice"].append(
+                f"The validation set is large: {frames:,} of its frames, evenly spread, were looked at."
+            )
         clock.lap("validate")
     if ended is not None:
         document["timing_s"] = clock.laps | {"method": ended.method_s}
