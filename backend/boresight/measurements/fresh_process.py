@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,16 @@ from boresight.telemetry.sensors import sensor_document
 
 #: Seconds that the first calibration of a fresh process may take beyond a warm one.
 LIMIT_S = 2.0
+#: Runs a command twice in one process, and reads the clocks of the machine and of the process after each.
+TWICE = """
+import json, sys, time
+from boresight.cli import main
+marks = []
+for _ in range(2):
+    main(sys.argv[1:], standalone_mode=False)
+    marks.append((time.monotonic(), time.process_time()))
+print("\\n" + json.dumps(marks))
+"""
 
 
 def measure(
@@ -86,7 +96,7 @@ def _twice(place: Path, environment: dict[str, str]) -> dict[str, float]:
     words = ["calibrate", "set.parquet", "--sensor", "sensor.json", "--match", "given", "--json", "out.json"]
     began = time.monotonic()
     done = subprocess.run(  # noqa: S603 - words of our own
-        [sys.executable, "-m", __name__, *words], cwd=place, env=environment, check=True, stdout=subprocess.PIPE
+        [sys.executable, "-c", TWICE, *words], cwd=place, env=environment, check=True, stdout=subprocess.PIPE
     )
     (first, used), (second, used_again) = orjson.loads(done.stdout.splitlines()[-1])
     return {
@@ -95,18 +105,3 @@ def _twice(place: Path, environment: dict[str, str]) -> dict[str, float]:
         "first_processor_s": used,
         "second_processor_s": used_again - used,
     }
-
-
-def _marks(words: Sequence[str]) -> list[tuple[float, float]]:
-    """Run a command twice in this process and read the clocks after each: the one of the machine, and that of this process."""
-    from boresight.cli import main  # noqa: PLC0415 - what it costs is measured
-
-    marks = []
-    for _ in range(2):
-        main(list(words), standalone_mode=False)
-        marks.append((time.monotonic(), time.process_time()))
-    return marks
-
-
-if __name__ == "__main__":
-    sys.stdout.write("\n" + orjson.dumps(_marks(sys.argv[1:])).decode() + "\n")
