@@ -31,13 +31,14 @@ class Changes:
         """Return a mark that was looked for after this was called; None where the store cannot say."""
         if self._marks.at_once:
             return self._marks.look()
-        if self._next is None:
-            self._next = asyncio.get_running_loop().create_task(self._ask(self._under_way))
+        loop = asyncio.get_running_loop()
+        if self._next is None or self._next.get_loop() is not loop:
+            self._next = loop.create_task(self._ask(self._under_way))
         return await asyncio.shield(self._next)
 
     async def _ask(self, before: asyncio.Task[Mark | None] | None) -> Mark | None:
         """Wait for the question before, then ask."""
-        if before is not None:
+        if before is not None and before.get_loop() is asyncio.get_running_loop():
             await asyncio.wait([before])
         self._under_way, self._next = self._next, None
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._marks.look)

@@ -15,7 +15,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Engine
 
-from boresight.errors import RefusedInputError, UnavailableError
+from boresight.errors import NotFoundError, RefusedInputError, UnavailableError
 
 PRAGMAS = (
     "PRAGMA journal_mode=WAL",
@@ -112,11 +112,13 @@ def _open_postgresql(address: sa.URL) -> Engine:
     return engine
 
 
-def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> UnavailableError | None:
+def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> UnavailableError | NotFoundError | None:
     """Put a lost or refused connection, and a wait in vain, into words; states are those of SQL (class 08, 57, 53)."""
     state = getattr(context.original_exception, "sqlstate", None)
     if state == "55P03":  # lock not available
         return UnavailableError(BUSY)
+    if state == "22003" and (context.statement or "").startswith("SELECT"):  # greater than a key can be
+        return NotFoundError("There is nothing of this number; choose one of the list.")
     unconnected = context.connection is None and isinstance(context.sqlalchemy_exception, sa.exc.OperationalError)
     gone = context.is_disconnect or unconnected or (state or "").startswith(("08", "57P", "53"))
     return UnavailableError(GONE) if gone else None
