@@ -21,9 +21,9 @@ export PYTHONUNBUFFERED := 1
 PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10
 # What starts processes, kills them or drives a browser has the machine for itself; the rest shares it.
 PARALLEL := --numprocesses 2 --dist loadfile
-ALONE := tests/workers tests/browser tests/test_wheel.py tests/transitions/test_race.py tests/transitions/test_killed_server.py
+ALONE := tests/workers tests/measurements tests/browser tests/test_wheel.py tests/transitions/test_race.py tests/transitions/test_killed_server.py
 
-.PHONY: help demo test lint pytest bench clean lock machine
+.PHONY: help demo test lint pytest bench postgresql clean lock machine
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
@@ -46,10 +46,13 @@ pytest: $(MADE)/dev
 	$(PYTEST) $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml || failed=1; \
 	exit $$failed
 
-bench: $(MADE)/dev  ## measure speed beside peers, and accuracy against theory (minutes)
-	@mkdir -p artefacts
-	$(BIN)/boresight bench --json artefacts/bench.json
-	$(BIN)/python benchmarks/accuracy.py
+bench: $(MADE)/dev  ## measure everything beside its peers and write docs/benchmarks.md and docs/capacity.md anew (an hour, on an idle machine)
+	$(BIN)/python docs/measure.py
+
+postgresql: $(MADE)/dev  ## run the tests on PostgreSQL instead of SQLite (a quarter of an hour)
+	@.ci/machine postgresql
+	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --store postgresql
+	$(PYTEST) $(wildcard $(ALONE)) --store postgresql
 
 clean:  ## remove what was built, cached and demonstrated; the virtual environment stays
 	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels
