@@ -24,6 +24,15 @@ def written(tmp_path):
     return write
 
 
+def rounded(value):
+    """A document with its numbers to nine digits: directions that went through a file differ in their last bits."""
+    if isinstance(value, float):
+        return float(f"{value:.9g}")
+    if isinstance(value, dict):
+        return {key: rounded(one) for key, one in value.items()}
+    return [rounded(one) for one in value] if isinstance(value, list) else value
+
+
 def test_every_gate_is_a_line_with_its_limit_and_the_verdict_comes_last(assess):
     done = assess()
 
@@ -41,7 +50,7 @@ def test_the_json_is_the_report_and_held_out_frames_give_what_the_calibrations_o
 
     assert own["schema"] == "boresight.gate-report/1"
     assert (own["verdict"], own["blocking"], len(own["gates"])) == ("NO-DATA", [], 18)
-    assert own == seen
+    assert rounded(own) == rounded(seen)
 
 
 def test_a_verdict_of_fail_is_exit_zero_and_names_the_gates_that_would_block(assess, written):

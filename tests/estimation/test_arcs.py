@@ -131,3 +131,14 @@ def test_a_part_of_a_set_has_the_arcs_of_its_frames():
     np.testing.assert_array_equal(np.concatenate([part.band for part in parts]), field.band)
     assert sum(part.n_arcs for part in parts) == field.n_arcs
     assert field.sigma_px[0] == NOISE_PX
+
+
+@given(stars=st.integers(4, 12), seed=st.integers(0, 2**32 - 1))
+def test_rounding_of_the_directions_does_not_choose_another_order(stars, seed):
+    rng = np.random.default_rng(seed)
+    s_i = rng.normal(size=(stars, 3)) * 0.1 + [0.0, 0.0, 1.0]
+    s_i /= np.linalg.norm(s_i, axis=1, keepdims=True)
+    starts = np.array([0, stars])
+    places, _ = arcs.order(starts, s_i)
+    again, _ = arcs.order(starts, s_i + 1e-16 * rng.integers(-1, 2, s_i.shape))
+    np.testing.assert_array_equal(again, places)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from boresight.store.sessions import utc_after, utc_now, writing
@@ -73,7 +75,7 @@ def test_a_run_that_is_being_stopped_says_since_when(house, read, tell):
     tell(run_id, "CANCELLING: Cancelled by Ada Analyst: wrong set.", at_utc=utc_after(-12.0))
     text = read(house.visitor("victor").get(f"/runs/{run_id}"))
     assert "Stopping: Cancelled by Ada Analyst: wrong set. Asked at" in text
-    assert "12 s ago" in text
+    assert re.search(r"\b1[2-9] s ago", text)
 
 
 def test_a_lost_run_says_when_it_was_last_heard_of_and_offers_to_run_it_again(house, read):

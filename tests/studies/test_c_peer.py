@@ -46,3 +46,9 @@ def test_c_runs_the_square_root_filter_to_the_same_states(peers, arcs, variant):
     np.testing.assert_allclose((theirs.states - ours.states) / scale / ours.sigmas, 0.0, atol=1e-6)
     np.testing.assert_allclose(theirs.sigmas, ours.sigmas, rtol=1e-8)
     np.testing.assert_allclose(theirs.nis, ours.nis, rtol=1e-8)
+
+
+@pytest.mark.usefixtures("peers")
+def test_no_variant_takes_the_smallest_numbers_from_the_process_that_loads_it():
+    assert np.nextafter(0.0, 1.0) / 2 + np.nextafter(0.0, 1.0) > 0.0
+    assert np.finfo(np.float64).tiny / 2 > 0.0

@@ -31,6 +31,7 @@ _THIN = 0.1  # sine of an angle: orders with a thinner triangle are mended
 _STAR = 20  # numbers kept a star: s (3), 1 / |t| = s_z, d t_x / dx (8), d t_y / dx (8)
 _T_X, _T_Y = 4, 12  # where those derivatives begin
 _INVERTED_WANG = 0
+_TIE = 1e-9  # a triangle that is fatter by less is as fat: rounding must not choose an order
 _FEW = 7  # stars of which every order is tried
 _STEPS = 60  # of a bracketed Newton search, which takes about five
 _SETTLED = 1e-11  # share of the root that the last step may be: its error is the square of that
@@ -910,7 +911,7 @@ def _greedy(x, y, pool, n, window, order):
         best, best_fatness = head, -1.0
         for c in range(head, min(head + window, n)):
             fat = _fatness(x, y, order[head - 2], order[head - 1], pool[c])
-            if fat > best_fatness:
+            if fat > best_fatness + _TIE:
                 best, best_fatness = c, fat
             if fat > 0.5:  # 30 degrees is fat enough: leave the rest for later triangles
                 break
@@ -949,7 +950,7 @@ def _mend(x, y, order, n, wanted):
                 order[a], order[b] = order[b], order[a]
                 fat = min(_thinnest(x, y, order, n, a - 2, a + 1)[0], _thinnest(x, y, order, n, b - 2, b + 1)[0])
                 order[a], order[b] = order[b], order[a]
-                if fat > best:
+                if fat > best + _TIE:
                     best, best_a, best_b = fat, a, b
         if best <= worst:
             return worst
@@ -979,7 +980,7 @@ def _exhaustive(x, y, n, order, trial, choice, used, limit):
         limit[depth + 1] = limit[depth]
         if depth >= 2:
             limit[depth + 1] = min(limit[depth], _fatness(x, y, trial[depth - 2], trial[depth - 1], trial[depth]))
-        if limit[depth + 1] <= best:
+        if limit[depth + 1] <= best + _TIE:
             continue
         if depth == n - 1:
             best = limit[n]
@@ -1016,7 +1017,7 @@ def order_stars(star_start, s, order, fatness):
             thinnest = _greedy(x, y, pool, n, 12, trial)
             if thinnest < _THIN:
                 thinnest = _mend(x, y, trial, n, _THIN)
-            if thinnest > fatness[k]:
+            if thinnest > fatness[k] + _TIE:
                 fatness[k] = thinnest
                 _take(trial, s0, n, order)
             if thinnest > 0.25:

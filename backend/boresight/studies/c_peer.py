@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 SOURCE = Path(__file__).with_name("arclengths.c")
 COMPILERS = ("gcc", "cc", "clang")
-FLAGS = ("-std=c11", "-O3", "-march=native", "-shared", "-fPIC")
+FLAGS = ("-std=c11", "-O3", "-march=native", "-fPIC")
 #: IEEE order of sums as a C programmer gets it by default, and reordered as our loops allow it.
 VARIANTS = {"c": (), "c_fast_math": ("-ffast-math",)}
 COMPILE_S = 60.0
@@ -82,10 +82,20 @@ def _built(compiler: str, folder: Path) -> Iterator[tuple[str, CPeer]]:
     """Compile and load the variants that the compiler accepts."""
     for name, more in VARIANTS.items():
         target = folder / f"{name}.so"
-        words = [compiler, *FLAGS, *more, str(SOURCE), "-o", str(target), "-lm"]
-        done = subprocess.run(words, capture_output=True, timeout=COMPILE_S, check=False)  # noqa: S603 - words of our own
-        if done.returncode == 0:
+        part = target.with_suffix(".o")
+        # linked apart: gcc would link a start file with -ffast-math that lets this whole process lose its denormal numbers
+        steps = [
+            [compiler, *FLAGS, *more, "-c", str(SOURCE), "-o", str(part)],
+            [compiler, "-shared", str(part), "-o", str(target), "-lm"],
+        ]
+        if all(_done(words) for words in steps):
             yield name, CPeer(ctypes.CDLL(str(target)))
+
+
+def _done(words: list[str]) -> bool:
+    """Run one step of the compiler; whether it could."""
+    done = subprocess.run(words, capture_output=True, timeout=COMPILE_S, check=False)  # noqa: S603 - words of our own
+    return done.returncode == 0
 
 
 def _refuse_other_models(arcs: ArcSet) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import mmap
 import os
+import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,7 +66,7 @@ def write_columns(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Columns:
     """Write arrays under a temporary name and rename: whoever finds the file finds all of it, however often it is written."""
     layout: list[Column] = []
     offset = 0
-    unfinished = path.with_name(f"{path.name}.{os.uname().nodename}.{os.getpid()}")
+    unfinished = path.with_name(f"{path.name}.{secrets.token_hex(8)}")
     with unfinished.open("wb") as file:
         for name, values in arrays.items():
             offset += -offset % ALIGNMENT
