@@ -1,5 +1,7 @@
 """Peers get the stars that Boresight gets, and each is judged by what its camera says of the detector."""
 
+from typing import ClassVar
+
 import numpy as np
 import pytest
 
@@ -97,7 +99,8 @@ def test_a_peer_that_raises_is_a_finding(views, monkeypatch):
     assert found["errors"] == []
 
 
-def test_the_part_sets_each_peer_beside_the_batch_on_the_same_frames_in_the_same_run():
+def test_the_part_sets_each_peer_beside_the_batch_on_the_same_frames_in_the_same_run(monkeypatch):
+    monkeypatch.setattr(accuracy, "LEAST_GROWTH_FRAMES", 12)
     told = []
 
     found = accuracy.measure(
@@ -109,13 +112,57 @@ def test_the_part_sets_each_peer_beside_the_batch_on_the_same_frames_in_the_same
     )
 
     batch, scipy = (found["estimators"][name] for name in ("boresight_batch", "scipy_least_squares"))
-    assert scipy["us_per_frame_over_ours"] == pytest.approx(scipy["us_per_frame"] / batch["us_per_frame"])
+    assert scipy["us_per_frame_over_ours"] == pytest.approx(scipy["us_per_frame"] / scipy["ours_us_per_frame"])
+    assert scipy["sets"] == batch["sets"] == 2
+    assert scipy["ours_us_per_frame"] != batch["us_per_frame"]  # measured again, in turns with the peer
     assert scipy["error_over_bound"] == pytest.approx(batch["error_over_bound"], rel=0.2)
     assert (scipy["growth"]["from_frames"], scipy["growth"]["to_frames"]) == (12, 24)
     assert scipy["growth"]["exponent"] < 4
     assert len(batch["error"]) == len(found["parameters"]) == 8
     assert {limit["kept"] for limit in found["limits"].values()} <= {True, False}
     assert [fraction for fraction, _ in told] == sorted(fraction for fraction, _ in told)
+
+
+def _trial(name, views, seconds):
+    return {"frames": len(views), "sets": 1, "seconds": [seconds], "peak_rss_mb": 1.0, "work_rss_mb": 0.5, "errors": [],
+            "failures": [name]}  # fmt: skip
+
+
+class _Here:
+    """A process for trials that is none, and writes down who was asked."""
+
+    asked: ClassVar[list[tuple[str, str]]] = []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+    def submit(self, _trial_of, name, sets):
+        self.asked.append((name, sets[0]))
+        return self
+
+    def result(self):
+        name, views = self.asked[-1]
+        return _trial(name, views, 6.0 if name == "pyceres" else 0.1)
+
+
+def test_a_slow_peer_takes_turns_with_the_batch_and_solves_three_sets(monkeypatch):
+    monkeypatch.setattr(accuracy, "_a_process", _Here)
+    monkeypatch.setattr(_Here, "asked", [])
+
+    slow, ours = accuracy._taking_turns("pyceres", ["one", "two", "three", "four"])
+
+    assert _Here.asked == [
+        (name, views) for views in ("one", "two", "three") for name in ("pyceres", "boresight_batch")
+    ]
+    assert slow["sets"] == ours["sets"] == 3
+    assert slow["work_rss_mb"] == pytest.approx(1.5)
+
+
+def test_too_short_sets_tell_no_exponent(views):
+    assert accuracy._growth("boresight_batch", {"us_per_frame": 50.0}, views.first(10), views) == {}
 
 
 def test_a_peer_that_is_not_installed_is_said_to_be_missing(monkeypatch):

@@ -12,15 +12,22 @@ stars, several sets of them; `peers` says what problem each solves. Three figure
 
 `rms_px` is the residual that each is left with: by it alone the right and the wrong cannot be told apart.
 
-`growth` is how time grows from one length of set to another: the exponent log(t_2/t_1) / log(n_2/n_1). A peer that is fast enough
-gets one set of `more_frames`, and its memory there; any other a quarter of its frames.
+A peer and the batch take turns, set by set, each in a process of its own, so that what else the machine does meets both: the
+ratio `us_per_frame_over_ours` is over `ours_us_per_frame` of that peer's row, the batch on the same frames in the same minutes.
+A slow peer solves fewer sets: no more once it has had `BUDGET_S`, and three at least; `sets` says how many.
+
+`growth` is how time grows from one length of set to another: the exponent log(t_2/t_1) / log(n_2/n_1), both lengths taking turns
+and the fastest of each. A peer that is fast enough gets `more_frames`, and its memory there; any other a quarter of its frames.
+With fewer than `LEAST_GROWTH_FRAMES` on the short side constants decide, and nothing is said.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
@@ -29,7 +36,7 @@ from scipy.stats import chi2
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.measurements import Report
 from boresight.measurements.peers import PEERS
-from boresight.measurements.peers.trial import root_mean_square, trial
+from boresight.measurements.peers.trial import merged, root_mean_square, trial
 from boresight.measurements.views import Views, simulated_views
 from boresight.simulation.sensors import ST16_CENTROID_SIGMA_PX
 from boresight.sky.catalogue import load_catalogue
@@ -41,13 +48,17 @@ OVER_BOUND = 1.25
 #: Most that it may err over the best of the peers on the same frames.
 OVER_BEST_PEER = 1.1
 NEES_CHANCE = 0.999
-#: Longest that a peer may be expected to take over the longer set.
-PATIENCE_S = 30.0
-SHORTER = 4
+#: A peer that has computed so long solves no more sets, when it has solved the fewest that say something.
+BUDGET_S, FEWEST_SETS = 10.0, 3
+#: Longest that a peer may be expected to take over the longer set, all repeats together.
+PATIENCE_S = 10.0
+SHORTER, GROWTH_REPEATS = 4, 3
+#: Fewest frames of the shorter set from which on an exponent is told.
+LEAST_GROWTH_FRAMES = 100
 
 
 def measure(
-    report: Report, frames: int = 200, sets: int = 12, more_frames: int = 4000, peers: list[str] | None = None
+    report: Report, frames: int = 200, sets: int = 12, more_frames: int = 2000, peers: list[str] | None = None
 ) -> dict[str, Any]:
     """Run every installed peer on the same sets.
 
@@ -58,7 +69,7 @@ def measure(
     frames
         Frames a set; a peer that cannot bear so many gets the first of them, and Boresight the same once more.
     sets
-        Simulated sets.
+        Simulated sets; slow peers solve fewer.
     more_frames
         Frames of the one longer set.
     peers
@@ -70,7 +81,6 @@ def measure(
     views = [simulated_views(frames, seed, catalogue) for seed in range(sets)]
     longer = simulated_views(more_frames, sets, catalogue)
     found = dict[str, dict[str, Any]]()
-    ours = dict[int, dict[str, Any]]()
     for turn, name in enumerate(chosen):
         report(0.05 + 0.95 * turn / len(chosen), PEERS[name].title)
         if not PEERS[name].installed:
@@ -80,12 +90,8 @@ def measure(
             continue
         size = min(frames, PEERS[name].frames)
         part = [one.first(size) for one in views]
-        if size not in ours:
-            ours[size] = _summary(_in_its_own_process(OURS, part))
-        summary = ours[size] if name == OURS else _summary(_in_its_own_process(name, part))
-        found[name] = (
-            _described(name) | summary | _beside(summary, ours[size]) | _growth(name, summary, part[0], longer)
-        )
+        summary, ours = _taking_turns(name, part)
+        found[name] = _described(name) | summary | _beside(summary, ours) | _growth(name, summary, part[0], longer)
     return {
         "frames": frames, "sets": sets, "centroid_sigma_px": ST16_CENTROID_SIGMA_PX,
         "parameters": list(CAMERA_MODELS["inverted_wang"].parameter_names), "estimators": found, "limits": _limits(found, sets),
@@ -102,13 +108,29 @@ def _package(name: str) -> str:
     return needs[1] if needs else name
 
 
-def _in_its_own_process(name: str, sets: list[Views]) -> dict[str, Any]:
-    """Run a trial in a process whose linear algebra keeps to one thread."""
+def _taking_turns(name: str, sets: list[Views]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Summaries of a peer and of the batch, which take turns on the same sets; the peer's time decides how many."""
+    names = list(dict.fromkeys((name, OURS)))
+    trials: dict[str, list[dict[str, Any]]] = {one: [] for one in names}
+    with ExitStack() as stack:
+        processes = {one: stack.enter_context(_a_process()) for one in names}
+        for views in sets:
+            for one in names:
+                trials[one].append(processes[one].submit(trial, one, [views]).result())
+            spent_s = sum(sum(done["seconds"]) for done in trials[name])
+            if spent_s > BUDGET_S and len(trials[name]) >= FEWEST_SETS:
+                break
+    return _summary(merged(trials[name])), _summary(merged(trials[OURS]))
+
+
+@contextmanager
+def _a_process() -> Iterator[ProcessPoolExecutor]:
+    """Open a process for trials, whose linear algebra keeps to one thread."""
     before = {key: os.environ.get(key) for key in (*THREADS, "NUMBA_NUM_THREADS")}
     os.environ |= dict.fromkeys(before, "1")
     try:
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-            return pool.submit(trial, name, sets).result()
+            yield pool
     finally:
         for key, value in before.items():
             if value is None:
@@ -140,20 +162,29 @@ def _summary(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def _beside(summary: dict[str, Any], ours: dict[str, Any]) -> dict[str, Any]:
-    """Ratios to Boresight's batch on the same frames."""
+    """The batch on the same frames, and ratios to it."""
     keys = ("us_per_frame", "detector_px", "work_rss_mb")
-    return {f"{key}_over_ours": summary[key] / ours[key] for key in keys if summary.get(key) and ours.get(key)}
+    ratios = {f"{key}_over_ours": summary[key] / ours[key] for key in keys if summary.get(key) and ours.get(key)}
+    return {"ours_us_per_frame": ours["us_per_frame"]} | ratios
 
 
 def _growth(name: str, summary: dict[str, Any], views: Views, longer: Views) -> dict[str, Any]:
-    """Time of another length of set, and the exponent between both; nothing of a peer that failed."""
+    """Exponent of time between two lengths of set; nothing of a peer that failed or bears too few frames."""
     if "us_per_frame" not in summary:
         return {}
-    patient = summary["us_per_frame"] * 1e-6 * longer.n_frames < PATIENCE_S and PEERS[name].frames >= longer.n_frames
-    other = _summary(_in_its_own_process(name, [longer if patient else views.first(max(1, views.n_frames // SHORTER))]))
-    if "us_per_frame" not in other or other["frames"] == summary["frames"]:
+    expected_s = GROWTH_REPEATS * summary["us_per_frame"] * 1e-6 * longer.n_frames
+    patient = expected_s < PATIENCE_S and PEERS[name].frames >= longer.n_frames
+    lengths = (views, longer) if patient else (views.first(max(1, views.n_frames // SHORTER)), views)
+    if lengths[0].n_frames < LEAST_GROWTH_FRAMES or lengths[0].n_frames >= lengths[1].n_frames:
         return {}
-    small, large = (summary, other) if patient else (other, summary)
+    turns: tuple[list[dict[str, Any]], list[dict[str, Any]]] = ([], [])
+    with _a_process() as process:
+        for _ in range(GROWTH_REPEATS):
+            for done, one in zip(turns, lengths, strict=True):
+                done.append(process.submit(trial, name, [one]).result())
+    small, large = (_summary(merged(done)) for done in turns)
+    if "us_per_frame" not in small or "us_per_frame" not in large:
+        return {}
     n = large["frames"] / small["frames"]
     exponent = 1 + float(np.log(large["us_per_frame"] / small["us_per_frame"]) / np.log(n))
     return {

@@ -112,7 +112,7 @@ PEERS: dict[str, Peer] = {
     "pyceres": Peer(
         "bundle:ceres", "Ceres (pyceres)", "attitudes",
         "Three attitude angles a view are estimated besides; the cost is written in Python, analytic, one call a view.",
-        ("pyceres", "pyceres"), 200,
+        ("pyceres", "pyceres"), 50,
     ),
     "opencv_sphere": Peer(
         "opencv:sphere", "OpenCV calibrateCamera, stars on a unit sphere", "poses",

@@ -49,6 +49,13 @@ def trial(name: str, sets: list[Views]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def merged(trials: list[dict[str, Any]]) -> dict[str, Any]:
+    """Several trials of one peer in one process as one: what their work adds to it adds up, and its peak is the last."""
+    lists = {key: [one for found in trials for one in found[key]] for key in ("seconds", "errors", "failures")}
+    sums = {key: sum(found[key] for found in trials) for key in ("sets", "work_rss_mb")}
+    return {"frames": trials[0]["frames"], "peak_rss_mb": trials[-1]["peak_rss_mb"]} | lists | sums
+
+
 def _attempt(run: Any) -> Any:
     """Result of a peer, or in words what it raised: libraries of others raise what they like."""
     try:
