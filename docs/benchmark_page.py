@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import part_tables
 from markdown import NOT_MEASURED, figures, number, table
 
 from boresight.measurements import PARTS
+from boresight.measurements.accuracy import LEAST_GROWTH_FRAMES
 from boresight.measurements.peers import PEERS
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "benchmarks"
@@ -32,8 +34,11 @@ the load average beside each date is what else was running when it began.
 """
 
 ACCURACY = """All start from the same ground calibration of a simulated ST-16 (E Table III, sensor 1) and get the same centroids of
-the same named stars: {sets} sets of {frames} frames, two exposures of twelve stars each, {sigma} px of noise, on one thread.
+the same named stars: at most {sets} sets of {frames} frames, fewer where a row says so because the peer is slow; two
+exposures of twelve stars each, {sigma} px of noise, on one thread.
 
+- **ours, over ours**: Boresight's batch on the same frames, taking turns with the peer set by set, the fastest of each; so the
+  ratio is of two times of the same minutes.
 - **error / bound**: root mean square error of the eight parameters over their Cramér-Rao bounds, geometric mean; 1 is perfect.
 - **detector, corner**: how far the calibrated camera puts a star from where it falls, after the best rotation, root mean
   square over the detector and worst corner. Camera models differ between tools, this does not.
@@ -54,7 +59,6 @@ General calibrators give every view a translation, and have no switch against it
 the sphere that they are put on looks like a longer focal length: the residual falls to the noise and below it, the claimed
 deviation is small, and the answer is wrong by hundreds of it. The distance at which the stars are put changes nothing, as
 everything scales with it. tetra3rs fits no translation, but leaves the principal point near the middle of the detector.
-mrcal has no wheel for Python 3.11 and is not measured; it estimates a translation a view as OpenCV does.
 """
 
 
@@ -98,6 +102,7 @@ def _promises(document: dict[str, Any]) -> str:
             side = "at least" if limit.get("at_least") else "at most"
             bound = f"{side} {number(limit['limit'])} {limit.get('unit', '')}".strip()
             kept = {True: "kept", False: "**not kept**"}.get(limit["kept"], NOT_MEASURED)
+            kept += f": {limit['why']}" if "why" in limit else ""
             rows.append([f"`{name}`", key.replace("_", " "), bound, number(limit["measured"], 4), kept])
     return "## What is promised, and whether it was kept\n\n" + table(
         ("part", "promise", "limit", "measured", ""), rows, (0, 1, 4)
@@ -138,7 +143,8 @@ def _accuracy(found: dict[str, Any]) -> str:
 
 
 ACCURACY_HEADS = (
-    "estimator", "frames", "µs a frame", "over ours", "memory, MB (peak)", "error / bound", "NEES (8)", "detector, px",
+    "estimator", "sets × frames", "µs a frame", "ours on the same, µs", "over ours",
+    "memory, MB (peak)", "error / bound", "NEES (8)", "detector, px",
     "corner, px", "over ours", "f error, µm", "f error / claimed", "residual, px",
 )  # fmt: skip
 
@@ -149,14 +155,18 @@ def _accuracy_row(row: dict[str, Any]) -> list[str]:
         why = row.get("missing") or f"failed: {'; '.join(sorted(set(row['failures'])))}"
         return [row["title"], why, *[""] * (len(ACCURACY_HEADS) - 2)]
     failed = f" ({len(row['failures'])} of {row['sets']} sets failed)" if row["failures"] else ""
+    ours = row.get("ours_us_per_frame", NOT_MEASURED)
+    ratio = (
+        row.get("us_per_frame_over_ours") if "ours_us_per_frame" in row else None
+    )  # a ratio needs its baseline beside it
     cells = [
-        row["us_per_frame"], row.get("us_per_frame_over_ours"), row["work_rss_mb"], row.get("error_over_bound"), row.get("nees"),
+        row["us_per_frame"], ours, ratio, row["work_rss_mb"], row.get("error_over_bound"), row.get("nees"),
         row.get("detector_px"), row.get("corner_px"), row.get("detector_px_over_ours"), row["focal_error_m"] * 1e6,
         row.get("focal_over_claimed"), row.get("rms_px"),
     ]  # fmt: skip
     shown = [*map(number, cells)]
-    shown[2] += f" ({number(row['peak_rss_mb'])})"
-    return [row["title"] + failed, str(row["frames"]), *shown]
+    shown[3] += f" ({number(row['peak_rss_mb'])})"
+    return [row["title"] + failed, f"{row['sets']} × {row['frames']}", *shown]
 
 
 def _peer_growth(found: dict[str, Any]) -> str:
@@ -165,9 +175,13 @@ def _peer_growth(found: dict[str, Any]) -> str:
         [row["title"], f"{grown['from_frames']:,}", f"{grown['to_frames']:,}", number(grown["exponent"]),
          number(grown["us_per_frame"]), number(grown["work_rss_mb"])]
         for row in found["estimators"].values()
-        if (grown := row.get("growth"))
+        if (grown := row.get("growth")) and grown["from_frames"] >= LEAST_GROWTH_FRAMES
     ]  # fmt: skip
-    return table(("estimator", "from frames", "to frames", "exponent", "µs a frame there", "memory there, MB"), rows)
+    return (
+        "Both lengths take turns, the fastest of each counts. Who bears too few frames for an exponent to mean something is left "
+        "out.\n\n"
+        + table(("estimator", "from frames", "to frames", "exponent", "µs a frame there", "memory there, MB"), rows)
+    )
 
 
 def _parameters(found: dict[str, Any]) -> str:
@@ -195,19 +209,41 @@ def _growth(found: dict[str, Any]) -> str:
         for row in of_method
     ]  # fmt: skip
     slopes = [
-        [method, number(one["exponent"]), ", ".join(number(slope) for slope in one["between_neighbours"])]
+        [method, number(one["exponent"]), ", ".join(number(slope) for slope in one["between_neighbours"]),
+         part_tables.told(one, "exponent_beyond_start")]
         for method, one in found["growth"].items()
+    ]  # fmt: skip
+    matched = [
+        [
+            f"{row['frames']:,}",
+            number(row["seconds"]),
+            number(row["seconds"] / row["frames"] * 1e6),
+            number(row["peak_mb"]),
+        ]
+        for row in found.get("rematch", [])
     ]
     return (
         "Each is `boresight calibrate FILE.parquet` in a fresh process, starting and reading included.\n\n"
         "![Time and memory of a calibration over its frames](benchmarks-growth.svg)\n\n"
         + table(("method", "frames", "wall, s", "µs a frame", "processor, s", "peak, MB"), rows)
         + "\n"
-        + table(("method", "exponent over all sizes", "between neighbours"), slopes)
+        + table(("method", "exponent over all sizes", "between neighbours", "beyond starting"), slopes)
+        + f"\nBeyond starting: of the seconds less those of a process with next to nothing to compute, "
+        f"{part_tables.told(found, 'empty_s')} s. These sets have given directions. With stars found anew "
+        "(`rematch`, the command's "
+        + (
+            "default), sets of catalogue stars with times:\n\n"
+            + table(("frames", "wall, s", "µs a frame", "peak, MB"), matched)
+            if matched
+            else f"default) growth was {NOT_MEASURED}.\n"
+        )
     )
 
 
-SECTIONS = {"kernels": _kernels, "accuracy": _accuracy, "growth": _growth}
+SECTIONS = {
+    "kernels": _kernels, "accuracy": _accuracy, "growth": _growth, "whole": part_tables.whole, "spread": part_tables.spread,
+    "queue": part_tables.queue, "clients": part_tables.clients,
+}  # fmt: skip
 
 
 def _scripts() -> str:

@@ -1,7 +1,7 @@
 """`docs/capacity.md`, written from what was measured: what a frame, a run and a sensor cost, and what ten thousand trackers need.
 
 Everything follows from the parts `footprint` (cost of each thing) and `clients` of `docs/benchmarks.json` and from the assumptions
-in `costs.ASSUMED`; each row shows its formula with the numbers in it.
+in `costs.ASSUMED`; each row shows its formula with the numbers in it. Seconds of processors and of the wall are never added.
 """  # noqa: INP001 - beside the scripts that use it
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from costs import ASSUMED, DAY_S, EVENTS_A_RUN, Costs, Plan, amounts, asked_per_s, plans, read_s, value
+from costs import ASSUMED, Costs, Plan, plans, value
 from markdown import NOT_MEASURED, kilobytes, number, table
-from needs import needs, shares
+from needs import machines, needs
 
 HEAD = """# Capacity: from one tracker to ten thousand
 
@@ -42,9 +42,9 @@ def page(document: dict[str, Any]) -> str:
         _where(machine),
         _assumptions(),
         _measured(by_database),
-        *(_plan(plan, name, costs) for plan in plans()),
-        _readers(document),
-        _ends(name, costs, document),
+        "## What ten thousand trackers need\n",
+        _sources(name, costs),
+        *(_plan(plan, costs, document) for plan in plans()),
         _burst(costs),
         AFTER,
     ]
@@ -82,7 +82,8 @@ def _measured(by_database: dict[str, Costs]) -> str:
         "database, kB",
         "files, kB",
         "worker, CPU s",
-        "server, CPU s (sensors, sets, queued: wall s)",
+        "server, CPU s",
+        "wall, s",
     )
     of_row = [
         [name, f"`{place}`", number(size)]
@@ -113,15 +114,20 @@ def _costs_of(name: str, costs: Costs) -> Iterator[list[str]]:
         return [name, thing, _rows(cost), kilobytes(size), kilobytes(cost["blob_bytes"]), *spent]
 
     sensor, launch = costs.found["sensor"], costs.found["launch"]
-    yield row("sensor", sensor, sensor["database_bytes"], "-", number(sensor["seconds"]))
+    yield row("sensor", sensor, sensor["database_bytes"], "-", *_in_process(sensor))
     for frames, cost in costs.found["set"].items():
-        yield row(f"set of {frames} frames", cost, costs.mean_set("database_bytes"), "-", number(cost["seconds"]))
-    yield row("queued run", launch, launch["database_bytes"], "-", number(launch["seconds"]))
+        yield row(f"set of {frames} frames", cost, costs.mean_set("database_bytes"), "-", *_in_process(cost))
+    yield row("queued run", launch, launch["database_bytes"], "-", *_in_process(launch))
     for method, of_method in costs.found["run"].items():
         for frames, cost in of_method.items():
             if frames != "line":
-                spent = number(cost["worker_cpu_s"]), number(cost["server_cpu_s"])
+                spent = number(cost["worker_cpu_s"]), number(cost["server_cpu_s"]), "-"
                 yield row(f"{method} run of {frames} frames", cost, costs.mean_run("database_bytes"), *spent)
+
+
+def _in_process(cost: dict[str, Any]) -> tuple[str, str]:
+    """Processor and wall seconds of what the services do by themselves."""
+    return number(cost["own_cpu_s"]) if "own_cpu_s" in cost else NOT_MEASURED, number(cost["seconds"])
 
 
 def _rows(cost: dict[str, Any]) -> str:
@@ -129,90 +135,56 @@ def _rows(cost: dict[str, Any]) -> str:
     return number(sum(cost["rows"].values()))
 
 
-def _plan(plan: Plan, database: str, costs: Costs) -> str:
-    """What one plan needs, each row with its formula."""
-    rows = [[what, formula, f"**{answer}**"] for what, formula, answer in needs(plan, costs)]
+def _sources(database: str, costs: Costs) -> str:
+    """Where the figures of the tables come from."""
+    server = (
+        "The server's cost a run is that of the part `queue`."
+        if costs.server_by_queue
+        else "**The part `queue` was not measured yet: the server's cost a run is that of the part `footprint`, a fall-back that "
+        "charges few runs with everything that the server does while they last.**"
+    )
+    groups = (
+        "Transactions a run are one to launch it and, by the part `queue`, its share of those that claim and settle groups."
+        if costs.groups_measured
+        else f"Transactions a run are the most that there can be, launch, claim and settlement each by itself; how many runs share "
+        f"one was {NOT_MEASURED} yet."
+    )
+    short, long = costs.lengths
+    assumed = value("frames")
+    frames = (
+        f"Costs were measured with sets of {short:,} and {long:,} frames, the longer as long as assumed."
+        if long == assumed
+        else f"Costs were measured with sets of {short:,} and {long:,} frames and carried on to {assumed:,.0f} by the line through "
+        "both, further than was measured."
+    )
+    return (
+        f"Costs are those on {database}. {frames} {server} {groups} Sizes are of a year; rates are those of the busiest hour, "
+        f"{value('peak'):g} times the mean. A share is what is needed over what one carries, in the same unit; above one, one is "
+        "not enough. The first row of each table, in bold, ends first, and the last column says what is changed then.\n"
+    )
+
+
+def _plan(plan: Plan, costs: Costs, document: dict[str, Any]) -> str:
+    """What one plan needs of everything, and how many of each that is."""
     times, frames = plan.sets[0]
     does = " and ".join(f"{often:g} {method}" for method, _, often in plan.runs)
-    return (
-        f"## Ten thousand trackers, {plan.name}\n\nA tracker and day: {times:g} sets of {frames:,.0f} frames, {does} runs of as "
-        f"many. Costs are those on {database}.\n\n" + table(("what", "formula", "answer"), rows, (0, 1))
+    found = needs(plan, costs, document)
+    rows = [need.cells(first=place == 0) for place, need in enumerate(found)]
+    heads = (
+        "resource",
+        "formula",
+        "needed",
+        "one carries",
+        "share of one",
+        "trackers that one carries",
+        "changed when it ends",
     )
-
-
-def _readers(document: dict[str, Any]) -> str:
-    """Reads and followers."""
-    asked, cost = asked_per_s(), read_s(document)
-    reads = f"{value('people'):g} × {value('views'):g} / 60 + {value('polls'):g}"
-    rows = [["reads a second", reads, f"**{number(asked)}**"]]
-    if cost is None:
-        rows.append(["server processor for them", "part `clients`", NOT_MEASURED])
-    else:
-        rows.append(
-            [
-                "server processor for them",
-                f"{number(asked)} × {number(cost * 1e3)} ms",
-                f"**{number(asked * cost)} cores**",
-            ]
-        )
-        rows.append(
-            [
-                "reads that one server process can answer",
-                f"1 / {number(cost * 1e3)} ms",
-                f"**{number(1 / cost)} a second**",
-            ]
-        )
-    events = max(amounts(plan)[1] for plan in plans()) * EVENTS_A_RUN / DAY_S * value("peak")
-    rows.append(["events a second, busiest hour, most frequent plan",
-                 f"{EVENTS_A_RUN} a run × {max(amounts(plan)[1] for plan in plans()):,.0f} / {DAY_S:,.0f} s × {value('peak'):g}",
-                 f"**{number(events)}**"])  # fmt: skip
-    rows.append(
-        [
-            "deliveries to followers a second",
-            f"{number(events)} × {value('people'):g}",
-            f"**{number(events * value('people'))}**",
-        ]
-    )
-    feed = document.get("clients", {}).get("found", {}).get("feed")
-    if feed is not None:
-        known = f"{number(feed['events_per_s'])} events a second × {feed['listeners']} followers"
-        rows.append(
-            [
-                "deliveries that one server process made",
-                known,
-                f"**{number(feed['events_per_s'] * feed['listeners'])}**",
-            ]
-        )
+    together = [[what, formula, f"**{many}**"] for what, formula, many in machines(found)]
     return (
-        "## Readers\n\nThe part `clients` measures 200 clients on the list and 500 followers of the feed.\n\n"
-        + table(("what", "formula", "answer"), rows, (0, 1))
-    )
-
-
-def _ends(database: str, costs: Costs, document: dict[str, Any]) -> str:
-    """Which resource ends first on one machine, and what to change then."""
-    rows = []
-    for plan in plans():
-        for name, share, where, change in sorted(shares(plan, costs, document), key=lambda row: -row[1]):
-            rows.append(
-                [
-                    plan.name,
-                    name,
-                    f"{share:.2g}",
-                    f"{value('trackers') / share:,.0f}" if share > 0 else "-",
-                    where,
-                    change,
-                ]
-            )
-    return (
-        f"## Which limit comes first\n\nShares of one machine of {value('cores'):g} cores and {value('disk'):g} TB that holds the "
-        f"server, its workers, {database} and a year of files; above one it does not carry ten thousand trackers, and the next "
-        "column says how many it does. The first row of each plan is the limit.\n\n"
-        + table(
-            ("plan", "resource", "share", "trackers it carries", "where the limit comes from", "what to change then"),
-            rows,
-            (0, 1, 4, 5),
-        )
+        f"### {plan.name.capitalize()}\n\nA tracker and day: {times:g} sets of {frames:,.0f} frames, {does} runs of as many.\n\n"
+        + table(heads, rows, (0, 1, 3, 6))
+        + "\nThat is:\n\n"
+        + table(("what", "formula", "how many"), together, (0, 1))
     )
 
 
@@ -231,13 +203,11 @@ def _burst(costs: Costs) -> str:
 
 AFTER = """## What this does not say
 
-- The server's processor a run is that of the part `queue` where it was measured; the part `footprint` charges its few runs with
-  everything that the server does while they last.
 - Costs were taken with one worker on a machine with the cores named above; a faster core divides the worker's and the
   server's seconds alike. Workers share nothing, so cores add up, until the scheduler or the writer is the limit; the part
   `queue` measures what the queue adds to each run.
-- A write is counted for every row of a run; the queue writes several rows, and rows of several runs, in one transaction, so
-  that the writer carries more than this says. Launches were timed one transaction each, one after the other.
+- Launches stand for all transactions: those that claim and settle groups write more rows each, which the share by rows tells.
+  Renewals of leases and lines of progress are a few transactions a second for a server, however many runs there are.
 - Sizes hold for sets with given matches and about eleven stars an exposure; bytes grow with stars. Trust pictures make up
   most of a result's constant.
 - Nothing is deleted here. An archive rule (drop results of filters after a month, keep batches) divides the files of results.

@@ -17,13 +17,15 @@ ASSUMED: dict[str, tuple[float, str, str]] = {
     "people": (100, "", "consoles open at once, each following the feed"),
     "views": (2, "a minute and console", "pages or figures looked at"),
     "polls": (5, "a second", "reads of programs: telemetry chains, dashboards, monitoring"),
-    "disk": (4, "TB", "of the one machine that the shares below are taken of"),
-    "cores": (16, "", "of that machine"),
+    "disk": (4, "TB", "of one disk"),
+    "cores": (16, "", "of one machine"),
 }
 
 
 #: Queued, running, ended, and as many lines of progress.
 EVENTS_A_RUN = 6
+#: Launch, claim and settlement each by itself; runs of a group share the last two.
+MOST_TRANSACTIONS_A_RUN = 3.0
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,38 @@ class Costs:
     queue: dict[str, Any]
 
     @property
+    def _calm(self) -> dict[str, Any]:
+        """Found by the pass of the part `queue` without kills, if it was measured."""
+        calm: dict[str, Any] = self.queue.get("calm", {})
+        return calm
+
+    @property
     def server_run_s(self) -> float:
         """Processor seconds of the server's process a run."""
-        calm = self.queue.get("calm", {})
-        return calm["server_cpu_ms_per_run"] / 1e3 if "server_cpu_ms_per_run" in calm else self.mean_run("server_cpu_s")
+        return self._calm["server_cpu_ms_per_run"] / 1e3 if self.server_by_queue else self.mean_run("server_cpu_s")
+
+    @property
+    def server_by_queue(self) -> bool:
+        """Whether the server's cost is that of the part `queue`, and not the fall-back."""
+        return "server_cpu_ms_per_run" in self._calm
+
+    @property
+    def transactions_a_run(self) -> float:
+        """One to launch it, and what it took of those that claim and settle groups; the most where that was not measured."""
+        if not self.groups_measured:
+            return MOST_TRANSACTIONS_A_RUN
+        return 1.0 + float(self._calm["claims_per_run"]) + float(self._calm["settlements_per_run"])
+
+    @property
+    def groups_measured(self) -> bool:
+        """Whether it was measured how many runs share a transaction."""
+        return "claims_per_run" in self._calm
+
+    @property
+    def set_cpu_s(self) -> float | None:
+        """Processor seconds of an upload, or None where only its wall seconds were measured, which are another thing."""
+        costs = self.found["set"].values()
+        return self.mean_set("own_cpu_s") if all("own_cpu_s" in cost for cost in costs) else None
 
     def run(self, method: str, key: str, frames: float) -> float:
         """`worker_cpu_s` or `blob_bytes` of a run of so many frames: constant and slope."""
@@ -123,9 +153,21 @@ class Costs:
         return sum(next(iter(self.found["set"].values()))["rows"].values())
 
     @property
-    def writes_per_s(self) -> float:
+    def transactions_per_s(self) -> float:
         """Transactions a second of the single writer, one after the other."""
         return float(1 / self.found["launch"]["seconds"])
+
+    @property
+    def rows_per_s(self) -> float | None:
+        """Rows a second of the single writer, many to a transaction, or None where that was not measured."""
+        bulk = self.found.get("launch_in_bulk")
+        return None if bulk is None else float(sum(bulk["rows"].values()) / bulk["seconds"])
+
+    @property
+    def lengths(self) -> tuple[int, int]:
+        """Frames of the two sets that were measured."""
+        short, long = sorted(int(name) for name in self.found["set"])
+        return short, long
 
 
 def amounts(plan: Plan) -> tuple[float, float]:
@@ -133,10 +175,9 @@ def amounts(plan: Plan) -> tuple[float, float]:
     return value("trackers") * plan.sets[0][0], value("trackers") * sum(times for _, _, times in plan.runs)
 
 
-def writes(plan: Plan, costs: Costs) -> float:
-    """Transactions a second in the busiest hour: at most one a row of a run, and one a set."""
-    sets, runs = amounts(plan)
-    return (sets + runs * costs.rows_a_run) / DAY_S * value("peak")
+def events_per_s(plan: Plan) -> float:
+    """Events of the feed a second in the busiest hour."""
+    return EVENTS_A_RUN * amounts(plan)[1] / DAY_S * value("peak")
 
 
 def asked_per_s() -> float:

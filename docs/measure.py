@@ -2,7 +2,7 @@
 
     python docs/measure.py                  every part at full size (an hour of an idle machine), then the pages
     python docs/measure.py --part queue     one part anew, the others as they are stored
-    python docs/measure.py --take FILE      take the parts that `boresight bench --part ... --json FILE` measured
+    python docs/measure.py --take A B       take the parts that `boresight bench --part ... --json A` measured, then those of B
     python docs/measure.py --write          only the pages, from what is stored
 
 What was measured is stored in `docs/benchmarks.json`, each part with the machine that measured it, rounded to five digits.
@@ -81,13 +81,21 @@ def pages() -> dict[str, str]:
     }
 
 
-def main() -> None:
+def main(words: list[str] | None = None) -> None:
     """Measure what is asked for, and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--part", action="append", choices=PARTS, help="measure this part only; repeat it")
-    parser.add_argument("--take", action="append", type=Path, default=[], help="a file of `boresight bench --json`")
+    parser.add_argument(
+        "--take",
+        action="extend",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="files of `boresight bench --json`",
+    )
     parser.add_argument("--write", action="store_true", help="write the pages from what is stored")
-    options = parser.parse_args()
+    options = parser.parse_args(words)
     for file in options.take:
         take(file)
     if not (options.write or options.take):

@@ -49,7 +49,7 @@ GROWTH = {
 def pages():
     """Import the scripts of the documentation as they import one another."""
     sys.path.insert(0, str(DOCS))
-    names = ("measure", "benchmark_page", "capacity_page", "growth_chart", "costs", "needs", "markdown")
+    names = ("measure", "benchmark_page", "capacity_page", "growth_chart", "costs", "needs", "markdown", "part_tables")
     try:
         yield {name: importlib.import_module(name) for name in names}
     finally:
@@ -110,38 +110,119 @@ def test_the_chart_is_a_picture_with_a_point_a_size_in_each_panel(pages):
     assert float(points[0].get("cy")) > float(points[1].get("cy"))
 
 
+def capacity(pages, footprint=DATABASE, **parts):
+    """The capacity page of a footprint on SQLite, and of other parts."""
+    found = {"footprint": {"databases": {"sqlite": footprint}}} | parts
+    return pages["capacity_page"].page({name: {"machine": MACHINE, "found": one} for name, one in found.items()})
+
+
 def test_what_a_constellation_needs_follows_from_what_a_run_costs(pages):
     """10,000 trackers, a batch and a filter of 2,000 frames a day each, 0.5 s + 1 ms a frame: 50,000 CPU s a day."""
-    page = pages["capacity_page"].page(
-        {"footprint": {"machine": MACHINE, "found": {"databases": {"sqlite": DATABASE}}}}
-    )
+    page = capacity(pages)
 
-    assert "| worker cores | 10,000 × 5.00 CPU s / 86,400 s / 0.5 | **1.16 cores** |" in page
-    assert f"**{10_000 * 3e6 * 365.25 / 1e12:.1f} TB**" in page
-    assert "| database rows, a year | (10,000 × 4 + 20,000 × 8.00) × 365.25 | **73.0 million** |" in page
-    assert f"**{170_000 / 86_400 * 3:.2f} of 200 measured**" in page
+    assert "| 10,000 × 5.00 CPU s / 86,400 s / 0.5 | **1.16 cores** | a machine of workers: 16 cores | 0.072 |" in page
+    assert f"**{10_000 * (3e6 + 2.1e6) * 365.25 / 1e12:.1f} TB**" in page
+    assert "| machines of workers | 1.16 / 16 cores, rounded up | **1** |" in page
+    assert "| disks of 4 TB for files, a year | 18.6 / 4, rounded up | **5** |" in page
+    assert "the longer as long as assumed" in page
+
+
+def test_a_share_of_the_writer_is_transactions_over_transactions_and_rows_over_rows(pages):
+    bulk = {"rows": {"runs": 1.0, "audit": 1.0}, "seconds": 0.001}
+    measured = {"calm": {"server_cpu_ms_per_run": 4.0, "claims_per_run": 0.1, "settlements_per_run": 0.15}}
+    few = capacity(pages, DATABASE | {"launch_in_bulk": bulk}, queue=measured)
+    most = capacity(pages)
+
+    assert f"× 1.25) / 86,400 s × 3 | **{35_000 / 86_400 * 3:.2f} transactions/s** |" in few
+    assert f"× 3.00) / 86,400 s × 3 | **{70_000 / 86_400 * 3:.2f} transactions/s** |" in most
+    assert "one transaction each: 200 transactions/s |" in most
+    assert f"**{200_000 / 86_400 * 3:.2f} rows/s** | the writer, launches in bulk: 2,000 rows/s |" in few
+    assert "launches in bulk: not measured | - |" in most
+    assert "the most that there can be" in most
+
+
+def test_the_server_costs_what_the_queue_says_and_no_wall_second_is_added(pages):
+    """Uploads count where their processor time is known; their 0.02 s of wall time never do."""
+    cpu = {name: cost | {"own_cpu_s": 0.008} for name, cost in DATABASE["set"].items()}
+    queue = {"calm": {"server_cpu_ms_per_run": 4.0}}
+
+    assert "| (20,000 × 0.00400 CPU s + 10,000 × 0.00800 CPU s) / 86,400 s × 3 |" in capacity(
+        pages, DATABASE | {"set": cpu}, queue=queue
+    )
+    fallen_back = capacity(pages)
+    assert "| 20,000 × 0.0100 CPU s / 86,400 s × 3 (uploads not measured in CPU s) |" in fallen_back
+    assert "a fall-back" in fallen_back
+    assert "a fall-back" not in capacity(pages, queue=queue)
 
 
 def test_what_readers_cost_follows_from_what_a_read_costs(pages):
     """5 reads a second of programs and 100 people with 2 views a minute, 6 ms each: a twentieth of a core."""
     clients = {"list": {"server_us_per_request": 6000.0}, "feed": {"events_per_s": 60.0, "listeners": 500}}
-    queue = {"calm": {"server_cpu_ms_per_run": 4.0}}
-    found = {"footprint": {"databases": {"sqlite": DATABASE}}, "clients": clients, "queue": queue}
-    page = pages["capacity_page"].page({name: {"machine": MACHINE, "found": one} for name, one in found.items()})
+    page = capacity(pages, clients=clients)
 
-    assert "| server processor for them | 8.33 × 6.00 ms | **0.0500 cores** |" in page
-    assert "| 60.0 events a second × 500 followers | **30,000** |" in page
-    assert "(20,000 × 0.00400 s + 10,000 × 0.0200 s) / 86,400 s" in page
+    assert "**8.33 reads/s** | one Python process, 6.00 CPU ms each: 167 reads/s | 0.05 |" in page
+    assert "one Python process, 500 measured, at least: 30,000 deliveries/s |" in page
+
+
+def test_sets_shorter_than_assumed_are_said_to_be_carried_on(pages):
+    shorter = {name: DATABASE["set"][key] for name, key in (("30", "200"), ("300", "2000"))}
+    run = {name: SQRF[key] for name, key in (("30", "200"), ("300", "2000"), ("line", "line"))}
+
+    page = capacity(pages, DATABASE | {"set": shorter, "run": {"batch": run, "sqrf": run}})
+
+    assert "sets of 30 and 300 frames and carried on to 2,000" in page
 
 
 def test_the_first_row_of_a_plan_is_the_resource_that_ends_first(pages):
-    page = pages["capacity_page"].page(
-        {"footprint": {"machine": MACHINE, "found": {"databases": {"sqlite": DATABASE}}}}
-    )
-    shares = [float(line.split(" | ")[2]) for line in page.splitlines() if line.startswith("| daily |")]
+    tables = capacity(pages).split("### ")[1:]
+    for plan in tables:
+        rows = [line.split(" | ") for line in plan.splitlines() if line.count(" | ") == 6 and "---" not in line][1:]
+        shares = [float(row[4]) for row in rows if row[4] != "-"]
+        assert len(rows) == 8
+        assert shares == sorted(shares, reverse=True)
+        assert rows[0][0].startswith("| **")
+    assert [plan.partition("\n")[0] for plan in tables] == ["Daily", "Every orbit"]
 
-    assert len(shares) == 4
-    assert shares == sorted(shares, reverse=True)
+
+def test_a_ratio_to_ours_stands_beside_ours_on_the_same_frames(pages):
+    row = {"title": "Other", "problem": "arcs", "unfair": "", "frames": 50, "sets": 3, "failures": [], "us_per_frame": 600.0,
+           "us_per_frame_over_ours": 10.0, "work_rss_mb": 1.0, "peak_rss_mb": 2.0, "focal_error_m": 1e-6}  # fmt: skip
+    head = pages["benchmark_page"].ACCURACY_HEADS
+
+    with_ours = pages["benchmark_page"]._accuracy_row(row | {"ours_us_per_frame": 60.0})
+    without = pages["benchmark_page"]._accuracy_row(row)
+
+    assert dict(zip(head[:5], with_ours[:5], strict=True)) == {
+        "estimator": "Other", "sets × frames": "3 × 50", "µs a frame": "600", "ours on the same, µs": "60.0", "over ours": "10.0",
+    }  # fmt: skip
+    assert without[3:5] == ["not measured", "-"]
+
+
+def test_parts_without_the_newer_figures_say_not_measured(pages):
+    tables = pages["part_tables"]
+    found = {"total_s": 15.0, "evaluations": 7, "c_fit_s": 3.0, "frames": 20_000}
+
+    whole = tables.whole({"frames": 20_000, "given": found, "rematch": {"total_s": 48.0}})
+    assert "| 20,000 | not measured | 15.0 | not measured | 7 | 3.00 | 5.00 | not measured | not measured |" in whole
+    assert "the command's default" in whole
+    assert "| 48.0 | not measured | 7 | 3.00 | 16.0 |" in whole
+    assert "was not measured" in tables.spread({"runs": {"one_of_two_killed": {"seconds": 1.0}}})
+    assert tables.queue({"calm": {"overhead_ms_per_run": 3.0}}).count("not measured") == 3
+    crowds = tables.clients({"list": {"median_ms": 40.0, "all_answered_once_after_s": 0.7},
+                             "limits": {"list_median": {"limit": 60.0}}})  # fmt: skip
+    assert "| REST API, asking again at once | 0.700 | 40.0 | 60.0 |" in crowds
+    assert "a run launched every 0.5 s | not measured |" in crowds
+
+
+def test_what_was_killed_is_said_and_why_a_promise_was_not_kept(pages):
+    kill = {"worker": "tcp://one", "happened": True, "after_s": 3.0, "groups_done": 4, "groups_in_hand": 2}
+    tables = pages["part_tables"]
+    why = {"limit": 1.0, "measured": 0.0, "kept": False, "why": "The run had ended before."}
+    page = pages["benchmark_page"].page({"growth": {"machine": MACHINE, "found": GROWTH | {"limits": {"one": why}}}})
+
+    assert "killed 3.00 s after" in tables.spread({"runs": {"one_of_two_killed": {"kill": kill}}})
+    assert "No worker was killed" in tables.spread({"runs": {"one_of_two_killed": {"kill": {"happened": False}}}})
+    assert "| **not kept**: The run had ended before. |" in page
 
 
 @pytest.mark.parametrize(
@@ -174,3 +255,16 @@ def test_parts_that_are_taken_replace_those_stored_and_failed_ones_do_not(pages,
     measure.take(file)
 
     assert measure.stored() == {"growth": {"machine": MACHINE, "found": {"seconds": 1.2346}}}
+
+
+def test_several_files_are_taken_at_once(pages, tmp_path, monkeypatch):
+    measure = pages["measure"]
+    monkeypatch.setattr(measure, "STORED", tmp_path / "stored.json")
+    monkeypatch.setattr(measure, "pages", dict)
+    files = [tmp_path / f"{name}.json" for name in ("growth", "queue", "spread")]
+    for file in files:
+        file.write_bytes(orjson.dumps({"machine": MACHINE, file.stem: {"seconds": 1.0}, "limits": {}}))
+
+    measure.main(["--take", *map(str, files[:2]), "--take", str(files[2])])
+
+    assert set(measure.stored()) == {"growth", "queue", "spread"}
