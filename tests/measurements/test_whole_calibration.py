@@ -28,6 +28,17 @@ def test_the_fit_in_c_counts_the_evaluations_of_the_fit_alone(found):
         assert given["over_c_fit"] == pytest.approx(given["total_s"] / given["c_evaluation_s"] / given["evaluations"])
 
 
+def test_one_weighing_and_one_thread_are_told_beside_the_whole_and_rematch_has_its_figure(found):
+    given, rematch = found[0]["given"], found[0]["rematch"]
+    assert 2 <= given["evaluations_of_one_weighing"] < given["evaluations"]
+    assert given["threads"] >= 1
+    assert given["one_thread_s"] > 0
+    if "c_fit_s" in given:
+        assert given["over_one_weighing"] > given["over_c_fit"]
+        assert rematch["over_c_fit"] == pytest.approx(rematch["total_s"] / given["c_fit_s"])
+    assert set(found[0]["limits"]) == {"over_c_fit"}
+
+
 def test_a_small_set_is_not_held_against_the_limit(found):
     assert found[0]["limits"]["over_c_fit"]["kept"] is None
     assert found[1][-1] == (1.0, "done")

@@ -2,8 +2,8 @@
 
 The set is synthetic and of catalogue stars: two exposures of twelve named stars a frame, with times and without directions, so
 that the sky is part of the work. The process is warm, as a worker's is: kernels compiled, catalogue loaded, one calibration
-done; it computes on as many threads as a command does. Steps are told apart where the calibration does so itself
-(`timing_s`), and the first of them once more by hand::
+done; it computes on as many threads as a command does, `threads`, and once more on one, `one_thread_s`. Steps are told apart
+where the calibration does so itself (`timing_s`), and the first of them once more by hand::
 
     reading       file to arrays, every check
     arcs          of which sky (directions from the catalogue) and ordering (which stars, and in what order)
@@ -13,7 +13,10 @@ done; it computes on as many threads as a command does. Steps are told apart whe
 
 The peer is the same Levenberg-Marquardt run in C on one thread: as many evaluations of A and b as the fit took, by
 `arclengths.c` (gcc -O3 -march=native), and nothing else: R, reading and all that follows are not counted for it, which is the
-stricter way. With `rematch` the stars are found anew at every cycle; that is told, beside a fit that does not know of it.
+stricter way. The calibration weighs twice and so fits twice; its evaluations are counted over both, which is what the fit costs,
+and over the first by itself, which is what one fit of given weights costs, `over_one_weighing` is the whole over that. With
+`rematch`, the default of the command, the stars are found anew at every cycle; that is told beside the same fit in C, which does
+not know of it, and held against nothing.
 """
 
 from __future__ import annotations
@@ -86,6 +89,8 @@ def measure(
             report(0.7, f"calibrating {frames:,} frames, matched anew")
             whole = CalibrationSettings(match="rematch")
             found["rematch"] = _whole(Path(folder) / "given.parquet", sensor, catalogue, whole, repeats=1)
+            if "c_fit_s" in found["given"]:
+                found["rematch"]["over_c_fit"] = found["rematch"]["total_s"] / found["given"]["c_fit_s"]
     ratio = found["given"].get("over_c_fit")
     found["limits"] = {
         "over_c_fit": {
@@ -120,6 +125,7 @@ def _given(path: Path, sensor: Sensor, catalogue: Catalogue) -> dict[str, Any]:
     """Calibrate with the matches of the file, step by step, and fit the same arcs in C."""
     settings = CalibrationSettings(match="given")
     found = _whole(path, sensor, catalogue, settings, repeats=REPEATS)
+    found["one_thread_s"] = _whole(path, sensor, catalogue, settings, repeats=1, threads=1)["total_s"]
     telemetry = read_telemetry(path)
     matches = given_matches(telemetry, catalogue)
     problem = problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars)
@@ -133,8 +139,12 @@ def _given(path: Path, sensor: Sensor, catalogue: Catalogue) -> dict[str, Any]:
             "R_of_both_weighings": 2 * fastest(lambda: replace(problem).weighed(x), repeats=REPEATS),
         }
     weighed = problem.weighed(x)
-    evaluations = _evaluations(path, sensor, catalogue, settings)
-    return found | {"evaluations": evaluations} | _beside_c(weighed, x, scale, evaluations, found["total_s"])
+    first, second = _evaluations(path, sensor, catalogue, settings)
+    counted = {"evaluations": first + second, "evaluations_of_one_weighing": first}
+    beside = _beside_c(weighed, x, scale, first + second, found["total_s"])
+    if beside:
+        beside["over_one_weighing"] = found["total_s"] / (first * beside["c_evaluation_s"])
+    return found | counted | beside
 
 
 def _beside_c(
@@ -152,17 +162,17 @@ def _beside_c(
     }
 
 
-def _evaluations(path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings) -> int:
-    """Count the evaluations of A and b in both fits of a calibration, those of refused steps too."""
+def _evaluations(path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings) -> tuple[int, int]:
+    """Count the evaluations of A and b in the two fits of a calibration, those of refused steps too."""
     telemetry = read_telemetry(path)
     matches, parameters = given_matches(telemetry, catalogue), parameters_of(sensor, settings)
     problem = problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars)
-    x, count = sensor.initial, 0
+    x, counts = sensor.initial, list[int]()
     for _ in range(2):
         counted = _Counted(problem.weighed(x))
         x = batch.fit(counted, x, parameters.free, parameters.scale, max_iterations=settings.max_iterations).x
-        count += counted.passes
-    return count
+        counts.append(counted.passes)
+    return counts[0], counts[1]
 
 
 class _Counted:
@@ -182,12 +192,16 @@ class _Counted:
 
 
 def _whole(
-    path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings, repeats: int
+    path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings, repeats: int, threads: int = 0
 ) -> dict[str, Any]:
-    """Time the whole in a warm process: the fastest of some runs, after one that is not counted, with its steps."""
-    with computing_on(read_settings().computing_threads):
+    """Time the whole in a warm process: the fastest of some runs, after one that is not counted, with its steps.
+
+    `threads` 0 is as many as a command has.
+    """
+    threads = threads or read_settings().computing_threads
+    with computing_on(threads):
         runs = [_once(path, sensor, catalogue, settings) for _ in range(1 + repeats)]
-    return min(runs[1:], key=lambda run: float(run["total_s"]))
+    return min(runs[1:], key=lambda run: float(run["total_s"])) | {"threads": threads}
 
 
 def _once(path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings) -> dict[str, Any]:
