@@ -49,6 +49,15 @@ def test_a_run_costs_its_worker_time_and_a_result_and_its_line_goes_through_both
         assert line["constant"] + line["per_frame"] * frames == pytest.approx(found["blob_bytes"])
 
 
+def test_launches_in_bulk_write_the_same_rows_and_processor_time_is_told_beside_seconds(sqlite):
+    bulk = sqlite["launch_in_bulk"]
+
+    assert bulk["rows"] == sqlite["launch"]["rows"]
+    assert 0 < bulk["seconds"] < sqlite["launch"]["seconds"]
+    for cost in (sqlite["sensor"], sqlite["launch"], *sqlite["set"].values()):
+        assert cost["own_cpu_s"] > 0
+
+
 def test_a_table_s_bytes_are_pages_and_an_empty_one_has_no_rows(tmp_path):
     engine = open_engine(f"sqlite:///{tmp_path}/store.db")
     migrate(engine)

@@ -82,13 +82,13 @@ class Ledger:
 
         Returns
         -------
-        `database_bytes`, `blob_bytes`, `rows` by table where there are any, `seconds`, and while a server runs the processor time
-        of its own process, `server_cpu_s`, and of its worker, `worker_cpu_s`.
+        `database_bytes`, `blob_bytes`, `rows` by table where there are any, `seconds`, `own_cpu_s` of processors in this process,
+        and while a server runs the processor time of its own process, `server_cpu_s`, and of its worker, `worker_cpu_s`.
         """
         before, blobs, cpu = table_sizes(self._engine), self._blob_bytes(), self._cpu()
-        began = time.perf_counter()
+        began, own = time.perf_counter(), time.process_time()
         step()
-        seconds = time.perf_counter() - began
+        seconds, own = time.perf_counter() - began, time.process_time() - own
         after, used = table_sizes(self._engine), self._cpu()
         added = {name: after[name].rows - before[name].rows for name in after}
         found: dict[str, Any] = {
@@ -96,6 +96,7 @@ class Ledger:
             "blob_bytes": (self._blob_bytes() - blobs) / count,
             "rows": {name: number / count for name, number in added.items() if number > 0},
             "seconds": seconds / count,
+            "own_cpu_s": own / count,
         }
         for key, start in cpu.items():
             found[key] = (used[key] - start) / count
@@ -146,14 +147,15 @@ class Ledger:
                 )
         path.unlink()
 
-    def launch_only(self, count: int) -> None:
-        """Queue runs, one transaction each, with nobody there to compute them."""
+    def launch_only(self, count: int, at_once: int = 1) -> None:
+        """Queue runs, so many a transaction, with nobody there to compute them."""
         shortest = min(self._sets)
-        for number in range(count):
-            place = number % len(self._sensors)
+        for first in range(0, count, at_once):
             with writing(self._engine) as session:
-                sensor_id, set_id = self._sensors[place], self._sets[shortest][place]
-                runs.launch(session, self._analyst, sensor_id, set_id, METHODS["batch"], label=f"pass {number}")
+                for number in range(first, min(first + at_once, count)):
+                    place = number % len(self._sensors)
+                    sensor_id, set_id = self._sensors[place], self._sets[shortest][place]
+                    runs.launch(session, self._analyst, sensor_id, set_id, METHODS["batch"], label=f"pass {number}")
 
     def cancel_all(self) -> None:
         """Take what is queued away again."""
