@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from boresight.measurements.clients import measure
+from boresight.measurements.clients import CROWDS, measure
 from boresight.measurements.full_store import fill, settings_in
 from boresight.services import audit
 from boresight.store.sessions import open_engine, reading
@@ -21,9 +21,16 @@ def found() -> dict[str, Any]:
 
 
 def test_everybody_is_answered(found: dict[str, Any]) -> None:
-    for name in ("list", "list_unchanged", "list_paced", "page", "page_paced"):
+    for name in CROWDS:
         assert found[name]["failures"] == 0, found[name]
         assert found[name]["requests"] > 0, name
+
+
+def test_two_crowds_ask_while_runs_are_launched_and_the_first_answers_are_timed(found: dict[str, Any]) -> None:
+    for name in ("list_while_writing", "page_while_writing"):
+        assert found[name]["launches"] > 0, name
+        assert found[name]["median_ms"] > 0
+        assert found[name]["all_answered_once_after_s"] > 0
 
 
 def test_who_has_a_copy_is_told_that_it_holds(found: dict[str, Any]) -> None:

@@ -3,7 +3,9 @@
 The server is `boresight serve` at its default settings on 10,000 runs; the clients are a process of their own on the same machine.
 Each has a credential of its own: half of those that ask the REST API have a log-in, half a key. A closed loop (every client asks
 again as soon as it is answered) is harsher than people are: with n clients and a median of t it asks n / t times a second.
-The paced crowd asks once a second and client.
+The paced crowd asks once a second and client. The last crowds ask while a run is launched every half a second, which the server's
+worker computes: what they ask for changes under their hands. How long it takes until each client had its first answer, with
+every connection, credential and page still cold, is told by itself.
 """
 
 from __future__ import annotations
@@ -11,20 +13,25 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
+import httpx
 import orjson
 
 from boresight.measurements.feed import measure_feed
-from boresight.measurements.full_store import fill
+from boresight.measurements.full_store import Filled, fill
 from boresight.measurements.serving import Served, allow_open_files, serving
 
 LIST = "/api/v1/runs"
 PAGE = "/runs"
 MEDIAN_LIMIT_MS = 60.0
 PACE_S = 1.0
+LAUNCH_EVERY_S = 0.5
+CROWDS = ("list", "list_unchanged", "list_paced", "page", "page_paced", "list_while_writing", "page_while_writing")
 
 
 def measure(
@@ -57,7 +64,7 @@ def measure(
         report(0.0, f"a store of {runs:,} runs")
         filled = fill(folder, runs, clients)
         with serving(folder) as served:
-            found = _lists(report, served, filled.log_ins, filled.keys, seconds)
+            found = _lists(report, served, filled, seconds)
         report(0.8, f"{listeners} listeners, {4 * changes} events")
         found["feed"] = measure_feed(folder, filled, listeners, changes)
     return {"runs": runs, "clients": clients, "seconds": seconds, **found, "limits": _limits(found)}
@@ -66,19 +73,20 @@ def measure(
 def _lists(
     report: Callable[[float, str], None],
     served: Served,
-    log_ins: Sequence[Mapping[str, str]],
-    keys: Sequence[Mapping[str, str]],
+    filled: Filled,
     seconds: float,
 ) -> dict[str, Any]:
     """Measure the list of runs, for programs and for people."""
-    half = len(keys) // 2
-    mixed = [*keys[:half], *log_ins[half:]]
+    log_ins, half = filled.log_ins, len(filled.keys) // 2
+    mixed = [*filled.keys[:half], *log_ins[half:]]
     crowds: dict[str, tuple[str, Sequence[Mapping[str, str]], dict[str, Any]]] = {
         "list": (LIST, mixed, {}),
         "list_unchanged": (LIST, mixed, {"validate": True}),
         "list_paced": (LIST, mixed, {"pause_s": PACE_S}),
         "page": (PAGE, log_ins, {}),
         "page_paced": (PAGE, log_ins, {"pause_s": PACE_S}),
+        "list_while_writing": (LIST, mixed, {}),
+        "page_while_writing": (PAGE, log_ins, {}),
     }
     found = {}
     for number, (name, (path, headers, others)) in enumerate(crowds.items()):
@@ -92,10 +100,41 @@ def _lists(
             "validate": False,
         }
         before_s = served.processor_s()
-        found[name] = in_a_process("crowd", wish | others)
+        is_written = name.endswith("while_writing")
+        writing: AbstractContextManager[list[int]] = _writing(served, filled) if is_written else nullcontext([])
+        with writing as launched:
+            found[name] = in_a_process("crowd", wish | others)
+        if launched:
+            found[name]["launches"] = len(launched)
         used_s = served.processor_s() - before_s
         found[name]["server_us_per_request"] = 1e6 * used_s / max(1, found[name]["asked"])
     return found
+
+
+@contextmanager
+def _writing(served: Served, filled: Filled) -> Iterator[list[int]]:
+    """Launch a run every half a second, from a thread; yields the numbers of those launched so far."""
+    launched, over = list[int](), threading.Event()
+    order = {
+        "sensor_id": filled.sensor_id,
+        "telemetry_set_id": filled.telemetry_set_id,
+        "settings": {"method": "batch"},
+    }
+
+    def launch() -> None:
+        with httpx.Client(
+            base_url=f"http://127.0.0.1:{served.port}", headers=dict(filled.keys[0]), timeout=60
+        ) as maker:
+            while not over.wait(LAUNCH_EVERY_S):
+                launched.append(maker.post(LIST, json=order).raise_for_status().json()["id"])
+
+    writer = threading.Thread(target=launch, name="boresight-launches")
+    writer.start()
+    try:
+        yield launched
+    finally:
+        over.set()
+        writer.join()
 
 
 def in_a_process(module: str, wish: Mapping[str, Any]) -> dict[str, Any]:
@@ -108,7 +147,7 @@ def in_a_process(module: str, wish: Mapping[str, Any]) -> dict[str, Any]:
 
 def _limits(found: Mapping[str, Any]) -> dict[str, Any]:
     """Hold what was found against what is promised."""
-    failures = sum(found[name]["failures"] for name in ("list", "list_unchanged", "list_paced", "page", "page_paced"))
+    failures = sum(found[name]["failures"] for name in CROWDS)
     return {
         "list_median": _at_most(MEDIAN_LIMIT_MS, found["list"]["median_ms"], "ms"),
         "page_median": _at_most(MEDIAN_LIMIT_MS, found["page"]["median_ms"], "ms"),
