@@ -30,11 +30,13 @@ import boresight
 from boresight.api import static_files
 from boresight.api.broadcast import Broadcast
 from boresight.api.changes import Changes
+from boresight.api.codings import Codings
 from boresight.api.cookies import LogInCookie
 from boresight.api.credentials import prove
 from boresight.api.deliveries import Deliveries
 from boresight.api.drawn import Drawn
 from boresight.api.gate import Gate
+from boresight.api.heads import Heads
 from boresight.api.heartbeat import Heartbeat
 from boresight.api.keeping import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, Keeping
 from boresight.api.metrics import Metrics
@@ -44,6 +46,7 @@ from boresight.api.problems import problem_of, problem_response
 from boresight.api.ready import Answering, Proof, Ready
 from boresight.api.routes import router as api_router
 from boresight.api.upkeep import Upkeep
+from boresight.api.watched import Watched
 from boresight.errors import BoresightError
 from boresight.pages import router as pages_router
 from boresight.pages.fleet import FleetMemory
@@ -88,6 +91,8 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
     app.add_middleware(Gate, refuse=_turn_away)
     app.add_middleware(Answering, ready=app.state.ready)
+    app.add_middleware(Heads)
+    app.add_middleware(Codings)
     limit_mb = settings.upload_limit_mb
     app.add_middleware(
         Border,
@@ -107,6 +112,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.policy = settings.policy
     state.engine = open_engine(settings.database_url)
     state.blobs = open_blobs(settings.blob_place)
+    state.blobs_watched = Watched(state.blobs.refuse_unusable)
     state.drawn = Drawn()
     state.log_in_cookie = LogInCookie(settings)
     state.catalogue = _lazy_catalogue(settings)
@@ -203,7 +209,17 @@ async def _refuse(request: Request, error: Exception) -> Response:
 
 
 class _Server(uvicorn.Server):
-    """Ends the event streams first when it stops: they would never end by themselves."""
+    """Says when it accepts connections, and ends the event streams first when it stops: they would never end by themselves."""
+
+    def __init__(self, config: uvicorn.Config, on_open: Callable[[], None] | None = None) -> None:
+        super().__init__(config)
+        self._on_open = on_open
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen, then say so."""
+        await super().startup(sockets)
+        if self.started and self._on_open is not None:
+            self._on_open()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Close the feed, then wait for what is under way."""
@@ -213,8 +229,8 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def serve(settings: Settings) -> None:
-    """Serve until told to stop by SIGINT or SIGTERM."""
+def serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
+    """Serve until told to stop by SIGINT or SIGTERM; `on_open` is called once connections are accepted."""
     config = uvicorn.Config(
         create_app(settings),
         host=settings.host,
@@ -223,4 +239,4 @@ def serve(settings: Settings) -> None:
         server_header=False,
         timeout_graceful_shutdown=DRAIN_S,
     )
-    _Server(config).run()
+    _Server(config, on_open).run()

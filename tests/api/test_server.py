@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gzip
 import re
+import socket
 from pathlib import Path
 
 import httpx
 import plotly
 import pytest
+import uvicorn
 from playwright.sync_api import sync_playwright
 
 from boresight.api.middleware import SECURITY_HEADERS, SECURITY_POLICY
+from boresight.api.watched import Watched
+from boresight.server import _Server, create_app
+from boresight.store.blobs import BlobStore
 
 from .conftest import House, serving, settings_in
 
@@ -61,6 +67,61 @@ def test_a_server_whose_workers_are_not_there_is_not_ready(tmp_path: Path) -> No
         assert httpx.get(f"{address}/healthz").status_code == 200
     assert answer.status_code == 503
     assert answer.json()["checks"]["workers"]["ready"] is False
+
+
+def test_a_server_that_no_worker_has_joined_yet_is_not_ready(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    state = house.app.state
+    monkeypatch.setitem(state._state, "settings", dataclasses.replace(state.settings, workers=2))
+    told = {"connected": True, "joined": False, "threads": 0}
+    monkeypatch.setattr(state.workers, "state", lambda: told)
+    assert house.anybody().get("/readyz").status_code == 503
+    told |= {"joined": True, "threads": 2}
+    assert house.anybody().get("/readyz").status_code == 200
+    told |= {"threads": 0}  # its only worker has died and is being replaced
+    assert house.anybody().get("/readyz").status_code == 200
+
+
+def test_a_server_that_cannot_write_its_files_is_not_ready_and_refuses_an_upload_in_a_sentence(
+    house: House, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert house.anybody().get("/readyz").json()["checks"]["files"] == {"ready": True}
+    sensor_id = house.new_sensor()["id"]
+    nowhere = BlobStore(tmp_path / "file" / "blobs")
+    nowhere.folder.parent.write_text("no folder")
+    instead = {"blobs": nowhere, "blobs_watched": Watched(nowhere.refuse_unusable)}
+    for name, part in instead.items():
+        monkeypatch.setitem(house.app.state._state, name, part)
+    unready = house.anybody().get("/readyz")
+    refused = house.upload(house.person("ada"), sensor_id)
+    assert (unready.status_code, refused.status_code) == (503, 503)
+    for sentence in (unready.json()["checks"]["files"]["detail"], refused.json()["detail"]):
+        assert f"The folder of files {nowhere.folder} cannot be written (Not a directory)" in sentence
+
+
+def test_files_are_looked_at_once_in_some_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[None] = []
+    watched = Watched(lambda: looks.append(None))
+    assert [watched.fault() for _ in range(5)] == [""] * 5
+    assert len(looks) == 1
+    monkeypatch.setattr("boresight.api.watched.LOOK_AGAIN_S", -1.0)
+    watched.fault()
+    assert len(looks) == 2
+
+
+def test_a_server_says_that_it_is_there_when_it_is(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    answers: list[int] = []
+    config = uvicorn.Config(create_app(settings), port=0, log_level="warning")
+
+    def ask() -> None:
+        host, port = server.servers[0].sockets[0].getsockname()[:2]
+        socket.create_connection((host, port), 5).close()
+        answers.append(port)
+        server.should_exit = True
+
+    server = _Server(config, ask)
+    server.run()
+    assert len(answers) == 1
 
 
 def test_metrics_count_requests_by_route_and_runs_by_state(house: House) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.errors import ConflictError, NotFoundError
+from boresight.errors import ConflictError, NotFoundError, UnavailableError
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Engine, writing
 
@@ -85,3 +86,19 @@ def test_a_row_is_made_once_for_the_same_bytes(blobs: BlobStore, engine: Engine)
         first = register_blob(session, blobs, sha256, "text/csv")
         assert register_blob(session, blobs, sha256, "text/csv") is first
     assert (first.size_bytes, first.media_type) == (5, "text/csv")
+
+
+@pytest.mark.parametrize("act", [lambda blobs: blobs.put(b"stars"), lambda blobs: blobs.refuse_unusable()])
+def test_a_folder_that_cannot_be_made_is_refused_in_a_sentence_that_names_it(
+    tmp_path: Path, act: Callable[[BlobStore], object]
+) -> None:
+    (tmp_path / "file").touch()
+    folder = tmp_path / "file" / "blobs"
+    with pytest.raises(UnavailableError, match=f"^The folder of files {folder} cannot be written"):
+        act(BlobStore(folder))
+
+
+def test_looking_at_the_folder_leaves_nothing_behind(blobs: BlobStore) -> None:
+    blobs.refuse_unusable()
+    assert blobs.folder.is_dir()
+    assert list(blobs.folder.iterdir()) == []

@@ -138,6 +138,17 @@ def test_nobody_listening_is_told_within_seconds(tmp_path: Path, monkeypatch: py
     assert time.monotonic() - begun_s < 30
 
 
+def test_a_store_is_looked_at_quickly_whoever_is_there(
+    blobs: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blobs().refuse_unusable()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    gone, begun_s = open_blobs(BlobPlace("s3://gone/blobs", tmp_path, PLENTY)), time.monotonic()
+    with pytest.raises(UnavailableError, match="s3://gone/blobs does not answer"):
+        gone.refuse_unusable()
+    assert time.monotonic() - begun_s < 4
+
+
 def test_what_was_asked_for_longest_ago_goes_first_and_nothing_of_the_last_hour(blobs: Open) -> None:
     server = blobs("server")
     old, used, new = (server.put(bytes([n]) * 400) for n in range(3))

@@ -28,6 +28,7 @@ from typing import Any
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boresight.api.changes import Changes
+from boresight.api.codings import takes_gzip
 from boresight.store.marks import Mark
 
 HELD_S = 30.0
@@ -55,20 +56,20 @@ class Asked:
         """Read a request; None where it is none that an answer may stand ready for."""
         if scope["type"] != "http" or scope["method"] != "GET":
             return None
-        credentials, found, takes = {b"authorization": b"", b"cookie": b""}, b"", b""
+        credentials, found, accepted = {b"authorization": b"", b"cookie": b""}, b"", b""
         for name, value in scope["headers"]:
             if name in credentials:
                 if credentials[name]:
                     return None  # given twice: let the endpoint decide which counts
                 credentials[name] = value
             elif name == b"accept-encoding":
-                takes += value
+                accepted = value  # one at most: the border has read it
             elif name == b"if-none-match":
                 found += value
         asker = (credentials[b"authorization"], credentials[b"cookie"])
         if not any(asker):
             return None
-        return cls((scope["path"], scope["query_string"], b"gzip" in takes), asker, found)
+        return cls((scope["path"], scope["query_string"], takes_gzip(accepted)), asker, found)
 
 
 @dataclass(frozen=True)

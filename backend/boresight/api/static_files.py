@@ -18,6 +18,7 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.api.codings import takes_gzip
 from boresight.errors import NotFoundError
 from boresight.resources import folder
 
@@ -61,12 +62,12 @@ def _place(name: str) -> Path:
     return place
 
 
-@router.api_route("/static/{name:path}", methods=["GET", "HEAD"], name="static")
+@router.get("/static/{name:path}", name="static")
 def static_file(name: str, request: Request) -> Response:
     """Send a file of the pages, or say that the browser's copy is still right."""
     place = _place(name)
     content = _content(place, place.stat().st_mtime_ns)
-    zipped = content.compressed is not None and "gzip" in request.headers.get("accept-encoding", "")
+    zipped = content.compressed is not None and takes_gzip(request.headers.get("accept-encoding", "").encode())
     tag = f'"{content.sha256}{"-gz" if zipped else ""}"'
     headers = {"ETag": tag, "Cache-Control": CACHED}  # the compressing middleware adds Vary
     if tag in [known.strip() for known in request.headers.get("if-none-match", "").split(",")]:

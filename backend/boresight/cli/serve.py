@@ -6,6 +6,7 @@ import os
 import socket
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,8 +31,8 @@ def serve(host: str | None, port: int | None, data: Path | None) -> None:
     """Serve the console until Ctrl-C."""
     settings = settings_of(data, host, port)
     _claim_port(settings)
-    click.echo(f"Boresight on {_address(settings)}, data in {settings.data_folder}. Stop it with Ctrl-C.")
-    _serve(settings)
+    line = f"Boresight on {_address(settings)}, data in {settings.data_folder}. Stop it with Ctrl-C."
+    _serve(settings, lambda: click.echo(line))
 
 
 @click.command()
@@ -77,18 +78,21 @@ def _claim_port(settings: Settings) -> None:
         ) from error
 
 
-def _serve(settings: Settings) -> None:
+def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
     """Run the server; Ctrl-C is its ordinary end."""
     use_kernel_folder(settings)
     from boresight.server import serve as run
+    from boresight.store.blobs import open_blobs
     from boresight.store.sessions import opened
     from boresight.workers.security import security_of
 
     security_of(settings)  # refuse now what the engine would only log
     with opened(settings.database_url):
         pass  # likewise what the server's start would only log
+    if settings.blob_place.is_folder:  # an object store may come back while the server waits
+        open_blobs(settings.blob_place).refuse_unusable()
     try:
-        run(settings)
+        run(settings, on_open)
     except KeyboardInterrupt:
         click.echo("boresight: stopped.", err=True)
 

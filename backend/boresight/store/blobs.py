@@ -8,16 +8,18 @@ Bytes that no row refers to are harmless, so bytes are put before the row that n
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import orjson
 import sqlalchemy as sa
 
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError, UnavailableError
 from boresight.store.blob_places import BlobPlace
 from boresight.store.recent import Recent
 from boresight.store.sessions import Session, utc_now
@@ -43,21 +45,51 @@ class BlobStore:
         -------
         str
             The SHA-256 in hexadecimal.
+
+        Raises
+        ------
+        UnavailableError
+            When the folder cannot be written.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        digest = hashlib.sha256()
-        handle, name = tempfile.mkstemp(prefix=".put-", dir=self.folder)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                for chunk in _chunks(content):
-                    digest.update(chunk)
-                    file.write(chunk)
-                file.flush()
-                os.fsync(file.fileno())
-            self._keep(Path(name), digest.hexdigest())
-        finally:
-            Path(name).unlink(missing_ok=True)
+        with _opened(content) as source, self._writing():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            digest = hashlib.sha256()
+            handle, name = tempfile.mkstemp(prefix=".put-", dir=self.folder)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    while chunk := source.read(CHUNK_BYTES):
+                        digest.update(chunk)
+                        file.write(chunk)
+                    file.flush()
+                    os.fsync(file.fileno())
+                self._keep(Path(name), digest.hexdigest())
+            finally:
+                Path(name).unlink(missing_ok=True)
         return digest.hexdigest()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Say in one sentence that the folder cannot be written."""
+        try:
+            yield
+        except OSError as error:
+            raise UnavailableError(
+                f"The folder of files {self.folder} cannot be written ({error.strerror or error}): let the server write there, "
+                "make room on its disk, or name another by BORESIGHT_BLOBS."
+            ) from error
+
+    def refuse_unusable(self) -> None:
+        """Make the folder where there is none, and write a file that is gone at once.
+
+        Raises
+        ------
+        UnavailableError
+            When that cannot be done.
+        """
+        with self._writing():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=self.folder) as file:
+                file.write(b"Boresight")
 
     def send_ahead(self, *files: Path) -> None:
         """Bring files over the network before the transaction that puts them, which holds others up; here there is none."""
@@ -146,14 +178,9 @@ def open_blobs(place: BlobPlace) -> BlobStore:
     return open_object_blobs(place)
 
 
-def _chunks(content: bytes | Path) -> Iterator[bytes]:
-    """Yield bytes, or a file's bytes, piece by piece."""
-    if isinstance(content, bytes):
-        yield content
-        return
-    with content.open("rb") as file:
-        while chunk := file.read(CHUNK_BYTES):
-            yield chunk
+def _opened(content: bytes | Path) -> BinaryIO:
+    """Open bytes, or a file, to be read piece by piece."""
+    return io.BytesIO(content) if isinstance(content, bytes) else content.open("rb")
 
 
 def register_blob(session: Session, blobs: BlobStore, sha256: str, media_type: str) -> Blob:

@@ -17,7 +17,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from functools import cache
 from pathlib import Path
@@ -32,17 +32,19 @@ from boresight.store.blobs import CHUNK_BYTES, BlobStore
 
 KEPT_S = 3600.0  # after it was last asked for
 LOOK_AFTER = 20  # the folder is measured after a twentieth of what it may hold was added
-ANSWERS_WITHIN, ENDS_WITHIN, TRIED_FOR = (timedelta(seconds=number) for number in (5, 60, 20))
+ANSWERS_WITHIN, ENDS_WITHIN, TRIED_FOR, LOOKS_FOR = (timedelta(seconds=number) for number in (5, 60, 20, 2))
+LOOKED_FOR = "is-it-there"
 
 
 class ObjectBlobStore(BlobStore):
     """The blobs of a bucket; `folder` holds what was fetched or put lately."""
 
-    def __init__(self, place: BlobPlace, store: ObjectStore) -> None:
+    def __init__(self, place: BlobPlace, store: ObjectStore, looking: ObjectStore | None = None) -> None:
         super().__init__(place.cache_folder)
         self.kept_at = self.address = place.address
         self.limit_bytes = place.cache_bytes
         self._store = store
+        self._looking = looking or store  # the same, without patience
         self._added_bytes = self.limit_bytes  # measured once at first
 
     def send_ahead(self, *files: Path) -> None:
@@ -61,6 +63,20 @@ class ObjectBlobStore(BlobStore):
                         f"The file {sha256[:12]} did not arrive whole in {self.address}; try again, and look at the store."
                     )
         self._keep_here(written, sha256, size)
+
+    def refuse_unusable(self) -> None:
+        """Ask the store for something that is not there: who answers that is there and lets us in.
+
+        Raises
+        ------
+        UnavailableError
+            When the store does not answer, or what was fetched cannot be kept here.
+        ForbiddenError
+            When it does not let us in.
+        """
+        super().refuse_unusable()
+        with self._asking(""), suppress(FileNotFoundError):
+            obstore.head(self._looking, LOOKED_FOR)
 
     def _size_of(self, sha256: str) -> int | None:
         """Return the size of an object, None where there is none."""
@@ -168,4 +184,9 @@ def open_object_blobs(place: BlobPlace) -> ObjectBlobStore:
         client_options={"allow_http": True, "connect_timeout": ANSWERS_WITHIN, "timeout": ENDS_WITHIN},
         retry_config={"max_retries": 4, "retry_timeout": TRIED_FOR},
     )
-    return ObjectBlobStore(place, store)
+    looking = from_url(
+        place.address,
+        client_options={"allow_http": True, "connect_timeout": LOOKS_FOR, "timeout": LOOKS_FOR},
+        retry_config={"max_retries": 0, "retry_timeout": LOOKS_FOR},
+    )
+    return ObjectBlobStore(place, store, looking)

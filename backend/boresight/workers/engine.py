@@ -34,13 +34,11 @@ log = logging.getLogger(__name__)
 
 BUSY_TURN_S = 0.1
 IDLE_TURN_S = 0.25
-LOOK_EVERY_S = 0.5  # at the workers, while no task has ended
+LOOK_EVERY_S = 0.5  # at the workers, while no task has ended or none is there
 PAUSE_AFTER_ERROR_S = 1.0
-CANCEL_GRACE_S = 5.0
-GONE_S = 1.0
+CANCEL_GRACE_S, GONE_S = 5.0, 1.0
 GONE = "its worker was gone before the task reached it, or before its result was fetched"
-KILL_AGAIN_S = 20.0
-OVERDUE_S = 30.0
+KILL_AGAIN_S, OVERDUE_S = 20.0, 30.0
 LOOK_AHEAD = 64  # runs a thread
 JOIN_S = 30.0
 
@@ -81,11 +79,11 @@ class Engine:
         self._cluster: Cluster | None = None
         self._flights = Flights()
         self._threads: dict[str, int] = {}
+        self._joined = False  # whether any worker ever was there
         self._lookout = Lookout(database)
         self._reports = Reports()
         self._renewed_s = self._looked_s = 0.0
-        self._wake = threading.Event()
-        self._stopping = threading.Event()
+        self._wake, self._stopping = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="boresight-engine", daemon=True)
 
     def start(self) -> None:
@@ -105,9 +103,9 @@ class Engine:
         self._wake.set()
 
     def state(self) -> dict[str, Any]:
-        """Say who this is, whether it turns and its cluster is there, how many threads that had last, and tasks on them."""
+        """Say who this is, whether it turns, its cluster is there and ever had a worker; its threads at last, and tasks."""
         connected = self._cluster is not None and self._cluster.connected
-        counts = {"threads": sum(self._threads.values()), "tasks": len(self._flights)}
+        counts = {"joined": self._joined, "threads": sum(self._threads.values()), "tasks": len(self._flights)}
         return {"owner": self.owner, "turns": self._thread.is_alive(), "connected": connected, **counts}
 
     def _run(self) -> None:
@@ -170,8 +168,10 @@ class Engine:
 
     def _settle(self) -> None:
         """Write the ends of finished and of lost tasks."""
-        if self._flights and (self._flights.any_done() or time.monotonic() - self._looked_s > LOOK_EVERY_S):
+        is_due = time.monotonic() - self._looked_s > LOOK_EVERY_S and (self._flights or not self._threads)
+        if is_due or self._flights.any_done():
             self._threads, self._looked_s = self._on_cluster().workers(), time.monotonic()
+        self._joined = self._joined or bool(self._threads)
         self._flights.advance(self._threads)
         self._recall()
         for flight in self._flights:

@@ -46,8 +46,13 @@ async def health() -> dict[str, str]:
 
 @router.get("/readyz", name="readiness", summary="Can it do its work", responses=refusals(503))
 async def readiness(request: Request) -> Response:
-    """Say whether the store answers with the right schema and whether the workers are there: 200, or 503 with what is not."""
-    checks = {"store": await _apart(_store, request), "workers": await _apart(_workers, request)}
+    """Say whether store, files and workers are there: 200, or 503 with what is not.
+
+    The store must answer with the right schema, the place of the files must be reached and written, and where workers are
+    expected one must have joined since the server began.
+    """
+    parts = {"store": _store, "files": _files, "workers": _workers}
+    checks = {name: await _apart(look, request) for name, look in parts.items()}
     ready = all(check["ready"] for check in checks.values())
     return json_response({"status": "ready" if ready else "not ready", "checks": checks}, 200 if ready else 503)
 
@@ -67,12 +72,21 @@ def _newest_revision() -> str | None:
     return head_revision()
 
 
+def _files(request: Request) -> dict[str, Any]:
+    """Look at the place of the files."""
+    fault = request.app.state.blobs_watched.fault()
+    return {"ready": False, "detail": fault} if fault else {"ready": True}
+
+
 def _workers(request: Request) -> dict[str, Any]:
-    """Look at the workers; a server that has none by its settings does not wait for them."""
+    """Look at the workers; a server that has none by its settings does not wait for them.
+
+    Whose only worker has just died stays ready: another takes its place, and what is launched meanwhile waits.
+    """
     settings = request.app.state.settings
     expected = bool(settings.scheduler) or settings.workers > 0
     state = request.app.state.workers.state()
-    return {"ready": not expected or state["connected"], "expected": expected, **state}
+    return {"ready": not expected or (state["connected"] and state["joined"]), "expected": expected, **state}
 
 
 @router.get("/metrics", name="metrics", summary="Prometheus metrics", response_class=Response)
