@@ -1,4 +1,4 @@
-"""`boresight worker` and `boresight scheduler` refuse in a sentence what they cannot do."""
+"""`boresight worker`, `boresight scheduler` and `boresight serve` refuse in a sentence what they cannot do."""
 
 from __future__ import annotations
 
@@ -9,13 +9,40 @@ import sys
 import pytest
 
 
-@pytest.mark.parametrize("address", ["", "127.0.0.1:8786", "http://127.0.0.1:8786"])
-def test_a_worker_for_nobody_is_refused(boresight, monkeypatch, address):
-    monkeypatch.setenv("BORESIGHT_SCHEDULER", address)
+def free_port():
+    """Find a port that nobody listens on."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
+
+
+def test_a_worker_for_nobody_is_refused(boresight, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_SCHEDULER", "")
     done = boresight("worker")
 
     assert done.exit_code == 1
-    assert f"{address!r} is no scheduler to work for: give --scheduler tcp://host:port." in done.stderr
+    assert "There is no scheduler to work for: give --scheduler tcp://host:port." in done.stderr
+
+
+@pytest.mark.parametrize("command", ["worker", "scheduler", "serve"])
+@pytest.mark.parametrize(
+    "address",
+    ["foo", "127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://:99999", "tcp://:8786", "tcp://host", "tcp://h:0"],
+)
+def test_what_is_no_address_of_a_scheduler_is_refused_by_all_who_use_one(boresight, monkeypatch, command, address):
+    monkeypatch.setenv("BORESIGHT_SCHEDULER", address)
+    done = boresight(command, "--port", free_port()) if command != "worker" else boresight(command)
+
+    assert done.exit_code == 1
+    assert f"BORESIGHT_SCHEDULER={address!r} is no address of a scheduler: write tcp://host:port" in done.stderr
+
+
+def test_a_scheduler_that_is_to_be_encrypted_does_not_open_a_plain_link(boresight, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_SCHEDULER", "tls://127.0.0.1:8786")
+    done = boresight("scheduler", "--port", free_port())
+
+    assert done.exit_code == 1
+    assert "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE" in done.stderr
 
 
 def test_a_worker_on_an_encrypted_link_without_certificates_is_refused(boresight):
@@ -38,6 +65,29 @@ def test_a_scheduler_on_a_port_in_use_is_refused():
     assert "--port" in done.stderr
 
 
+def test_a_port_in_use_is_told_however_deep_it_is_wrapped(boresight, monkeypatch):
+    async def fail(*_):
+        raise RuntimeError("Scheduler failed to start.") from OSError(98, "Address already in use")
+
+    monkeypatch.setattr("boresight.workers.service._scheduler", fail)
+    done = boresight("scheduler", "--port", "8786")
+
+    assert done.exit_code == 1
+    assert "127.0.0.1:8786 cannot be listened on (Address already in use)" in done.stderr
+
+
 @pytest.mark.parametrize("words", [("--processes", "0"), ("--memory-gb", "0"), ("--port", "1")])
 def test_what_is_no_number_of_processes_or_memory_is_wrong_usage(boresight, words):
     assert boresight("worker", *words).exit_code == 2
+
+
+def test_a_server_whose_files_have_no_place_is_refused_before_it_says_that_it_is_there(
+    boresight, monkeypatch, tmp_path
+):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("BORESIGHT_BLOBS", f"{tmp_path}/file/blobs")
+    done = boresight("serve", "--port", free_port())
+
+    assert done.exit_code == 1
+    assert f"The folder of files {tmp_path}/file/blobs cannot be written" in done.stderr
+    assert "Boresight on" not in done.output

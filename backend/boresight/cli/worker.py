@@ -45,9 +45,9 @@ def scheduler(host: str, port: int) -> None:
     """Bring a server and its workers together, until Ctrl-C or SIGTERM.
 
     With certificates (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE) its address begins with tls://. Without them whoever
-    reaches the port can run programs on the workers.
+    reaches the port can run programs on the workers. Where BORESIGHT_SCHEDULER is set here too, it must fit that.
     """
-    settings = read_settings({**os.environ, "BORESIGHT_SCHEDULER": ""})
+    settings = read_settings()
     from boresight.workers.service import run_scheduler
 
     try:
@@ -63,10 +63,8 @@ def _settings(address: str | None, data: Path | None) -> Settings:
     """Read the settings with what the command line says instead; refuse to work for nobody."""
     given = {name: str(value) for name, value in (("SCHEDULER", address), ("DATA_FOLDER", data)) if value is not None}
     settings = read_settings({**os.environ, **{f"BORESIGHT_{name}": value for name, value in given.items()}})
-    if not settings.scheduler.startswith(("tcp://", "tls://")):
-        raise RefusedInputError(
-            f"BORESIGHT_SCHEDULER={settings.scheduler!r} is no scheduler to work for: give --scheduler tcp://host:port."
-        )
+    if not settings.scheduler:
+        raise RefusedInputError("There is no scheduler to work for: give --scheduler tcp://host:port.")
     return settings
 
 

@@ -8,6 +8,7 @@ everything on the way is encrypted. One certificate with its key in one file ser
 from __future__ import annotations
 
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from distributed import Security
 
@@ -15,6 +16,27 @@ from boresight.errors import RefusedInputError
 from boresight.settings import Settings
 
 PROTOCOL = "tls://"
+PROTOCOLS = ("tcp://", PROTOCOL)
+
+
+def refuse_unless_address(text: str) -> None:
+    """Refuse what no scheduler can be asked at: it would be asked again for ever.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is not `tcp://host:port` or `tls://host:port`.
+    """
+    try:
+        parts = urlsplit(text)
+        is_address = f"{parts.scheme}://" in PROTOCOLS and bool(parts.hostname) and bool(parts.port)
+        is_address = is_address and not (parts.path or parts.query or parts.fragment or "@" in parts.netloc)
+    except ValueError:  # a port over 65535, or no number
+        is_address = False
+    if not is_address:
+        raise RefusedInputError(
+            f"BORESIGHT_SCHEDULER={text!r} is no address of a scheduler: write tcp://host:port, or tls://host:port."
+        )
 
 
 def security_of(settings: Settings) -> Security | None:
@@ -23,8 +45,10 @@ def security_of(settings: Settings) -> Security | None:
     Raises
     ------
     RefusedInputError
-        When half of it is missing, or a file cannot be read.
+        When the scheduler's address is none, when half of what TLS needs is missing, or a file cannot be read.
     """
+    if settings.scheduler:
+        refuse_unless_address(settings.scheduler)
     files = {"BORESIGHT_TLS_AUTHORITY": settings.tls_authority, "BORESIGHT_TLS_CERTIFICATE": settings.tls_certificate}
     if not any(files.values()):
         if settings.scheduler.startswith(PROTOCOL):

@@ -40,13 +40,18 @@ def run_scheduler(settings: Settings, host: str, port: int, say: Say) -> None:
     Raises
     ------
     RefusedInputError
-        When certificates are missing.
+        When certificates are missing, or the address in the settings is none.
     OSError
         When the port cannot be listened on.
     """
     security = security_of(settings)
     _configure()
-    asyncio.run(_until_stopped(_scheduler(security, host, port, say)))
+    try:
+        asyncio.run(_until_stopped(_scheduler(security, host, port, say)))
+    except RuntimeError as error:
+        if isinstance(error.__cause__, OSError):  # distributed wraps what kept it from starting
+            raise error.__cause__ from error
+        raise
 
 
 async def _scheduler(security: Security | None, host: str, port: int, say: Say) -> None:
@@ -138,7 +143,7 @@ def run_workers(settings: Settings, processes: int, memory_bytes: int | None, sa
     Raises
     ------
     RefusedInputError
-        When certificates are missing.
+        When certificates are missing, or the scheduler's address is none.
     """
     security_of(settings)
     _configure()
