@@ -95,6 +95,15 @@ def test_a_waiting_run_is_cancelled_at_once_and_an_ended_one_not_again(house: Ho
     assert "CANCELLED already" in again.json()["detail"]
 
 
+def test_the_tag_of_a_run_is_weak_and_names_its_state_in_either_spelling(house: House) -> None:
+    client = house.person("ada")
+    for spelt in (lambda tag: tag, lambda tag: tag.removeprefix("W/")):
+        address = f"/api/v1/runs/{house.launched()['id']}"
+        tag = client.get(address).headers["etag"]
+        assert tag.startswith('W/"')
+        assert client.post(f"{address}:cancel", headers={"If-Match": spelt(tag)}).status_code == 200
+
+
 def test_a_state_is_never_patched(house: House) -> None:
     run = house.launched()
     for method in ("PATCH", "PUT", "DELETE"):

@@ -170,3 +170,13 @@ def test_archived_sets_are_listed_only_when_asked(house: House) -> None:
     assert client.get("/api/v1/telemetry-sets", params=params).json()["items"] == []
     found = client.get("/api/v1/telemetry-sets", params={**params, "archived": True}).json()["items"]
     assert [row["id"] for row in found] == [set_id]
+
+
+def test_a_copy_of_the_original_file_never_goes_out_of_date(house: House) -> None:
+    _, set_id = house.ready_sensor()
+    address, client = f"/api/v1/telemetry-sets/{set_id}/file", house.person("ada")
+    tag = client.get(address).headers["etag"]
+    for known in (tag, f"W/{tag}", f'"x", {tag}', "*"):
+        again = client.get(address, headers={"If-None-Match": known})
+        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", tag)
+    assert client.get(address, headers={"If-None-Match": '"x"'}).status_code == 200

@@ -127,6 +127,16 @@ async def _form_token(request: Request) -> str:
     return value if isinstance(value, str) else ""
 
 
+def weak(tag: str) -> str:
+    """Return a row's tag for an answer in which more may change than the tag tells of (RFC 9110, 8.8.1)."""
+    return f"W/{tag}"
+
+
+def strong(given: str) -> str:
+    """Return the row's tag that a client read, weak or not: it names the row's state, and says nothing of bytes."""
+    return given.strip().removeprefix("W/")
+
+
 async def seen_tag(
     if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read.")] = None,
 ) -> str:
@@ -139,7 +149,7 @@ async def seen_tag(
     """
     if if_match is None:
         raise PreconditionRequiredError('Say which version you saw: send its ETag in If-Match, as in If-Match: "v3".')
-    return if_match.strip()
+    return strong(if_match)
 
 
 SeenTag = Annotated[str, Depends(seen_tag)]
@@ -168,7 +178,7 @@ async def maybe_seen_tag(
     if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read, if you did.")] = None,
 ) -> str | None:
     """Return the tag in `If-Match`, where a transition may be asked without having looked."""
-    return None if if_match is None else if_match.strip()
+    return None if if_match is None else strong(if_match)
 
 
 MaybeSeenTag = Annotated[str | None, Depends(maybe_seen_tag)]

@@ -5,8 +5,9 @@ of `Who`: the endpoint lets whoever is known read, and is not told who it is. `b
 given again.
 
 Tags. A row's tag, by which transitions say what was seen (`If-Match`), stays what it is; it stands for the whole document, and
-saves sending it, where the row's state decides everything that is shown (`whole_tag`). Every other JSON document of the API that is
-read has the hash of its bytes as a weak tag: the same document is sent compressed or not. What says `no-store` has none.
+saves sending it, where the row's state decides everything that is shown (`whole_tag`). Where more moves under it, as the progress
+of a run does, it is weak. Every other JSON document of the API that is read has the hash of its bytes as a weak tag: the same
+document is sent compressed or not. What says `no-store` has none.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import OnlyAsked, Reading, SeenTag, Sighted, Who, Writing, require_tag, tag_of
+from boresight.api.dependencies import OnlyAsked, Reading, SeenTag, Sighted, Who, Writing, require_tag, tag_of, weak
 from boresight.api.keeping import Known, whole_tag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
@@ -55,8 +55,8 @@ class Cancellation(BaseModel):
 
 
 def _tagged(row: Any, status: int = 200, **headers: str) -> Answer:
-    """Answer with a run; its tag changes with its state and attempt, not with its progress."""
-    return Answer(_shown(row), status, {"ETag": _tag(row), **headers})
+    """Answer with a run; its tag changes with its state and attempt, not with its progress, and so is weak."""
+    return Answer(_shown(row), status, {"ETag": weak(_tag(row)), **headers})
 
 
 def _tag(row: Any) -> str:

@@ -16,6 +16,7 @@ from boresight.api.keeping import Known, whole_tag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
+from boresight.api.ready import knows
 from boresight.api.uploads import Uploaded, UploadedOnce
 from boresight.services import sensors, telemetry_sets
 from boresight.services.actors import require_role
@@ -144,11 +145,14 @@ def get_telemetry_file(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     request: Request,
-) -> FileResponse:
-    """Download the bytes as they were uploaded."""
+) -> Response:
+    """Download the bytes as they were uploaded; their address is the tag, so a copy never goes out of date."""
     row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+    headers = {"ETag": f'"{row.original_sha256}"'}
+    if knows(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
+        return Response(status_code=304, headers=headers)
     path = request.app.state.blobs.path(row.original_sha256)
-    return FileResponse(path, filename=row.name, headers={"ETag": f'"{row.original_sha256}"'})
+    return FileResponse(path, filename=row.name, headers=headers)
 
 
 @router.post(
