@@ -88,7 +88,28 @@ def test_only_the_server_is_published_and_only_to_this_machine():
     inner = {name for name, network in COMPOSE["networks"].items() if network.get("internal")}
 
     assert published == {"server": ["127.0.0.1:8000:8000"]}
-    assert set(COMPOSE["services"]["worker"]["networks"]) | set(COMPOSE["services"]["database"]["networks"]) <= inner
+    assert {name for service in ("scheduler", "database") for name in COMPOSE["services"][service]["networks"]} <= inner
+
+
+def test_workers_reach_an_object_store_outside_by_a_network_that_nobody_else_is_on():
+    inner = {name for name, network in COMPOSE["networks"].items() if network.get("internal")}
+    (way_out,) = set(COMPOSE["services"]["worker"]["networks"]) - inner
+
+    assert [name for name, service in COMPOSE["services"].items() if way_out in service["networks"]] == ["worker"]
+
+
+def test_every_service_is_looked_after_and_has_as_long_to_end_as_its_unit():
+    (seconds,) = re.findall(r"^TimeoutStopSec=(\d+)$", PAGE, re.MULTILINE)
+
+    assert all("healthcheck" in service for service in COMPOSE["services"].values())
+    assert {COMPOSE["services"][name]["stop_grace_period"] for name in OURS} == {f"{seconds}s"}
+
+
+def test_the_health_check_of_a_worker_looks_for_the_port_of_its_scheduler():
+    asked = COMPOSE["services"]["worker"]["healthcheck"]["test"][3]
+    port = COMPOSE["services"]["worker"]["environment"]["BORESIGHT_SCHEDULER"].rpartition(":")[2]
+
+    assert asked == f":{int(port):04X} 01 "
 
 
 def test_no_secret_stands_in_the_compose_file_and_workers_get_none():
