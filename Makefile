@@ -51,8 +51,10 @@ bench: $(MADE)/dev  ## measure everything beside its peers and write docs/benchm
 
 postgresql: $(MADE)/dev  ## run the tests on PostgreSQL instead of SQLite (a quarter of an hour)
 	@.ci/machine postgresql
-	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --store postgresql
-	$(PYTEST) $(filter-out tests/test_wheel.py,$(wildcard $(ALONE))) --store postgresql
+	failed=0; \
+	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --store postgresql || failed=1; \
+	$(PYTEST) $(filter-out tests/test_wheel.py,$(wildcard $(ALONE))) --store postgresql || failed=1; \
+	exit $$failed
 
 clean:  ## remove what was built, cached and demonstrated; the virtual environment stays
 	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels
