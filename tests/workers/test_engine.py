@@ -5,10 +5,13 @@ import os
 import signal
 import time
 from datetime import datetime
+from types import SimpleNamespace
 
 import dask
 import pytest
 from dask.utils import parse_timedelta
+
+from boresight.workers.engine import TURN_S, Engine
 
 EVENTS = []
 
@@ -131,3 +134,15 @@ def test_a_run_that_cannot_be_computed_fails_once_with_its_sentence(store, behav
 
 def test_a_worker_that_restarts_is_not_ended_because_one_of_its_name_was_lost_before(store):  # noqa: ARG001 - its engine has set the cluster up
     assert parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout")) > 365 * 86_400
+
+
+def test_while_a_run_computes_and_nothing_is_told_the_engine_turns_four_times_a_second_at_most(store, monkeypatch):
+    engine = Engine(store.database, store.settings)
+    engine._flights.add(SimpleNamespace(members=set()))
+    turns = []
+    monkeypatch.setattr(engine, "_turn", lambda: turns.append(time.monotonic()))
+    engine.start()
+    time.sleep(1.1)
+    engine.stop()
+    assert TURN_S >= 0.25
+    assert 1 <= len(turns) <= 1.1 / TURN_S + 2

@@ -32,8 +32,7 @@ from boresight.workers.tasks import CALCULATION, inputs_of
 
 log = logging.getLogger(__name__)
 
-BUSY_TURN_S = 0.1
-IDLE_TURN_S = 0.25
+TURN_S = 0.25  # while nothing is told: an end, a launch and a wish to stop here wake the engine at once
 LOOK_EVERY_S = 0.5  # at the workers, while no task has ended or none is there
 PAUSE_AFTER_ERROR_S = 1.0
 CANCEL_GRACE_S, GONE_S = 5.0, 1.0
@@ -111,13 +110,12 @@ class Engine:
     def _run(self) -> None:
         """Turn until asked to stop; an error is logged and the next turn tries again."""
         while not self._stopping.is_set():
-            pause_s = BUSY_TURN_S if self._flights or self._lookout else IDLE_TURN_S
             try:
                 self._turn()
             except Exception:
                 log.exception("The engine's turn failed and is tried again")
                 self._stopping.wait(PAUSE_AFTER_ERROR_S)
-            self._wake.wait(pause_s)
+            self._wake.wait(TURN_S)
             self._wake.clear()
         self._shut_down()
 
