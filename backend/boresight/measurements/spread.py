@@ -2,8 +2,11 @@
 
 A scheduler and workers are started by their commands; a client hands them the very task that the server's engine hands them, and
 times it from there to its result in the folder of blobs. Every worker has computed a small set before, so nothing waits for a
-compiler or an import. In the third run the worker that is lent pieces is killed with SIGKILL when the first tenth of the pieces of
-the fit may be done, and its nanny brings another, which takes part again.
+compiler or an import. In the third run the worker that is lent pieces is killed with SIGKILL when half of the fit may be done, as
+the run before tells, and its nanny brings another, which takes part again. `kill` says which worker that was and when, how many
+groups of pieces it had computed for this run and how many it had in its hands: these had to be computed by somebody else, and as
+the run ended with all of its pieces they were. A run that ended before the kill, or whose worker had nothing in its hands, shows
+nothing, and its promises are not kept.
 
 On two cores there is no room for anybody else: the scheduler and this process take a few per cent of a core, and so does reading
 pieces from the disk. What the workers used is told beside the times, and the load of the machine before each run: what it was above
@@ -118,7 +121,7 @@ class Site:
             return subprocess.Popen(command, env=self._environment, stdout=log, stderr=log, cwd=self.folder)  # noqa: S603 - words of our own
 
     def warm(self, client: Client, table: str) -> None:
-        """Let every worker compute a small set by itself, and then one together."""
+        """Let every worker in turn compute a small set, of which it lends pieces to the others."""
         for worker in sorted(client.nthreads()):
             self._submit(client, table, worker).result()
 
@@ -129,14 +132,16 @@ class Site:
         load, before_s = os.getloadavg()[0], _cpu_s(pids.values())
         began_s = time.perf_counter()
         future = self._submit(client, table, own)
-        after_s = _cpu_until(future, pids, None if kill_after_s is None else (pids[others[0]], kill_after_s))
+        kill = None if kill_after_s is None else Kill(client, others[0], pids[others[0]], began_s + kill_after_s)
+        after_s = _cpu_until(future, pids, kill)
         (outcome,) = future.result()
         took_s = time.perf_counter() - began_s
         if outcome["result_sha256"] is None:
             raise RuntimeError(f"The run ended {outcome['state']}: {outcome['reason']}")
         cpu_s = {f"worker_{n}": round(after_s[pid] - before_s[pid], 3) for n, pid in enumerate(sorted_by(pids, own), 1)}
         document = orjson.loads(self._blobs.read(outcome["result_sha256"]))
-        return {
+        told: dict[str, Any] = {} if kill is None else {"kill": kill.told(began_s)}
+        return told | {
             "seconds": took_s,
             "load_before": load,
             "cpu_s": cpu_s,
@@ -177,16 +182,58 @@ def _cpu_s(pids: Any) -> dict[int, float]:
     return found
 
 
-def _cpu_until(future: Any, pids: Mapping[str, int], kill: tuple[int, float] | None) -> dict[int, float]:
+class Kill:
+    """A worker that is to be killed at a moment, and what it had done for the run until then.
+
+    Parameters
+    ----------
+    client
+        Of the cluster.
+    worker, pid
+        Whom.
+    at_s
+        When, as `time.perf_counter` counts.
+    """
+
+    def __init__(self, client: Client, worker: str, pid: int, at_s: float) -> None:
+        self._client, self._worker, self._pid, self._at_s = client, worker, pid, at_s
+        self._before = self._groups()["groups_done"]
+        self._killed_s: float | None = None
+        self._found = {"groups_done": 0, "groups_in_hand": 0}
+
+    def look(self) -> None:
+        """Kill it if it is time, once."""
+        if self._killed_s is None and time.perf_counter() > self._at_s:
+            found = self._groups()
+            os.kill(self._pid, signal.SIGKILL)
+            self._killed_s = time.perf_counter()
+            self._found = found | {"groups_done": found["groups_done"] - self._before}
+
+    def told(self, began_s: float) -> dict[str, Any]:
+        """What happened, in a run that began then and has ended."""
+        after_s = None if self._killed_s is None else self._killed_s - began_s
+        return {"worker": self._worker, "happened": after_s is not None, "after_s": after_s} | self._found
+
+    def _groups(self) -> dict[str, int]:
+        """Groups that the worker has computed since it started, and those that it has now."""
+        found: dict[str, int] = self._client.run(_groups_of, workers=[self._worker])[self._worker]
+        return found
+
+
+def _groups_of(dask_worker: Any) -> dict[str, int]:
+    """Count in the worker's process; what it has in hand computes, or waits for that."""
+    state = dask_worker.state
+    return {"groups_done": state.executed_count, "groups_in_hand": len(state.executing) + len(state.ready)}
+
+
+def _cpu_until(future: Any, pids: Mapping[str, int], kill: Kill | None) -> dict[int, float]:
     """Wait for a run's end, killing a process on the way; returns the processor times that were seen last."""
-    began_s = time.perf_counter()
     seen = _cpu_s(pids.values())
     while not future.done():
         time.sleep(0.05)
         seen |= _cpu_s(pids.values())
-        if kill is not None and time.perf_counter() - began_s > kill[1]:
-            os.kill(kill[0], signal.SIGKILL)
-            kill = None
+        if kill is not None:
+            kill.look()
     return seen
 
 
@@ -203,6 +250,17 @@ def _found(frames: int, runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
     differences = {name: _difference_sigma(first, document) for name, document in documents.items()}
     bits = {name: all(document[key] == first[key] for key in ESTIMATE) for name, document in documents.items()}
     ratio = runs["one_worker"]["seconds"] / runs["two_workers"]["seconds"]
+    limits: dict[str, dict[str, Any]] = {
+        "two_workers_over_one": {
+            "limit": RATIO_LIMIT,
+            "measured": ratio,
+            "kept": ratio >= RATIO_LIMIT,
+            "at_least": True,
+        },
+        **{f"answer_of_{name}": _same(difference) for name, difference in differences.items() if name != "one_worker"},
+    }
+    if why := _shows_nothing(runs["one_of_two_killed"]["kill"]):
+        limits["answer_of_one_of_two_killed"] |= {"kept": False, "why": why}
     return {
         "frames": frames,
         "cores": os.cpu_count(),
@@ -210,21 +268,26 @@ def _found(frames: int, runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
         "ratio": ratio,
         "largest_difference_sigma": differences,
         "same_bits": bits,
-        "limits": {
-            "two_workers_over_one": {
-                "limit": RATIO_LIMIT, "measured": ratio, "kept": ratio >= RATIO_LIMIT, "at_least": True,
-            },
-            **{
-                f"answer_of_{name}": {
-                    "limit": ANSWER_LIMIT_SIGMA,
-                    "measured": difference,
-                    "kept": difference <= ANSWER_LIMIT_SIGMA,
-                    "unit": "sigma",
-                }
-                for name, difference in differences.items() if name != "one_worker"
-            },
-        },
+        "limits": limits,
+    }
+
+
+def _same(difference: float) -> dict[str, Any]:
+    """Hold a difference of the answers against its limit."""
+    return {
+        "limit": ANSWER_LIMIT_SIGMA, "measured": difference, "kept": difference <= ANSWER_LIMIT_SIGMA, "unit": "sigma",
     }  # fmt: skip
+
+
+def _shows_nothing(kill: Mapping[str, Any]) -> str:
+    """Why a kill shows nothing; empty when it does."""
+    if not kill["happened"]:
+        return (
+            "The run had ended before its worker was to be killed, so nothing is known of a kill; measure a larger set."
+        )
+    if kill["groups_in_hand"] == 0:
+        return "The worker had no pieces when it was killed, so nothing had to be taken over; measure a larger set."
+    return ""
 
 
 def _difference_sigma(first: Mapping[str, Any], second: Mapping[str, Any]) -> float:
