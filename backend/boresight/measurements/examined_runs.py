@@ -21,7 +21,8 @@ def examined(constellation: Constellation, first: int, count: int) -> dict[str, 
     dict
         `computing_s` and `computing_cpu_s` as the workers state them, summed; how many runs there are of each state and of each
         number of attempts; `not_as_promised`, how many are missing, did not succeed exactly once, or have another result than the
-        same work has in this process; what a verification of the audit log said.
+        same work has in this process; what a verification of the audit log said; `claims_per_run` and `settlements_per_run`, how
+        many transactions a run took for each, as the runs of a group share theirs and with it the moment that is written.
     """
     with reading(constellation.database) as session:
         rows = _rows(session)[first:]
@@ -31,6 +32,8 @@ def examined(constellation: Constellation, first: int, count: int) -> dict[str, 
     return {
         "computing_s": sum(summary.get("seconds", 0.0) for summary in summaries),
         "computing_cpu_s": sum(summary.get("cpu_seconds", 0.0) for summary in summaries),
+        "claims_per_run": len({row.started_utc for row in rows}) / count,
+        "settlements_per_run": len({row.ended_utc for row in rows}) / count,
         "states": dict(Counter(row.state for row in rows)),
         "attempts": {str(attempt): number for attempt, number in sorted(Counter(row.attempt for row in rows).items())},
         "not_as_promised": abs(count - len(rows)) + len(rows) - good,
