@@ -153,7 +153,7 @@ def _records_after(session: Session, record: int) -> list[Event]:
     newest = audit.list_records(session, limit=1)
     last = newest[0].id if newest else 0
     for top in range(record + PAGE, last + PAGE, PAGE):  # the next window, further on where numbers have gaps
-        page = audit.list_records(session, before_id=top + 1, limit=PAGE)
+        page = audit.list_records(session, before_id=top + 1, limit=min(PAGE, last - record))  # none that were told
         if page and page[0].id > record:
             return [_told(row) for row in reversed(page) if row.id > record]
     return []

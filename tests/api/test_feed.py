@@ -1,0 +1,38 @@
+"""What the feed reads to tell what is new: that, and nothing that was told before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from boresight.api.feed import Place, events_after
+from boresight.services import audit
+from boresight.services.actors import SYSTEM
+from boresight.store.sessions import migrate, open_engine, reading, writing
+from tests.stores import url_in
+
+
+def test_one_new_record_is_told_without_reading_those_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = open_engine(url_in(tmp_path))
+    migrate(engine)
+    with writing(engine) as session:
+        records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(30)]
+    *_, told, new = (record.id for record in records)
+    read: list[int] = []
+    listed = audit.list_records
+
+    def noted(*given: Any, **chosen: Any) -> Any:
+        page = listed(*given, **chosen)
+        read.append(len(page))
+        return page
+
+    monkeypatch.setattr(audit, "list_records", noted)
+    with reading(engine) as session:
+        events = events_after(session, Place(0, told))
+    assert [event.number for event in events] == [new]
+    assert read == [1, 1]
+    engine.dispose()
