@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight import kernels
 from boresight.estimation.attitude import triad
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
@@ -58,9 +59,10 @@ def measured_directions(
         part = slice(begin, min(begin + CHUNK_ROWS, n))
         whole = slice(rows.start + part.start, rows.start + part.stop)
         row, col = telemetry.row_px[whole], telemetry.col_px[whole]
-        directions, jacobian = camera.directions_and_jacobian(x, row, col, pitch)
+        directions, jacobian = np.empty((len(row), 3)), np.empty((len(row), 3, len(x)))
+        kernels.rays_and_jacobians(camera.kernel, x, pitch, row, col, directions, jacobian)
         s[part] = triad(directions, sensor.parity)
-        G[part] = jacobian @ root * sign
+        G[part] = (jacobian.reshape(-1, len(x)) @ root).reshape(-1, 3, root.shape[1]) * sign
         sigma[part] *= np.sqrt(camera.solid_angle(x, row, col, pitch))
     return s, G, sigma
 
