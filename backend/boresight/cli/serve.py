@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import threading
 import time
@@ -79,7 +80,8 @@ def _claim_port(settings: Settings) -> None:
 
 
 def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
-    """Run the server; Ctrl-C is its ordinary end."""
+    """Run the server; Ctrl-C and SIGTERM are its ordinary ends, with exit code 0."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # uvicorn raises it once more when all is closed
     use_kernel_folder(settings)
     from boresight.server import serve as run
     from boresight.store.blobs import open_blobs
