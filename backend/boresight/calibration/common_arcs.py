@@ -18,7 +18,6 @@ from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 #: Directions of one star in one exposure that differ by less are the same, rad.
@@ -49,7 +48,7 @@ def common_arcs(
     found = list[ArcSet]()
     if ordered is not None:
         same = _unchanged(ordered, seen, s_i)
-        found.append(_exposures(ordered, same))
+        found.append(ordered.exposures(same))
         s_i[found[0].source_row] = np.nan
     found.append(problem_of(replace(telemetry, star_id=None), sensor, s_i, minimum_stars).arcs)
     return [arcs for arcs in found if arcs.n_exposures]
@@ -67,30 +66,3 @@ def _unchanged(ordered: ArcSet, seen: Sighting, s_i: FloatArray) -> BoolArray:
     same = (away[:, 0] < _SAME_RAD) & (away[:, 1] < _SAME_RAD) & (away[:, 2] < _SAME_RAD)  # NaN is not
     whole = np.logical_and.reduceat(same, starts)
     return np.asarray(whole & (counts[exposure] == np.diff(ordered.star_start)))
-
-
-def _exposures(arcs: ArcSet, chosen: BoolArray) -> ArcSet:
-    """Only those exposures (n_exposures,) of a set; frames that keep none are left out."""
-    if chosen.all():
-        return arcs
-    in_frame = np.add.reduceat(chosen, arcs.frame_start[:-1], dtype=np.int64)
-    in_exposure = np.diff(arcs.star_start)
-    stars, kept = np.repeat(chosen, in_exposure), np.repeat(chosen, 2 * in_exposure - 3)
-    return replace(
-        arcs,
-        frame=arcs.frame[in_frame > 0],
-        frame_start=_starts(in_frame[in_frame > 0]),
-        star_start=_starts(in_exposure[chosen]),
-        row_px=arcs.row_px[stars],
-        col_px=arcs.col_px[stars],
-        sigma_px=arcs.sigma_px[stars],
-        s_i=arcs.s_i[stars],
-        source_row=arcs.source_row[stars],
-        phi=arcs.phi[kept] if arcs.n_arcs else arcs.phi,
-        band=arcs.band[kept] if arcs.n_arcs else arcs.band,
-    )
-
-
-def _starts(counts: IntArray) -> IntArray:
-    """First place of each run, and the end."""
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)

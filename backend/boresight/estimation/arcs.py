@@ -148,6 +148,23 @@ class ArcSet:
         """Number of arcs."""
         return len(self.phi)
 
+    def exposures(self, chosen: NDArray[np.bool_]) -> ArcSet:
+        """Return the chosen exposures (n_exposures,) as a set of their own; frames that keep none are left out."""
+        if chosen.all():
+            return self
+        in_frame = np.add.reduceat(chosen, self.frame_start[:-1], dtype=np.int64)
+        in_exposure = np.diff(self.star_start)
+        stars, kept = np.repeat(chosen, in_exposure), np.repeat(chosen, 2 * in_exposure - 3)
+        return replace(
+            self,
+            frame=self.frame[in_frame > 0],
+            frame_start=np.append(0, np.cumsum(in_frame[in_frame > 0])),
+            star_start=np.append(0, np.cumsum(in_exposure[chosen])),
+            **{name: getattr(self, name)[stars] for name in ("row_px", "col_px", "sigma_px", "s_i", "source_row")},
+            phi=self.phi[kept] if self.n_arcs else self.phi,
+            band=self.band[kept] if self.n_arcs else self.band,
+        )
+
     def frames(self, first: int, last: int) -> ArcSet:
         """Return the frames first <= k < last as a set of their own (views, no copies of stars or arcs)."""
         e0, e1 = int(self.frame_start[first]), int(self.frame_start[last])

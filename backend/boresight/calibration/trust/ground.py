@@ -12,7 +12,7 @@ than a pass a frame takes frames spaced evenly over the set (`thinned`), and its
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -208,28 +208,7 @@ def frame_arcs(arcs: ArcSet) -> IntArray:
 
 def chosen(arcs: ArcSet, frames: BoolArray) -> ArcSet:
     """Only those frames (n_frames,) of a set, weighed or not, as a set of their own."""
-    exposures_in, stars_in = np.diff(arcs.frame_start), np.diff(arcs.star_start)
-    exposures = np.repeat(frames, exposures_in)
-    stars = np.repeat(exposures, stars_in)
-    arc = np.repeat(exposures, 2 * stars_in - 3)
-    return replace(
-        arcs,
-        frame=arcs.frame[frames],
-        frame_start=_starts(exposures_in[frames]),
-        star_start=_starts(stars_in[exposures]),
-        row_px=arcs.row_px[stars],
-        col_px=arcs.col_px[stars],
-        sigma_px=arcs.sigma_px[stars],
-        s_i=arcs.s_i[stars],
-        source_row=arcs.source_row[stars],
-        phi=arcs.phi[arc] if arcs.n_arcs else arcs.phi,
-        band=arcs.band[arc] if arcs.n_arcs else arcs.band,
-    )
-
-
-def _starts(counts: IntArray) -> IntArray:
-    """First place of each run, and the end."""
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return arcs.exposures(np.repeat(frames, np.diff(arcs.frame_start)))
 
 
 def grid(rows: int, columns: int, n_rows: int, n_columns: int) -> tuple[FloatArray, FloatArray]:
