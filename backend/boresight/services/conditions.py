@@ -13,7 +13,6 @@ A sentence says nothing that changes by the passing of time alone, so that looki
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
@@ -56,16 +55,13 @@ class Condition:
 def conditions(session: Session, sensor_ids: Sequence[int] | None = None) -> list[Condition]:
     """Return what is wrong with the fleet, or with some of its sensors."""
     baselines, stamps = rows.baselines(session, sensor_ids), trends.stamps(session, sensor_ids)
-    onboard = defaultdict[int, list[ParameterSet]](list)
-    for row in rows.onboard_sets(session, sensor_ids):
-        onboard[row.sensor_id].append(row)
-    fleet = rows.sensors(session, sensor_ids)
+    onboard, fleet = rows.onboard_sets(session, sensor_ids), rows.sensors(session, sensor_ids)
     drifts = judgements(session, fleet, baselines, stamps)
     return [
         found
         for sensor in fleet
         for found in (
-            *_mismatches(sensor, onboard[sensor.id]),
+            *_mismatches(sensor, onboard.get(sensor.id, ())),
             *_drift(sensor, drifts[sensor.id]),
             *_age(sensor, baselines.get(sensor.id)),
         )

@@ -6,7 +6,6 @@ its sentence; a sensor shows the worst of its findings.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -73,15 +72,13 @@ def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) 
     baselines, runs = rows.baselines(session, sensor_ids), rows.last_runs(session, sensor_ids)
     counts, waiting = rows.set_counts(session), rows.waiting_approvals(session)
     drifting, stamps = _drifting(session), trends.stamps(session, sensor_ids)
-    onboard = defaultdict[int, list[ParameterSet]](list)
-    for row in rows.onboard_sets(session, sensor_ids):
-        onboard[row.sensor_id].append(row)
+    onboard = rows.onboard_sets(session, sensor_ids)
     tiles = []
     for sensor in rows.sensors(session, sensor_ids):
         known = Known(
             baseline=baselines.get(sensor.id),
             last_run=runs.get(sensor.id),
-            onboard=tuple(onboard[sensor.id]),
+            onboard=tuple(onboard.get(sensor.id, ())),
             waiting=waiting.get(sensor.id),
             telemetry_sets=counts.get(sensor.id, 0),
             days=days_since(baselines.get(sensor.id)),

@@ -46,10 +46,13 @@ def waiting_approvals(session: Session) -> dict[int, str]:
     return {sensor_id: name for sensor_id, name in session.execute(query)}  # noqa: C416 - rows are not pairs to a type checker
 
 
-def onboard_sets(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[ParameterSet]:
-    """Return the sets whose on-board state says something about what a sensor runs with."""
+def onboard_sets(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[ParameterSet]]:
+    """Return the sets whose on-board state says something about what a sensor runs with, by sensor; not those without any."""
     query = sa.select(ParameterSet).where(ParameterSet.onboard_state.in_(("ACTIVE", "MISMATCH")))
-    return session.scalars(query.where(*_of(ParameterSet.sensor_id, sensor_ids))).all()
+    found: dict[int, list[ParameterSet]] = {}
+    for row in session.scalars(query.where(*_of(ParameterSet.sensor_id, sensor_ids))):
+        found.setdefault(row.sensor_id, []).append(row)
+    return found
 
 
 def _of(column: Any, sensor_ids: Collection[int] | None) -> list[sa.ColumnElement[bool]]:
