@@ -62,7 +62,7 @@ def measured_directions(
         directions, jacobian = np.empty((len(row), 3)), np.empty((len(row), 3, len(x)))
         kernels.rays_and_jacobians(camera.kernel, x, pitch, row, col, directions, jacobian)
         s[part] = triad(directions, sensor.parity)
-        G[part] = (jacobian.reshape(-1, len(x)) @ root).reshape(-1, 3, root.shape[1]) * sign
+        G[part] = (jacobian.reshape(-1, len(x)) @ root).reshape(*jacobian.shape[:2], root.shape[1]) * sign
         sigma[part] *= np.sqrt(camera.solid_angle(x, row, col, pitch))
     return s, G, sigma
 
