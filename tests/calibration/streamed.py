@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import pyarrow.parquet as arrow_parquet
+
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.writers import contract_table
 
 #: Of the document, what depends on the clock.
 TIMED = ("timing_s",)
 
 
-def written(telemetry, folder):
+def written(telemetry, folder, rows_a_group=100):
     """Write a set; returns the path and the set as the file gives it, which is not always the same to the last bit."""
-    path = folder / "set.parquet"
-    write_parquet(telemetry, path)
+    path = write_in_groups(telemetry, folder, rows_a_group)
     return path, read_telemetry(path)
+
+
+def write_in_groups(telemetry, folder, rows_a_group):
+    """Write a set, compressed so many rows together: in many groups a file is read in stretches, in one from its start."""
+    path = folder / "set.parquet"
+    arrow_parquet.write_table(contract_table(telemetry), path, row_group_size=rows_a_group)
+    return path
 
 
 def streamed(path, sensor, catalogue, chunk_frames, validation=None, **choices):

@@ -15,7 +15,8 @@ from boresight.calibration import matched
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.spread import InThisProcess
 from boresight.calibration.streaming import rematched_set, sample
-from boresight.errors import CancelledError, RefusedInputError
+from boresight.calibration.streaming.telemetry_pieces import copy_stretch
+from boresight.errors import CancelledError
 from boresight.estimation.blocks import FRAMES
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
@@ -154,29 +155,27 @@ def test_odd_sets_give_the_same_document(name, sensor, catalogue, tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["set.parquet"]
 
 
-def refusals():
-    """Sets that are refused, by why."""
-    base = telemetry(8, frames=30)
-    return {
-        "stars off the detector": replace(base, row_px=np.where(base.frame % 7 == 3, -90.0, base.row_px)),
-        "no time": replace(base, ra_rad=None, dec_rad=None, time_utc=np.full(len(base), np.datetime64("NaT", "us"))),
-        "no stars": replace(base, ra_rad=None, dec_rad=None, star_id=None),
-    }
+def test_what_another_machine_cannot_read_is_read_here(sensor, catalogue, tmp_path):
+    path, whole = written(telemetry(8, frames=60), tmp_path)
+    asked = []
+
+    class Blind(InThisProcess):
+        def map(self, function, arguments, **choices):
+            if function is copy_stretch:
+                asked.extend(arguments)
+                arguments = [(replace(stretch, path=path.with_name("gone")), *rest) for stretch, *rest in arguments]
+            return super().map(function, arguments, **choices)
+
+    found = streamed(path, sensor, catalogue, 4, match="given", spread=Blind())
+    assert differences(in_memory(whole, sensor, catalogue, match="given"), found) == []
+    assert len(asked) > 2
 
 
-@pytest.mark.parametrize("name", refusals())
-def test_what_is_refused_in_memory_is_refused_in_the_same_words(name, sensor, catalogue, tmp_path):
-    said = []
-    path, refused = written(refusals()[name], tmp_path)
-    for run in (
-        lambda: in_memory(refused, sensor, catalogue, match="given"),
-        lambda: streamed(path, sensor, catalogue, 4, match="given"),
-    ):
-        with pytest.raises(RefusedInputError) as refusal:
-            run()
-        said.append((str(refusal.value), refusal.value.faults))
-    assert said[0] == said[1]
-    assert [entry.name for entry in tmp_path.iterdir()] == ["set.parquet"]
+@pytest.mark.usefixtures("unjudged")
+def test_a_file_that_cannot_be_read_apart_gives_the_same_bits(sensor, catalogue, tmp_path):
+    path, whole = written(telemetry(8, frames=60), tmp_path, rows_a_group=10_000)
+    found = streamed(path, sensor, catalogue, 4, match="given")
+    assert differences(in_memory(whole, sensor, catalogue, match="given"), found) == []
 
 
 def test_times_that_only_some_pieces_have_are_enough(catalogue, tmp_path):
@@ -207,16 +206,19 @@ def test_a_stop_is_heard_in_every_phase_and_leaves_nothing_behind(method, match,
         assert [entry.name for entry in tmp_path.iterdir()] == ["set.parquet"]
 
 
+@pytest.mark.parametrize(
+    ("rows_a_group", "said"), [(100, "read 1 of 8 parts of the file"), (10_000, "read 144 detections")]
+)
 @pytest.mark.usefixtures("unjudged")
-def test_progress_is_told_from_the_first_piece_on_and_never_goes_back(sensor, catalogue, tmp_path):
+def test_progress_is_told_from_the_first_piece_on_and_never_goes_back(rows_a_group, said, sensor, catalogue, tmp_path):
     heard = []
-    path, _ = written(telemetry(9, frames=60), tmp_path)
+    path, _ = written(telemetry(9, frames=180), tmp_path, rows_a_group)
     streamed(path, sensor, catalogue, 6, match="given", report=heard.append)
 
     fractions = [step.fraction for step in heard]
     assert fractions == sorted(fractions)
     assert fractions[0] < 0.1
-    assert heard[0].message == "read 144 detections"
+    assert heard[0].message == said
 
 
 def test_a_large_set_is_judged_on_evenly_spread_blocks_and_says_so(catalogue, sensor, long_set, monkeypatch):

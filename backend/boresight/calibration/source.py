@@ -9,6 +9,7 @@ from pathlib import Path
 from boresight.telemetry.chunks import CHUNK_FRAMES, read_chunks, rows_in
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.stretches import Stretch, stretches
 
 #: Detections from which a file is calibrated piece by piece. In memory such a set and its arcs take about 400 MB.
 LARGE_ROWS = 500_000
@@ -53,6 +54,10 @@ class TelemetryFile:
     def read(self) -> Telemetry:
         """Read all of it; refuses as `telemetry.readers.read_telemetry`."""
         return read_telemetry(self.path, self.name)
+
+    def stretches(self) -> list[Stretch]:
+        """Cut it into parts that can be read apart; none where it must be read from its start."""
+        return stretches(self.path, self.name or self.path.name, self.chunk_frames)
 
     def chunks(self) -> Iterator[Telemetry]:
         """Read it piece by piece; refuses as `telemetry.chunks.read_chunks`, at the end."""

@@ -45,19 +45,23 @@ def read_chunks(path: Path, name: str | None = None, *, frames: int = CHUNK_FRAM
     frames
         Of a part; the last one has fewer, and so have parts of frames with thousands of detections.
 
-    Yields
-    ------
+    Returns
+    -------
     Parts in file order, with the same columns each; `first_row` counts in the whole file. Each owns its arrays or shares
     them with no other part.
 
     Raises
     ------
     RefusedInputError
-        When the file cannot be used; the first twenty faults name row and column. Parts before the first fault have come
-        out by then, so whoever must not use half a file waits for the end.
+        When the file cannot be used, and mostly not before the end; the first twenty faults name row and column. Parts before
+        the first fault have come out by then, so whoever must not use half a file waits for the end.
     """
     name = name or path.name
-    tables = open_tables(path, name)
+    return chunks_of(open_tables(path, name), name, frames)
+
+
+def chunks_of(tables: Tables, name: str, frames: int) -> Iterator[Telemetry]:
+    """Read tables in parts of whole frames, as `read_chunks` reads a file."""
     absent = Faults(name)
     check_columns(tables.columns, absent)
     cells, checks, rows = Faults(name, tables.first_row), Checks(name), 0

@@ -17,7 +17,7 @@ from boresight.calibration.streaming.matching import FrameRange
 from boresight.calibration.streaming.ordering import order_set, write_catalogue
 from boresight.calibration.streaming.sample import judged_frames, judged_telemetry
 from boresight.calibration.streaming.stored_problem import StoredProblem
-from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece, write_pieces
+from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece, copy_stretch, write_pieces
 from boresight.errors import CancelledError
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
@@ -78,7 +78,7 @@ def copied(
     told: Prepared,
     cancelled: Callable[[], bool],
 ) -> WorkingCopy:
-    """Read a file into pieces.
+    """Read a file into pieces: stretches of it wherever the spread does it, or from its start where it has none or is refused.
 
     Raises
     ------
@@ -87,15 +87,43 @@ def copied(
     CancelledError
         When `cancelled` says so.
     """
+    pieces = _copied_apart(file, sensor, folder, spread, told)
+    return WorkingCopy(pieces or _copied_in_turn(file, sensor, folder, told, cancelled), folder, spread)
+
+
+def _copied_apart(
+    file: TelemetryFile, sensor: Sensor, folder: Path, spread: Spread, told: Prepared
+) -> tuple[TelemetryPiece, ...]:
+    """Copy the stretches of a file; nothing when one of them cannot be used, or it has none."""
+    work = [
+        (stretch, file.chunk_frames, sensor, str(folder / f"telemetry-{number:06d}"))
+        for number, stretch in enumerate(file.stretches())
+    ]
+    parts: list[tuple[TelemetryPiece, ...] | None] = spread.map(
+        copy_stretch, work, done=lambda k, n: told(READING * k / n, f"read {k} of {n} parts of the file")
+    )
+    pieces: list[TelemetryPiece] = []
+    for part, stretch in zip(parts, work, strict=True):
+        copied_here = copy_stretch(*stretch) if part is None else part  # another machine may not see the file
+        if copied_here is None:
+            return ()
+        pieces += copied_here
+    return tuple(pieces)
+
+
+def _copied_in_turn(
+    file: TelemetryFile, sensor: Sensor, folder: Path, told: Prepared, cancelled: Callable[[], bool]
+) -> tuple[TelemetryPiece, ...]:
+    """Copy a file from its start to its end; refuses it in its words."""
     rows = max(file.about_rows(), 1)
     pieces: list[TelemetryPiece] = []
-    for piece in write_pieces(file.chunks(), sensor, folder):
+    for piece in write_pieces(file.chunks(), sensor, folder / "telemetry"):
         if cancelled():
             raise CancelledError(f"Stopped as asked after reading {piece.begins} rows")
         pieces.append(piece)
         done = piece.begins + piece.rows
         told(READING * min(done / rows, 1.0), f"read {done:,} detections")
-    return WorkingCopy(tuple(pieces), folder, spread)
+    return tuple(pieces)
 
 
 @dataclass(frozen=True)

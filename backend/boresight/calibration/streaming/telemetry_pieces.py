@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.streaming.columns import Columns, write_columns
-from boresight.telemetry.detector import find_off_detector
-from boresight.telemetry.refusals import Faults
+from boresight.errors import RefusedInputError
+from boresight.telemetry.detector import detector_faults, find_off_detector
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.stretches import Stretch
 
 #: Columns that nobody interprets stay behind, and so does what is no array.
 KEPT = tuple(item.name for item in fields(Telemetry) if item.name not in {"unknown", "first_row"})
@@ -53,25 +54,43 @@ class TelemetryPiece:
         return Telemetry(**arrays, first_row=self.first_row)
 
 
-def write_pieces(chunks: Iterable[Telemetry], sensor: Sensor, folder: Path) -> Iterator[TelemetryPiece]:
-    """Copy a set into a folder, a piece a chunk of whole frames.
+def write_pieces(chunks: Iterable[Telemetry], sensor: Sensor, path: Path, begins: int = 0) -> Iterator[TelemetryPiece]:
+    """Copy a set, or a part of it, a piece a chunk of whole frames.
+
+    Parameters
+    ----------
+    chunks
+        Its rows.
+    sensor
+        Whose telemetry it is.
+    path
+        To which a number is added for each piece.
+    begins
+        Rows of the set before.
 
     Raises
     ------
     RefusedInputError
-        When matched stars lie off the sensor's detector; the whole set is looked at first, so it names those that come first.
+        When matched stars lie off the sensor's detector; all chunks are looked at first, so it names those that come first.
     """
-    faults = Faults("The telemetry does not fit the sensor")
-    begins = 0
+    faults = detector_faults()
     for number, chunk in enumerate(chunks):
         find_off_detector(chunk, sensor, faults)
         arrays = {name: getattr(chunk, name) for name in KEPT}
         there = {name: np.asarray(values) for name, values in arrays.items() if values is not None}
-        columns = write_columns(folder / f"telemetry-{number:06d}", there)
+        columns = write_columns(path.with_name(f"{path.name}-{number:06d}"), there)
         first = np.unique(chunk.frame, return_index=True)[1]
         yield TelemetryPiece(columns, len(chunk), begins, chunk.first_row, len(first), _epoch(chunk, first))
         begins += len(chunk)
     faults.refuse()
+
+
+def copy_stretch(stretch: Stretch, frames: int, sensor: Sensor, path: str) -> tuple[TelemetryPiece, ...] | None:
+    """Copy one stretch of a file in pieces of so many frames; None where there is anything to refuse, or no such file here."""
+    try:
+        return tuple(write_pieces(stretch.chunks(frames), sensor, Path(path), stretch.begins))
+    except (RefusedInputError, OSError):
+        return None
 
 
 def _epoch(telemetry: Telemetry, rows: NDArray[np.int64]) -> np.datetime64:
