@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from boresight.store.chain import append_own
-from boresight.store.marks import Marks
+from boresight.store.marks import Kept, Marks
 from boresight.store.sessions import open_engine, reading, writing
 
 
@@ -59,3 +59,37 @@ def test_a_store_that_cannot_say_gives_no_mark(tmp_path):
     (tmp_path / "no-store.sqlite3").write_bytes(b"this is no database, however long it may be " * 50)
     assert Marks(engine).look() is None
     engine.dispose()
+
+
+def test_what_was_read_is_read_again_only_after_a_commit_or_for_another_question(store):
+    marks = Marks(store)
+    kept, asked = Kept(marks), []
+
+    def answer(question):
+        return kept.answer(question, lambda: asked.append(question) or len(asked))
+
+    assert [answer("a"), answer("a"), answer("b"), answer("b"), answer("a")] == [1, 1, 2, 2, 3]
+    with writing(store) as session:
+        append_own(session, "did", "thing/1")
+    assert [answer("a"), answer("a")] == [4, 4]
+    marks.close()
+
+
+def test_what_is_committed_while_it_is_read_is_read_again(store):
+    marks = Marks(store)
+    kept = Kept(marks)
+
+    def read():
+        with writing(store) as session:
+            append_own(session, "did", "thing/1")
+
+    kept.answer("a", read)
+    assert kept.answer("a", lambda: "anew") == "anew"
+    marks.close()
+
+
+def test_nothing_is_kept_of_a_store_that_cannot_say(store, monkeypatch):
+    marks = Marks(store)
+    monkeypatch.setattr(marks, "look", lambda: None)
+    kept = Kept(marks)
+    assert [kept.answer("a", lambda number=number: number) for number in (1, 2)] == [1, 2]

@@ -27,7 +27,7 @@ def test_a_worker_does_not_look_at_its_computing_thread(cluster):
     ).values()
     assert not {name for name in done if name.startswith("profile")}
     assert all(done[name] >= least for name, least in SELDOM_MS.items())
-    assert done["memory_monitor"] <= 100.0  # what takes too much memory is still found at once
+    assert done["memory_monitor"] <= 500.0  # what takes too much memory is found before it is twice that
 
 
 def test_the_scheduler_and_the_nannies_leave_the_server_its_processor(cluster):

@@ -22,8 +22,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from boresight.api.feed import Event, Place, Ring, events_after
+from boresight.api.feed import PAGE, Event, Place, Ring, events_after
 from boresight.api.rounds import Rounds
+from boresight.store.marks import Mark, Marks
 from boresight.store.sessions import Engine, reading
 
 QUEUE_LENGTH = 4096  # events; they are shared by all who wait for them
@@ -102,6 +103,8 @@ class Broadcast:
         self._pending: list[Told] = []
         self._told_s = 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._marks = Marks(database)
+        self._mark: Mark | None = None
         self._rounds = Rounds("event feed", [self._follow], lambda: LOOK_EVERY_S)
         self._is_closed = False
 
@@ -117,6 +120,7 @@ class Broadcast:
         self._is_closed = True
         self._on_the_loop(self._end)
         self._rounds.close()
+        self._marks.close()
 
     def hear(self, event: dict[str, Any]) -> None:
         """Take an event of the worker engine: progress is passed on, a change of state is a row to be looked up."""
@@ -160,14 +164,16 @@ class Broadcast:
             self._listeners.discard(listener)
 
     def _follow(self) -> None:
-        """Tell the rows that are new, page by page."""
-        found = True
-        while found and not self._is_closed:
+        """Tell the rows that are new, page by page, where anything was committed; after a page that is not full there is none."""
+        mark = self._marks.look()
+        found = 0 if mark is not None and mark == self._mark else PAGE
+        while found >= PAGE and not self._is_closed:
             with reading(self._database) as session:
                 events = events_after(session, self._found)
-            found = bool(events)
+            found = len(events)
             with self._lock:
                 self._find(events)
+        self._mark = mark
 
     def _find(self, events: Sequence[Event]) -> None:
         """Give events, under the lock and so in one order, the places after them, and hand them to the event loop."""

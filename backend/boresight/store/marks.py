@@ -10,10 +10,12 @@ A mark carries the number of its connection too: those of a later connection mig
 from __future__ import annotations
 
 import threading
-from typing import Any
+from collections.abc import Callable, Hashable
+from typing import Any, Generic, TypeVar
 
 from boresight.store.sessions import Engine
 
+T = TypeVar("T")
 Mark = tuple[int, int | str]  # the number of the connection that it was seen over, and what was seen
 QUESTIONS = {"sqlite": "PRAGMA data_version", "postgresql": "SELECT pg_current_snapshot()::text"}
 
@@ -74,3 +76,26 @@ class Marks:
         """Close the connection."""
         with self._lock:
             self._let_go()
+
+
+class Kept(Generic[T]):
+    """What was read last, given again for the same question until anything is committed.
+
+    Parameters
+    ----------
+    marks
+        Of the store.
+    """
+
+    def __init__(self, marks: Marks) -> None:
+        self._marks = marks
+        self._last: tuple[Mark, Hashable, T] | None = None
+
+    def answer(self, question: Hashable, read: Callable[[], T]) -> T:
+        """Return what `read` finds, or what it found the last time."""
+        mark = self._marks.look()  # before reading: what is committed in between is read twice, and not missed
+        if mark is not None and self._last is not None and self._last[:2] == (mark, question):
+            return self._last[2]
+        found = read()
+        self._last = None if mark is None else (mark, question, found)
+        return found

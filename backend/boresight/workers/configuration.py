@@ -19,5 +19,6 @@ CONFIGURATION = {
     "distributed.scheduler.http.routes": [],
     "distributed.scheduler.work-stealing": False,  # every task names its worker
     "distributed.worker.http.routes": [],
+    "distributed.worker.memory.monitor-interval": "500ms",  # of 100 ms, by each worker and by its nanny
     "distributed.worker.profile.enabled": False,  # looks at the computing thread a hundred times a second
 }

@@ -163,6 +163,7 @@ class Engine:
             self._detach("its server was stopped")
         except Exception:
             log.exception("The engine could not queue its runs again; their leases will lapse")
+        self._rows.close()
 
     def _settle(self) -> None:
         """Write the ends of finished and of lost tasks."""
@@ -258,9 +259,10 @@ class Engine:
         waiting = self._rows.waiting(LOOK_AHEAD * max(1, threads))
         if waiting and not self._flights:
             self._threads = self._on_cluster().workers()
+            threads = sum(self._threads.values())
         free = self._flights.free(self._threads) if waiting else []
         followed = self._flights.followed(self._threads) if len(waiting) > threads else []
-        claimed = self._rows.take(waiting, len(free), len(followed)) if free or followed else []
+        claimed = self._rows.take(waiting, len(free), len(followed), threads) if free or followed else []
         try:
             for place, (worker, (group, runs)) in enumerate(zip(free + followed, claimed, strict=False)):
                 self._hand_over(worker, group, runs, behind=place >= len(free))

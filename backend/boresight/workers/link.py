@@ -2,7 +2,7 @@
 
 Progress is an event on a topic of the scheduler, at most four a second, its histories thinned; the wish to stop is a
 `distributed.Event` named after run and attempt, looked at twice a second at most, because a look is a round trip. A
-run that is over within half a second tells nothing on its way: nobody could see it.
+run that is over within a second tells nothing on its way: nobody could see it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from boresight.errors import CancelledError
 
 TOPIC = "boresight-progress"
 REPORT_EVERY_S = 0.25
-FIRST_REPORT_S = 0.5
+FIRST_REPORT_S = 1.0
 LOOK_EVERY_S = 0.5
 HISTORY_POINTS = 300
 

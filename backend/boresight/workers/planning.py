@@ -1,10 +1,11 @@
 """Which waiting runs go to the workers next, and which of them share a task.
 
-To hand over a task, fetch its answer and write it costs tens of milliseconds, so short runs are computed several in one task, up
-to about two seconds' worth: 1 % of it. A run that takes longer, or that was tried before (its neighbours shall not die with it),
-goes alone. A free thread gets a task; a thread that computes short runs may get a second group to go on with, but only while more
-runs wait than there are threads. So the few runs of a person are spread over the threads and really run when they are RUNNING, and
-other servers that share the database find the rest still QUEUED.
+To hand over a task, fetch its answer and write it costs tens of milliseconds, so short runs are computed several in one task: two
+seconds' worth where few wait, and of a long queue up to a quarter of what waits for each thread, eight seconds at most, for who
+queued a thousand runs waits for the last and not for the next. A run that takes over two seconds, or that was tried before (its
+neighbours shall not die with it), goes alone. A free thread gets a task; a thread that computes short runs may get a second group
+to go on with, but only while more runs wait than there are threads. So the few runs of a person are spread over the threads and
+really run when they are RUNNING, and other servers that share the database find the rest still QUEUED.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 from boresight.store.queued_runs import Waiting
 
 GROUP_S = 2.0
+LONG_GROUP_S, QUEUE_SHARE = 8.0, 0.25
 GROUP_RUNS = 64
 
 
@@ -39,7 +41,7 @@ class Group:
 
 
 def planned(
-    waiting: Sequence[Waiting], free: int, followed: int, seconds_of: Callable[[Waiting], float]
+    waiting: Sequence[Waiting], free: int, followed: int, threads: int, seconds_of: Callable[[Waiting], float]
 ) -> list[Group]:
     """Divide the oldest waiting runs over the threads.
 
@@ -51,6 +53,8 @@ def planned(
         Threads without a task.
     followed
         Threads that compute short runs and may be given a group of such to follow.
+    threads
+        All that there are, busy or not.
     seconds_of
         The predicted time of a run.
 
@@ -61,10 +65,12 @@ def planned(
     """
     slots = free + followed
     most = min(GROUP_RUNS, math.ceil(len(waiting) / max(1, slots)))
+    share_s = QUEUE_SHARE * sum(map(seconds_of, waiting)) / max(1, threads)
+    longest_s = min(LONG_GROUP_S, max(GROUP_S, share_s))
     groups: list[Group] = []
     rest = list(waiting)
     while rest and len(groups) < slots:
-        group = _first_group(rest, most, seconds_of)
+        group = _first_group(rest, most, longest_s, seconds_of)
         if len(groups) >= free and not group.short:
             break
         groups.append(group)
@@ -72,7 +78,9 @@ def planned(
     return groups
 
 
-def _first_group(waiting: Sequence[Waiting], most: int, seconds_of: Callable[[Waiting], float]) -> Group:
+def _first_group(
+    waiting: Sequence[Waiting], most: int, longest_s: float, seconds_of: Callable[[Waiting], float]
+) -> Group:
     """Return the oldest runs that may share a task."""
     total_s = seconds_of(waiting[0])
     if waiting[0].attempt or total_s > GROUP_S:
@@ -80,7 +88,7 @@ def _first_group(waiting: Sequence[Waiting], most: int, seconds_of: Callable[[Wa
     chosen = [waiting[0].run_id]
     for run in waiting[1:most]:
         seconds = seconds_of(run)
-        if run.attempt or total_s + seconds > GROUP_S:
+        if run.attempt or seconds > GROUP_S or total_s + seconds > longest_s:
             break
         chosen.append(run.run_id)
         total_s += seconds

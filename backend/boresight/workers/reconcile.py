@@ -10,11 +10,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import orjson
 
 from boresight.store import run_events, runs
+from boresight.store.marks import Kept, Marks
 from boresight.store.queued_runs import Claimed, Waiting, waiting_runs
 from boresight.store.runs import End, Held
 from boresight.store.sessions import Engine as Database
@@ -49,6 +51,23 @@ class Reconciler:
     lease_s: float
     max_attempts: int
     paces: Paces = field(default_factory=Paces)
+
+    @cached_property
+    def _marks(self) -> Marks:
+        """Tells whether anything was committed: what is asked every turn is read only then."""
+        return Marks(self.database)
+
+    @cached_property
+    def _waiting(self) -> Kept[list[Waiting]]:
+        return Kept(self._marks)
+
+    @cached_property
+    def _stops(self) -> Kept[set[Held]]:
+        return Kept(self._marks)
+
+    def close(self) -> None:
+        """Let go of the store."""
+        self._marks.close()
 
     def settle(self, outcomes: Collection[Outcome]) -> None:
         """Write how attempts ended, unless they no longer hold their runs."""
@@ -101,6 +120,10 @@ class Reconciler:
 
     def stops(self, members: Collection[Held]) -> set[Held]:
         """Return those attempts that somebody asked to stop."""
+        return self._stops.answer(frozenset(members), lambda: self._asked_to_stop(members))
+
+    def _asked_to_stop(self, members: Collection[Held]) -> set[Held]:
+        """Read the states of attempts."""
         with reading(self.database) as session:
             states = runs.states_of(session, [run_id for run_id, _ in members])
         return {held for held in members if states.get(held) == "CANCELLING"}
@@ -122,14 +145,20 @@ class Reconciler:
 
     def waiting(self, limit: int) -> list[Waiting]:
         """Return the oldest runs that wait."""
+        return self._waiting.answer(limit, lambda: self._oldest(limit))
+
+    def _oldest(self, limit: int) -> list[Waiting]:
+        """Read the oldest runs that wait."""
         with reading(self.database) as session:
             return waiting_runs(session, limit)
 
-    def take(self, waiting: Sequence[Waiting], free: int, followed: int = 0) -> list[tuple[Group, list[Claimed]]]:
+    def take(
+        self, waiting: Sequence[Waiting], free: int, followed: int, threads: int
+    ) -> list[tuple[Group, list[Claimed]]]:
         """Claim the oldest of the waiting runs for free threads and for those to be followed, grouped into tasks."""
         with writing(self.database) as session:
             self.paces.refresh(session, {run.method for run in waiting})
-            groups = planned(waiting, free, followed, self.paces.seconds)
+            groups = planned(waiting, free, followed, threads, self.paces.seconds)
             run_ids = [run_id for group in groups for run_id in group.run_ids]
             claimed = runs.claim(session, self.owner, self.lease_s, len(run_ids), run_ids) if run_ids else []
         ours = {run.run_id: run for run in claimed}
