@@ -78,9 +78,9 @@ def spread(found: Mapping[str, Any]) -> str:
 
 QUEUE = (
     ("overhead_ms_per_run", "thread time", "what workers state under load"),
-    ("overhead_over_alone_ms_per_run", "thread time", "the same run alone on an idle machine"),
+    ("overhead_over_alone_ms_per_run", "thread time", "the same run in bare processes, as many as workers"),
     ("overhead_cpu_ms_per_run", "processor time", "what workers state under load"),
-    ("overhead_cpu_over_alone_ms_per_run", "processor time", "the same run alone on an idle machine"),
+    ("overhead_cpu_over_alone_ms_per_run", "processor time", "the same run in bare processes, as many as workers"),
 )
 
 
@@ -93,7 +93,7 @@ def queue(found: Mapping[str, Any]) -> str:
     ]
     return (
         "A run beyond its computing, without kills. Under load a worker's wall time is stretched by the server's work where both "
-        "share cores, so computing is also measured alone, before anything starts.\n\n"
+        "share cores, so computing is also measured in bare processes, before anything starts.\n\n"
         + table(("clock", "beyond", "ms a run", "at most, ms"), rows, (0, 1))
         + "\n"
         + others(found, ())

@@ -13,13 +13,13 @@ which hold reading, calibrating and making the JSON of its result, the overhead 
     share               (w T - sum s_i) / sum s_i
     CPU per run         (C - sum c_i) / n           C processor time of all processes, c_i of run i as its worker states it
     CPU share           (C - sum c_i) / sum c_i
-    over alone          w T / n - s, C / n - c      s, c the mean of the same work alone, in this process, before anything starts
+    over alone          w T / n - s, C / n - c      s, c the mean of the same work in T bare processes, before anything starts
 
 Keeping a result on the disk goes on in a thread of its own while the next run computes; s_i and c_i hold nothing of it, and so it
 is overhead. On a machine with no more cores than workers the server computes where a worker would, and s_i grows by that: the
-first two figures then flatter. Processor time does not, but for caches and clocks that are shared; what a run costs alone owes
-nothing to anybody. All hold what the processes do beside the runs, the upkeep's walks of the audit log too, and with kills the
-start of what was killed.
+first two figures then flatter. Processor time does not, but for caches and clocks that are shared; what a run costs beyond bare
+processes of its kind flatters nobody. All hold what the processes do beside the runs, the upkeep's walks of the audit log too, and
+with kills the start of what was killed.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ def _installed(report: Report, trackers: int, frames: int, threads: int, *, exte
         settings: Settings = read_settings(environment)
         constellation = furnish(settings, trackers, frames, SETTINGS)
         report(0.03, "computing alone")
-        by_itself = alone(settings, constellation, 1 if external else min(ALONE_RUNS, trackers))
+        by_itself = alone(settings, constellation, 1 if external else min(ALONE_RUNS, trackers), threads)
         report(0.05, "starting the installation")
         installation = Installation(settings, environment, threads)
         headers = {"Authorization": f"Bearer {constellation.key}"}
