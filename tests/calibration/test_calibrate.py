@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight.calibration import listening
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import METHODS, CalibrationSettings
 from boresight.errors import CancelledError, RefusedInputError
@@ -152,8 +153,9 @@ def test_a_cancel_stops_every_method(method, sensor, catalogue, telemetry_of):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_progress_carries_a_document_from_which_figures_can_draw(method, sensor, catalogue, telemetry_of):
+def test_progress_carries_a_document_from_which_figures_can_draw(method, sensor, catalogue, telemetry_of, monkeypatch):
     heard = []
+    monkeypatch.setattr(listening, "REPORT_EVERY_S", 0.0)
 
     calibrate(telemetry_of(13), sensor, catalogue, CalibrationSettings(method=method), report=heard.append)
 
@@ -237,3 +239,10 @@ def test_telemetry_of_another_camera_is_said_to_be_so_before_all_else(sensor, ca
     document = calibrate(telemetry_of(15, truth=longer), sensor, catalogue, CalibrationSettings())
 
     assert document["status"] == "diverged" or "hardly comes from this sensor" in document["advice"][0]
+
+
+def test_what_is_over_in_a_moment_makes_no_document_on_its_way(sensor, catalogue, telemetry_of, monkeypatch):
+    heard = []
+    monkeypatch.setattr(listening, "REPORT_EVERY_S", 3600.0)
+    calibrate(telemetry_of(13), sensor, catalogue, CalibrationSettings(), report=heard.append)
+    assert heard == []

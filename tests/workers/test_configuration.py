@@ -1,5 +1,7 @@
 """What the cluster does beside tasks: little, and nothing for pages that are not there."""
 
+import os
+
 import pytest
 from distributed import Nanny
 
@@ -28,6 +30,11 @@ def test_a_worker_does_not_look_at_its_computing_thread(cluster):
     assert not {name for name in done if name.startswith("profile")}
     assert all(done[name] >= least for name, least in SELDOM_MS.items())
     assert done["memory_monitor"] <= 500.0  # what takes too much memory is found before it is twice that
+
+
+def test_a_worker_keeps_the_memory_that_it_will_need_again(cluster):
+    (threshold,) = cluster._client.run(os.environ.get, "MALLOC_TRIM_THRESHOLD_").values()
+    assert threshold is None, "every array of 64 kB would be given back and come again in pages that fault"
 
 
 def test_the_scheduler_and_the_nannies_leave_the_server_its_processor(cluster):

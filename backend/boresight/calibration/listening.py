@@ -56,7 +56,7 @@ class Listener:
         self._sha256s = sha256s
         self._report = report
         self._begins = begins  # share of the progress that is made before the estimator begins
-        self._due = 0.0
+        self._due = time.perf_counter() + REPORT_EVERY_S  # what is over sooner is not waited for
 
     def __call__(self, estimate: Estimate, fraction: float, message: str) -> None:
         """Report one estimate when it is time to."""

@@ -15,6 +15,8 @@ CONFIGURATION = {
     "distributed.admin.system-monitor.interval": "5s",  # of 0.5 s; memory limits have a look of their own
     "distributed.admin.tick.interval": "1s",  # of 20 ms: whether the event loop is late, told from 3 s on
     "distributed.diagnostics.nvml": False,
+    # gives every freed array back to the system at once, and each new one comes in pages that fault: a third of a short run's time
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     "distributed.scheduler.active-memory-manager.start": False,  # drops copies of results; ours are fetched once
     "distributed.scheduler.http.routes": [],
     "distributed.scheduler.work-stealing": False,  # every task names its worker
