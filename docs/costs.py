@@ -186,7 +186,7 @@ def asked_per_s() -> float:
 
 
 def read_s(document: dict[str, Any]) -> float | None:
-    """Processor seconds of the server a read of the runs list, or None."""
-    found = document.get("clients", {}).get("found", {}).get("list", {})
+    """Processor seconds of the server a read of the runs list, or None; at a pace, for a server that rests pays more."""
+    found = document.get("clients", {}).get("found", {}).get("list_paced", {})
     microseconds = found.get("server_us_per_request")
     return None if microseconds is None else microseconds * 1e-6

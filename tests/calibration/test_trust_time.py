@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from boresight.calibration.trust import innovations
-from boresight.calibration.trust.ground import frame_arcs
 from boresight.calibration.trust.innovations import nis_over_time
 from boresight.calibration.trust.whiteness import whiteness
 from boresight.simulation.sensors import st16_sensor
@@ -71,7 +70,7 @@ def test_a_batch_of_few_frames_is_corrected_for_what_each_frame_decided(sensor, 
 
 def test_the_sums_of_frames_are_those_of_plain_numpy(sensor, catalogue):
     ground = case(field(3, frames=7), sensor, catalogue).ground
-    starts, P = frame_arcs(ground.arcs)[:-1], np.linalg.inv(ground.A)
+    starts, P = ground.arcs.frame_arcs[:-1], np.linalg.inv(ground.A)
     leverage = np.einsum("ni,ij,nj->n", ground.H, P, ground.H)
 
     np.testing.assert_allclose(ground.sums.chi2, np.add.reduceat(ground.e**2, starts), rtol=1e-12)

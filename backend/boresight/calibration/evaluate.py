@@ -150,9 +150,8 @@ def _columns(initial: Sighting, final: Sighting, common: list[ArcSet], camera: C
 def _squares(arcs: ArcSet, camera: CameraModel, x_initial: FloatArray, x_final: FloatArray) -> FloatArray:
     """Sums of squared arc errors under both states and the number of arcs, a row a frame, (n, 3)."""
     arcs = arcs if arcs.n_arcs else weighed(arcs, camera, x_final)
-    first_arc = 2 * arcs.star_start[arcs.frame_start] - 3 * arcs.frame_start
-    squares = [np.add.reduceat(arc_errors(arcs, x) ** 2, first_arc[:-1]) for x in (x_initial, x_final)]
-    return np.column_stack([*squares, np.diff(first_arc)])
+    squares = [np.add.reduceat(arc_errors(arcs, x) ** 2, arcs.frame_arcs[:-1]) for x in (x_initial, x_final)]
+    return np.column_stack([*squares, np.diff(arcs.frame_arcs)])
 
 
 def _score(

@@ -148,6 +148,11 @@ class ArcSet:
         """Number of arcs."""
         return len(self.phi)
 
+    @property
+    def frame_arcs(self) -> IntArray:
+        """First arc of each frame, and the end, (n_frames + 1,)."""
+        return 2 * self.star_start[self.frame_start] - 3 * self.frame_start
+
     def exposures(self, chosen: NDArray[np.bool_]) -> ArcSet:
         """Return the chosen exposures (n_exposures,) as a set of their own; frames that keep none are left out."""
         if chosen.all():

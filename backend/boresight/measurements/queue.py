@@ -18,8 +18,9 @@ which hold reading, calibrating and making the JSON of its result, the overhead 
 Keeping a result on the disk goes on in a thread of its own while the next run computes; s_i and c_i hold nothing of it, and so it
 is overhead. On a machine with no more cores than workers the server computes where a worker would, and s_i grows by that: the
 first two figures then flatter. Processor time does not, but for caches and clocks that are shared; what a run costs beyond bare
-processes of its kind flatters nobody. All hold what the processes do beside the runs, the upkeep's walks of the audit log too, and
-with kills the start of what was killed.
+processes of its kind flatters nobody, and is held to the same limit by either clock. What all processes use beyond what the workers
+state has no limit: it holds what they use while they wait, and so grows with the time a run takes. All hold what the processes do
+beside the runs, the upkeep's walks of the audit log too, and with kills the start of what was killed.
 """
 
 from __future__ import annotations
@@ -84,7 +85,6 @@ def _limits(calm: Mapping[str, Any], killed: Mapping[str, Any]) -> dict[str, Any
         "overhead_over_alone_ms_per_run": (OVERHEAD_LIMIT_MS, calm["overhead_over_alone_ms_per_run"], "ms"),
         "overhead_cpu_over_alone_ms_per_run": (OVERHEAD_LIMIT_MS, calm["overhead_cpu_over_alone_ms_per_run"], "ms"),
         "overhead_share": (SHARE_LIMIT, calm["overhead_share"], ""),
-        "overhead_cpu_share": (SHARE_LIMIT, calm["overhead_cpu_share"], ""),
         "runs_lost_or_doubled": (0, lost, "runs"),
     }
     return {

@@ -31,7 +31,6 @@ from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 MOST_ITERATIONS = 20
@@ -133,7 +132,7 @@ class Ground:
     @cached_property
     def sums(self) -> FrameSums:
         """What the frames' rows add up to."""
-        arc_start, P = frame_arcs(self.arcs), covariance(self.A)
+        arc_start, P = self.arcs.frame_arcs, covariance(self.A)
         n, n_free = self.arcs.n_frames, len(P)
         chi2, leverage = np.empty(n), np.empty(n)
         scores, squares = np.empty((n, n_free)), np.empty((n, n_free))
@@ -199,11 +198,6 @@ def _best_fit(
     if fitted.status == "diverged":
         return estimate.x, arcs
     return fitted.x, problem.weighed(fitted.x)
-
-
-def frame_arcs(arcs: ArcSet) -> IntArray:
-    """First arc of each frame, and the end, (n_frames + 1,)."""
-    return np.asarray(2 * arcs.star_start[arcs.frame_start] - 3 * arcs.frame_start)
 
 
 def chosen(arcs: ArcSet, frames: BoolArray) -> ArcSet:

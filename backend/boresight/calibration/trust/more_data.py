@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.trust.ground import Ground, Unavailable, frame_arcs, nested
+from boresight.calibration.trust.ground import Ground, Unavailable, nested
 from boresight.estimation import batch
 from boresight.estimation.prediction import further_covariance
 
@@ -63,7 +63,7 @@ def _doubt(ground: Ground) -> FloatArray | None:
     if blocks < 3:
         return None
     block = np.arange(n) * blocks // n
-    starts = frame_arcs(ground.arcs)
+    starts = ground.arcs.frame_arcs
     cuts = starts[np.searchsorted(block, np.arange(blocks + 1))]
     logs = []
     for b in range(blocks):
