@@ -161,7 +161,7 @@ class Ledger:
         """Take what is queued away again."""
         while True:
             with writing(self._engine) as session:
-                queued = [row.id for row in runs.list_runs(session, limit=runs.LONGEST_PAGE) if row.state == "QUEUED"]
+                queued = [row.id for row in runs.list_runs(session, state="QUEUED", limit=runs.LONGEST_PAGE)]
                 for number in queued:
                     runs.cancel(session, self._analyst, number)
             if not queued:
