@@ -157,7 +157,7 @@ def test_the_server_costs_what_the_queue_says_and_no_wall_second_is_added(pages)
 
 def test_what_readers_cost_follows_from_what_a_read_costs(pages):
     """5 reads a second of programs and 100 people with 2 views a minute, 6 ms each: a twentieth of a core."""
-    clients = {"list": {"server_us_per_request": 6000.0}, "feed": {"events_per_s": 60.0, "listeners": 500}}
+    clients = {"list_paced": {"server_us_per_request": 6000.0}, "feed": {"events_per_s": 60.0, "listeners": 500}}
     page = capacity(pages, clients=clients)
 
     assert "**8.33 reads/s** | one Python process, 6.00 CPU ms each: 167 reads/s | 0.05 |" in page
