@@ -6,6 +6,7 @@ A setting `lease_s` is given by the environment variable `BORESIGHT_LEASE_S`.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -164,11 +165,19 @@ def read_settings(environment: Mapping[str, str] | None = None) -> Settings:
 
 
 def use_kernel_folder(settings: Settings) -> None:
-    """Point Numba's cache into the data folder; call before `boresight.kernels` is first imported."""
-    if "NUMBA_CACHE_DIR" not in os.environ:
-        try:
-            settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # it will hold password hashes
-            settings.kernel_folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            return  # a read-only home: Numba falls back to its own cache folder
-        os.environ["NUMBA_CACHE_DIR"] = str(settings.kernel_folder)
+    """Point Numba's cache to kernels that `make` compiled for this environment, else into the data folder.
+
+    Call it before `boresight.kernels` is first imported; a folder that is set already counts most.
+    """
+    compiled = Path(sys.prefix) / "kernels"
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return
+    if compiled.is_dir() and os.access(compiled, os.W_OK):
+        os.environ["NUMBA_CACHE_DIR"] = str(compiled)
+        return
+    try:
+        settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # it will hold password hashes
+        settings.kernel_folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return  # a read-only home: Numba falls back to its own cache folder
+    os.environ["NUMBA_CACHE_DIR"] = str(settings.kernel_folder)

@@ -7,6 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from boresight.settings import read_settings, use_kernel_folder
+
 RUNS = """
 import sys
 from dataclasses import replace
@@ -64,3 +68,26 @@ def test_the_demonstration_compiles_at_the_end_of_the_installation_where_it_look
     installed, compiled, served = (steps.index(step) for step in ("--editable", "boresight warm", "boresight demo"))
     assert installed < compiled < served
     assert "export NUMBA_CACHE_DIR" in makefile.read_text()
+
+
+@pytest.fixture
+def folder_used(tmp_path, monkeypatch):
+    """Say which folder is used for kernels, in an environment of its own with a data folder."""
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "environment"))
+
+    def used(given: str | None = None) -> str:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.delenv("NUMBA_CACHE_DIR", raising=False)
+            if given is not None:
+                patch.setenv("NUMBA_CACHE_DIR", given)
+            use_kernel_folder(read_settings({"BORESIGHT_DATA_FOLDER": str(tmp_path / "data")}))
+            return os.environ["NUMBA_CACHE_DIR"]
+
+    return used
+
+
+def test_a_command_uses_the_kernels_that_make_compiled_for_its_environment(folder_used, tmp_path):
+    assert folder_used() == str(tmp_path / "data" / "kernels")
+    (tmp_path / "environment" / "kernels").mkdir(parents=True)
+    assert folder_used() == str(tmp_path / "environment" / "kernels")
+    assert folder_used("elsewhere") == "elsewhere"

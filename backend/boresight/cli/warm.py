@@ -18,7 +18,8 @@ def warm(data: Path | None) -> None:
     """Compile the kernels and trim the star catalogue, once an installation.
 
     Without it the first run does so, a quarter of a minute on two cores. Kernels go where NUMBA_CACHE_DIR says, else
-    into the data folder; they hold for this version of Boresight on this kind of processor.
+    where `make` compiles them in its virtual environment, else into the data folder; they hold for this version of
+    Boresight on this kind of processor.
     """
     settings = settings_of(data)
     use_kernel_folder(settings)
