@@ -186,7 +186,12 @@ def asked_per_s() -> float:
 
 
 def read_s(document: dict[str, Any]) -> float | None:
-    """Processor seconds of the server a read of the runs list, or None; at a pace, for a server that rests pays more."""
-    found = document.get("clients", {}).get("found", {}).get("list_paced", {})
-    microseconds = found.get("server_us_per_request")
-    return None if microseconds is None else microseconds * 1e-6
+    """Processor seconds of the server a read, or None: people look at pages made anew after a commit, programs at lists."""
+    found = document.get("clients", {}).get("found", {})
+    page, polled = (
+        found.get(name, {}).get("server_us_per_request") for name in ("page_while_writing", "list_while_writing")
+    )
+    if page is None or polled is None:
+        return None
+    views = value("people") * value("views") / 60
+    return float(views * page + value("polls") * polled) / asked_per_s() * 1e-6

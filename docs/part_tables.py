@@ -13,8 +13,8 @@ CROWDS = {
     "list_paced": "REST API, once a second each",
     "page": "page of runs, asking again at once",
     "page_paced": "page of runs, once a second each",
-    "list_while_writing": "REST API at once, a run launched every 0.5 s",
-    "page_while_writing": "page of runs at once, a run launched every 0.5 s",
+    "list_while_writing": "REST API at once, while runs are launched",
+    "page_while_writing": "page of runs at once, while runs are launched",
 }
 WHOLES = {
     "given": "directions of the file; the limit holds for this one",
@@ -93,7 +93,10 @@ def queue(found: Mapping[str, Any]) -> str:
     ]
     return (
         "A run beyond its computing, without kills. Under load a worker's wall time is stretched by the server's work where both "
-        "share cores, so computing is also measured in bare processes, before anything starts.\n\n"
+        "share cores, so computing is also measured in bare processes, before anything starts. What all processes use beyond "
+        "what workers state has no limit: it holds what they use while they wait. The limits are held against the pass without "
+        "kills; with kills the overhead holds the starts of what was killed too, and the bare processes compute one run each, "
+        "which tells little.\n\n"
         + table(("clock", "beyond", "ms a run", "at most, ms"), rows, (0, 1))
         + "\n"
         + others(found, ())
@@ -110,14 +113,17 @@ def clients(found: Mapping[str, Any]) -> str:
         rows.append(
             [words, *(told(one, key) for key in ("all_answered_once_after_s", "median_ms")),
              "-" if most is None else number(most),
-             *(told(one, key) for key in ("p99_ms", "requests_per_s", "server_us_per_request", "failures"))]
+             *(told(one, key) for key in ("p99_ms", "requests_per_s", "server_us_per_request", "failures")),
+             told(one, "launches") if "launches" in one else "-"]
         )  # fmt: skip
     heads = (
         "crowd", "every client answered once after (cold), s", "median, ms", "at most, ms", "99 of 100 within, ms",
-        "answers a second", "server, CPU µs a request", "failures",
+        "answers a second", "server, CPU µs a request", "failures", "runs launched meanwhile",
     )  # fmt: skip
     return (
-        f"{found.get('clients', '-')} clients before {found.get('runs', 0):,} runs.\n\n"
+        f"{found.get('clients', '-')} clients before {found.get('runs', 0):,} runs of one sensor. The limits hold for crowds that "
+        "ask while nothing is committed. After a commit every person's page is made anew, and 200 people who all ask again at "
+        "once wait for one another; a launch, half a second after the one before was answered, waits among them.\n\n"
         + table(heads, rows)
         + "\n"
         + others(found, tuple(CROWDS))

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from urllib.parse import quote
 
 import pytest
 
-from boresight.pages.fleet import fleet_standing
+from boresight.pages.fleet import REST, FleetMemory, fleet_standing, worst_standing
 from boresight.pages.frame import FLASH_COOKIE, NAVIGATION
 from boresight.services import audit
 from boresight.services.actors import COMMAND_LINE
+from boresight.store.marks import Marks
 from boresight.store.sessions import writing
 from boresight.store.tables import Sensor
 
@@ -144,3 +148,42 @@ def test_the_top_bar_looks_at_the_fleet_once_for_many_pages_and_again_after_any_
         audit.append(session, COMMAND_LINE, "renamed", "sensors/1")
     assert "ST-RENAMED" in visitor.get("/audit")
     assert len(looks) == 1
+
+
+@pytest.mark.parametrize(("took_s", "looks"), [(0.0, 3), (2.0, 1)], ids=["small", "large"])
+def test_a_look_at_a_large_fleet_is_followed_by_a_rest_whatever_is_committed(house, monkeypatch, took_s, looks):
+    clock, asked = [100.0], []
+
+    def look(_session):
+        asked.append(1)
+        clock[0] += took_s
+        return (worst_standing([]), 0, 0)
+
+    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", look)
+    monkeypatch.setattr("boresight.pages.fleet.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    memory = FleetMemory(house.engine, Marks(house.engine))
+    for _ in range(3):
+        memory.standing()
+        with writing(house.engine) as session:
+            audit.append(session, COMMAND_LINE, "did", "things/1")
+    assert len(asked) == looks
+    clock[0] += REST * took_s
+    memory.standing()
+    assert len(asked) == looks + 1
+
+
+def test_one_page_looks_at_the_fleet_for_all_that_ask_meanwhile(house, monkeypatch):
+    asked, go = [], threading.Event()
+
+    def look(_session):
+        asked.append(1)
+        go.wait(5)
+        return (worst_standing([]), 0, 0)
+
+    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", look)
+    memory = FleetMemory(house.engine, Marks(house.engine))
+    with ThreadPoolExecutor(4) as pool:
+        found = [pool.submit(memory.standing) for _ in range(4)]
+        go.set()
+        assert len({future.result() for future in found}) == 1
+    assert len(asked) == 1

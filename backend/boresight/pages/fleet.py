@@ -1,11 +1,14 @@
 """How the fleet stands, for the top bar of every page: as its worst sensor does, that sensor named.
 
 It takes a look at every sensor, so it is remembered while nothing is committed (`store.marks`), and no longer than `HELD_S`, for
-baselines age by the clock.
+baselines age by the clock. Of a large fleet, where a look takes over `LONG_S`, it is remembered `REST` times as long as the look
+took, whatever is committed: so the top bar of thousands of sensors takes a fixed share of one processor. One page looks for all
+that ask meanwhile.
 """
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +20,7 @@ from boresight.store.marks import Mark, Marks
 from boresight.store.sessions import Engine, Session, reading
 
 HELD_S = 30.0
+LONG_S, REST = 1.0, 5.0
 
 WORD_OF_LEVEL = {level: level.upper() for level in LEVELS} | {"off": "NO DATA"}
 
@@ -47,7 +51,7 @@ def fleet_standing(session: Session) -> tuple[Standing, int, int]:
 
 
 class FleetMemory:
-    """What the top bar says, read anew only after a commit; pages in several threads may ask at once.
+    """What the top bar says, read anew only after a commit, and of a large fleet less often; by one thread for all that ask.
 
     Parameters
     ----------
@@ -59,15 +63,22 @@ class FleetMemory:
 
     def __init__(self, engine: Engine, marks: Marks) -> None:
         self._engine, self._marks = engine, marks
+        self._looking = threading.Lock()
         self._known: tuple[Mark, float, tuple[Standing, int, int]] | None = None
+        self._resting_until_s = 0.0
 
     def standing(self) -> tuple[Standing, int, int]:
-        """Return what `fleet_standing` does, from a look that no commit came after."""
-        mark, known = self._marks.look(), self._known
-        if known is not None and mark == known[0] and time.monotonic() - known[1] < HELD_S:
-            return known[2]
-        with reading(self._engine) as session:
-            found = fleet_standing(session)
-        if mark is not None:
-            self._known = mark, time.monotonic(), found
-        return found
+        """Return what `fleet_standing` does, from a look that no commit came after, or of a large fleet not many."""
+        with self._looking:
+            mark, known, now_s = self._marks.look(), self._known, time.monotonic()
+            if known is not None and (
+                now_s < self._resting_until_s or (mark == known[0] and now_s - known[1] < HELD_S)
+            ):
+                return known[2]
+            with reading(self._engine) as session:
+                found = fleet_standing(session)
+            ended_s = time.monotonic()
+            took_s = ended_s - now_s
+            self._known = None if mark is None else (mark, ended_s, found)
+            self._resting_until_s = ended_s + min(HELD_S, REST * took_s) if took_s > LONG_S else 0.0
+            return found
