@@ -211,9 +211,8 @@ AFTER = """## What this does not say
 - Sizes hold for sets with given matches and about eleven stars an exposure; bytes grow with stars. Trust pictures make up
   most of a result's constant.
 - Nothing is deleted here. An archive rule (drop results of filters after a month, keep batches) divides the files of results.
-- Reads were measured on a store of one sensor, every page made anew after a commit. The overview and the list of sensors show all
-  sensors on one page, and the top bar looks at all of them: at thousands such a page takes seconds, and an open console
-  reads its page again after each event. Who watches thousands of trackers all day needs that page in parts first;
-  programs read in pages.
+- Reads were measured on a store of one sensor, every page made anew after a commit. The overview draws the 120
+  sensors that stand worst, but looks at all of them, as the top bar does, and the list of sensors shows all on one page: at
+  thousands such a page takes seconds, and an open console reads its page again after each event. Programs read in pages.
 - The audit log's chain is verified from its first record: with the rows above, verify from a stored head, not from the beginning.
 """

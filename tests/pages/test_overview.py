@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from boresight.pages import overview
 from boresight.resources import folder
 from boresight.services import parameter_sets
 from boresight.store.sessions import writing
@@ -91,3 +92,15 @@ def test_workers_that_are_away_are_said_to_be(house, read):
 def test_who_may_not_launch_is_offered_no_launch(house):
     assert "New run" in house.visitor("ada").get("/")
     assert "New run" not in house.visitor("victor").get("/")
+
+
+def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(house, read, monkeypatch):
+    tiles = [SimpleNamespace(status=level) for level in ("normal", "critical", "off", "caution", "critical")]
+    monkeypatch.setattr(overview, "MOST_TILES", 3)
+    assert [tile.status for tile in overview.shown_of(tiles)] == ["critical", "critical", "caution"]
+    assert overview.shown_of(tiles[:3]) == tiles[:3]
+    assert "that stand worst" not in read(house.visitor("ada").get("/"))
+    monkeypatch.setattr(overview, "MOST_TILES", 0)
+    page = house.visitor("ada").get("/")
+    assert "The 0 that stand worst; all 1" in page
+    assert '<h3 class="name">' not in page

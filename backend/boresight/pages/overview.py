@@ -22,6 +22,7 @@ from boresight.store.tables import TERMINAL_RUN_STATES, Alarm, Approval, Paramet
 
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
+MOST_TILES = 120
 RUNS_IN_A_SPARKLINE = 16
 
 router = APIRouter()
@@ -126,6 +127,18 @@ class Desk:
     actions: Sequence[Action]
     queue: Mapping[str, int]
 
+    @property
+    def shown(self) -> Sequence[SensorTile]:
+        """The sensors that are drawn."""
+        return shown_of(self.tiles)
+
+
+def shown_of(tiles: Sequence[SensorTile]) -> Sequence[SensorTile]:
+    """Choose the tiles that a page has room for: all by name, or of a large fleet those that stand worst, the worst first."""
+    if len(tiles) <= MOST_TILES:
+        return tiles
+    return sorted(tiles, key=lambda tile: -LEVELS.index(tile.status))[:MOST_TILES]
+
 
 def _courses(session: Session, tiles: Sequence[SensorTile]) -> dict[int, Course]:
     """Return how each sensor's calibrations went lately."""
@@ -154,7 +167,7 @@ def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
         *_calibrations(tiles, sets, actor),
     ]
     waiting = {sensor_of[it.parameter_set_id]: it for it in opened if it.parameter_set_id in sensor_of}
-    return Desk(tiles, _courses(session, tiles), waiting, actions, runs.count_by_state(session))
+    return Desk(tiles, _courses(session, shown_of(tiles)), waiting, actions, runs.count_by_state(session))
 
 
 @dataclass(frozen=True)
