@@ -123,8 +123,9 @@ def test_an_archived_set_leaves_the_list_until_it_is_asked_for(house, table, rea
     assert "archived" in read(visitor.get("/telemetry?archived=1"))
 
 
-def test_filters_that_fit_nothing_offer_to_show_everything(house, read):
-    assert "No telemetry set fits these filters." in read(house.visitor("victor").get("/telemetry?sensor=99"))
+@pytest.mark.parametrize("sensor", ["99", "99999999999"])
+def test_filters_that_fit_nothing_offer_to_show_everything(house, read, sensor):
+    assert "No telemetry set fits these filters." in read(house.visitor("victor").get(f"/telemetry?sensor={sensor}"))
 
 
 def test_the_runs_that_fitted_and_validated_with_a_set_are_its_lineage(house, table):

@@ -53,7 +53,7 @@ def _add_sets(session: Session) -> None:
     """Sets 2 and up, beside the ground calibration."""
     first = session.get_one(ParameterSet, 1)
     for number in range(1, SETS + 1):
-        columns = {"sensor_id": 1, "number": number, "sha256": "0" * 64, "document": first.document}
+        columns = {"id": 1 + number, "sensor_id": 1, "number": number, "sha256": "0" * 64, "document": first.document}
         session.add(ParameterSet(name=f"PS-{number}", ground_state="SUPERSEDED", created_utc=_at(0), **columns))
     session.flush()
 

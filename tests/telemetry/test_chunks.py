@@ -9,7 +9,7 @@ import orjson
 import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
@@ -87,6 +87,7 @@ FAULTS = [
     piece_bytes=st.integers(300, 1500),
     frames=st.integers(1, 12),
 )
+@example(spoils=[(19, 4, '"')], form="csv", piece_bytes=300, frames=1)  # an open quote ends the piece
 def test_a_refusal_is_the_same_wherever_the_file_is_cut(spoils, form, piece_bytes, frames, tmp_path):
     lines = [line.split(",") for line in LINES]
     for line, cell, fault in spoils:

@@ -63,8 +63,15 @@ def _name_of(table: Any, number: Any) -> Any:
     return sa.func.lower(sa.select(name).where(table.id == number).correlate_except(table).scalar_subquery())
 
 
+#: Beyond every number of a row.
+MOST_NUMBER = 1 << 31
+
+
 def _is(column: Any) -> Condition:
-    return lambda value: column == value
+    """Compare a column with a value; one of numbers with a number, however it came, for PostgreSQL compares no text with it."""
+    if not isinstance(column.type, sa.Integer):
+        return lambda value: column == value
+    return lambda value: column == number if abs(number := int(value)) < MOST_NUMBER else sa.false()
 
 
 def _holds(*columns: Any) -> Condition:
