@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from boresight.api.feed import PAGE, Event, Place, Ring, events_after
+from boresight.api.feed import Event, Place, Ring, events_after
 from boresight.api.rounds import Rounds
 from boresight.store.marks import Mark, Marks
 from boresight.store.sessions import Engine, reading
@@ -164,13 +164,13 @@ class Broadcast:
             self._listeners.discard(listener)
 
     def _follow(self) -> None:
-        """Tell the rows that are new, page by page, where anything was committed; after a page that is not full there is none."""
+        """Tell the rows that are new, page by page until there is none, where anything was committed."""
         mark = self._marks.look()
-        found = 0 if mark is not None and mark == self._mark else PAGE
-        while found >= PAGE and not self._is_closed:
+        found = mark is None or mark != self._mark
+        while found and not self._is_closed:
             with reading(self._database) as session:
                 events = events_after(session, self._found)
-            found = len(events)
+            found = bool(events)  # numbers have gaps, so a page that is not full need not be the last
             with self._lock:
                 self._find(events)
         self._mark = mark
