@@ -23,7 +23,7 @@ PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr '
 PARALLEL := --numprocesses 2 --dist loadfile
 ALONE := tests/workers tests/measurements tests/browser tests/test_wheel.py tests/transitions/test_race.py tests/transitions/test_killed_server.py
 
-.PHONY: help demo test lint pytest bench postgresql clean lock machine
+.PHONY: help demo test lint pytest bench postgresql search clean lock machine
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
@@ -55,6 +55,9 @@ postgresql: $(MADE)/dev  ## run the tests on PostgreSQL instead of SQLite (a qua
 	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --store postgresql || failed=1; \
 	$(PYTEST) $(filter-out tests/test_wheel.py,$(wildcard $(ALONE))) --store postgresql || failed=1; \
 	exit $$failed
+
+search: $(MADE)/dev  ## look for new counterexamples to every property (half an hour)
+	$(PYTEST) $(PARALLEL) -m hypothesis --hypothesis-profile search
 
 clean:  ## remove what was built, cached and demonstrated; the virtual environment stays
 	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels

@@ -13,8 +13,10 @@ from boresight.store.sessions import Engine, open_engine
 from tests import postgresql as postgresql_programs
 from tests import stores
 
-# The first example of a property may compile kernels; how long one takes says nothing about it.
-hypothesis.settings.register_profile("house", hypothesis.settings(), deadline=None)
+# The first example of a property may compile kernels; how long one takes says nothing about it. The suite tries the same
+# examples every time, so that a failure always is somebody's change; `make search` looks for new ones.
+hypothesis.settings.register_profile("house", hypothesis.settings(), deadline=None, derandomize=True)
+hypothesis.settings.register_profile("search", hypothesis.settings(), deadline=None, max_examples=2000)
 hypothesis.settings.load_profile("house")
 _numbers = count(1)
 

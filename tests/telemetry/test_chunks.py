@@ -88,6 +88,8 @@ FAULTS = [
     frames=st.integers(1, 12),
 )
 @example(spoils=[(19, 4, '"')], form="csv", piece_bytes=300, frames=1)  # an open quote ends the piece
+@example(spoils=[(0, 0, 'a"b'), (20, 0, '"')], form="csv", piece_bytes=300, frames=1)  # and a quote within a cell none
+@example(spoils=[(0, 0, "3.0"), (4, 0, "9007199254740993")], form="jsonl", piece_bytes=300, frames=1)  # read as floats
 def test_a_refusal_is_the_same_wherever_the_file_is_cut(spoils, form, piece_bytes, frames, tmp_path):
     lines = [line.split(",") for line in LINES]
     for line, cell, fault in spoils:

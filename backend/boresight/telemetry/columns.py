@@ -24,7 +24,8 @@ BoolArray = NDArray[np.bool_]
 
 _NUMBER = r"^-?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$|^-?(?i:nan|inf|infinity)$"
 _HEXADECIMAL = r"^0[xX][0-9a-fA-F]{1,16}$"
-_LARGEST_EXACT = 2.0**53
+#: From here on a float may stand for a neighbour: 2**53 + 1 is read as 2**53.
+_FIRST_AMBIGUOUS = 2.0**53
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 _ABSENT_TIME = int(np.datetime64("NaT", "us").astype(np.int64))
@@ -68,7 +69,7 @@ def integers(column: pa.ChunkedArray, name: str, faults: Faults) -> tuple[IntArr
             return exact.fill_null(0).to_numpy(), _absent(exact)
     cells = _without_hexadecimals(cells)
     values, absent = floats(pa.chunked_array([cells]), name, faults)
-    whole = (values == np.round(values)) & (np.abs(values) <= _LARGEST_EXACT)
+    whole = (values == np.round(values)) & (np.abs(values) < _FIRST_AMBIGUOUS)
     result = np.where(whole, values, 0.0).astype(np.int64)
     for entry in np.flatnonzero(np.isfinite(values) & ~whole).tolist():
         exactly = _exactly(cells[entry].as_py())

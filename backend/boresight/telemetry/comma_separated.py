@@ -80,7 +80,7 @@ def _tables(pieces: Iterator[bytes], header: list[str], form: FormFaults, *, as_
     for text in pieces:
         form.look_for_blank_rows(text, row)
         rows = text.count(b"\n") + 1
-        is_open = text.count(b'"') % 2 == 1  # a quote that ends a piece closes nothing, and nobody would notice
+        is_open = _cells_in(text[text.rfind(b"\n") + 1 :]) is None  # of any other line Arrow's rows would tell
         table = None if form.found or is_open else _table(text, header, types)
         if table is not None and table.num_rows == rows:
             yield table
