@@ -58,7 +58,7 @@ def alarms_page(
         states=alarms.STATES,
         kinds=ALARM_KINDS,
         sensors=sensors.list_sensors(session),
-        names=read_names(session),
+        names=read_names(session, sensors_of=found),
         state_of=alarms.state_of,
         ranks={level: rank for rank, level in enumerate(LEVELS)},
         may_handle=bool(actor.roles.intersection(alarms.HANDLERS)),
@@ -77,7 +77,7 @@ def _sought(state: str, sensor: str, kind: str) -> alarms.Sought:
 @router.get("/alarms.csv")
 def alarms_csv(session: Reading, actor: Who, state: str = "", sensor: str = "", kind: str = "") -> Response:  # noqa: ARG001 - whoever is known may read
     """Give every alarm of a view as CSV, newest first."""
-    names = read_names(session)
+    names = read_names(session, sensors_of=None)
     found = alarms.list_alarms(session, _sought(state, sensor, kind), limit=A_FILE)
     return csv_file("alarms", CSV_FIELDS, (_csv_row(row, names) for row in found))
 

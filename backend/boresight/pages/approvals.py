@@ -92,7 +92,7 @@ def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLRespon
         view=view,
         entries=[entry for entry in entries if show != "mine" or entry.blocked is None],
         last=found.last,
-        names=read_names(session),
+        names=read_names(session, sensors_of=[entry.parameter_set for entry in entries]),
         views=VIEWS,
         show=show,
     )

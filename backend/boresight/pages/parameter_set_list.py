@@ -62,7 +62,7 @@ def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
         view=view,
         sets=found.rows,
         last=found.last,
-        names=read_names(session),
+        names=read_names(session, sensors_of=found.rows),
         sensors=sensors.list_sensors(session),
         states=GROUND_STATES,
         on_board=ONBOARD_STATES,
@@ -74,7 +74,7 @@ def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
 def parameter_sets_csv(request: Request, session: Reading) -> Response:
     """Give every set of a view as CSV."""
     view = read_view(request, SETS)
-    return csv_of(view, CSV_FIELDS, _csv_rows(session, view, read_names(session)))
+    return csv_of(view, CSV_FIELDS, _csv_rows(session, view, read_names(session, sensors_of=None)))
 
 
 def _csv_rows(session: Session, view: View, names: Names) -> Iterator[dict[str, Any]]:

@@ -107,16 +107,25 @@ class Names:
         return self.people.get(user_id, f"user {user_id}") if user_id is not None else "system"
 
 
-def read_names(session: Session, found: Iterable[Run] = ()) -> Names:
-    """Read the names of every sensor and person, and of the telemetry sets that these runs use."""
+def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Iterable[Any] | None = ()) -> Names:
+    """Read the names of every person, and of the sensors and telemetry sets of these runs.
+
+    Parameters
+    ----------
+    sensors_of
+        Other rows whose sensors are named; None names the whole fleet, as a file of many rows needs it.
+    """
+    found = list(found)
     used = {set_id for run in found for set_id in (run.telemetry_set_id, run.validation_set_id) if set_id is not None}
-    return _names(session, used)
+    if sensors_of is None:
+        return _names(session, None, used)
+    return _names(session, {row.sensor_id for row in (*found, *sensors_of) if row.sensor_id is not None}, used)
 
 
-def _names(session: Session, set_ids: Collection[int] | None) -> Names:
-    """Read the names of every sensor and person, and of these telemetry sets; of all where None is given."""
+def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collection[int] | None) -> Names:
+    """Read the names of every person, and of these sensors and telemetry sets; of all where None is given."""
     return Names(
-        {sensor.id: sensor.name for sensor in sensors.list_sensors(session)},
+        sensors.names_of(session, sensor_ids),
         telemetry_sets.names_of(session, set_ids),
         {person.id: person.printed_name for person in users.list_users(session)},
     )
@@ -218,7 +227,7 @@ def runs_page(request: Request, session: Reading) -> HTMLResponse:
 def runs_csv(request: Request, session: Reading) -> Response:
     """Give every run of a view as CSV, in SI."""
     view = read_view(request, RUNS)
-    names = _names(session, None)
+    names = _names(session, None, None)
     return csv_of(view, CSV_FIELDS, (_csv_row(run, names) for run in all_of(session, view)))
 
 

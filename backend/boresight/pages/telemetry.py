@@ -92,7 +92,7 @@ def _page(request: Request, session: Session, actor: Actor, view: View, shown: S
         sets=found.rows,
         last=found.last,
         sensors=sensors.list_sensors(session),
-        names=read_names(session),
+        names=read_names(session, sensors_of=found.rows),
         purposes=PURPOSES,
         may_upload="analyst" in actor.roles,
         limit_mb=request.app.state.settings.upload_limit_mb,
@@ -111,7 +111,7 @@ def telemetry_page(request: Request, session: Reading, actor: Who) -> HTMLRespon
 @router.get("/telemetry.csv")
 def telemetry_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
     """Give every set of a view as CSV."""
-    view, names = read_view(request, SETS), read_names(session)
+    view, names = read_view(request, SETS), read_names(session, sensors_of=None)
     rows = (_csv_row(row, names) for row in all_of(session, view, **_in_use(view)))
     return csv_of(view, CSV_FIELDS, rows)
 

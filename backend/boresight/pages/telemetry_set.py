@@ -83,7 +83,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
     """Show a set with its quality report."""
     row = telemetry_sets.get_telemetry_set(session, set_id)
     used_by = _users(session, row)
-    names = read_names(session, used_by)
+    names = read_names(session, used_by, sensors_of=[row])
     blob = session.get(Blob, row.original_sha256)
     return render(
         request,

@@ -1,9 +1,14 @@
-"""Sensors: registering star trackers, and the state of the fleet at a glance."""
+"""Sensors: registering star trackers, choosing among them, and the state of the fleet at a glance.
+
+A chooser names every sensor of a fleet that one can look over; of a larger one, the first by name that hold what is
+sought. However large the fleet, it costs three short queries of at most `MOST_CHOICES` names.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from boresight.errors import ConflictError, RefusedInputError
@@ -12,19 +17,28 @@ from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.fleet import SensorTile, fleet_overview
 from boresight.services.parameter_sets import create_ground_calibration
 from boresight.services.transitions import get_sensor, require_seen, subject_of
+from boresight.services.words import refuse_control_characters
+from boresight.store import sensor_names
 from boresight.store import sensors as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Sensor
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 
 __all__ = [
+    "MOST_CHOICES",
+    "Choices",
     "SensorTile",
+    "choices",
     "edit_sensor",
     "fleet_overview",
     "get_sensor",
     "list_sensors",
+    "names_of",
     "register_sensor",
 ]
+
+MOST_CHOICES = 200  # beyond it a list is searched, not looked over
+LONGEST_NAME = 64
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,63}")  # becomes part of PS-<sensor>-<n> and of file names
 LASTING = ("name", "camera_model", "detector", "parity")  # a parameter set means nothing with another
@@ -106,6 +120,62 @@ def edit_sensor(
     return row
 
 
-def list_sensors(session: Session) -> Sequence[Sensor]:
-    """Return the fleet, by name."""
-    return rows.sensors(session)
+def list_sensors(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[Sensor]:
+    """Return the fleet, or the sensors of these numbers, by name."""
+    return rows.sensors(session, sensor_ids)
+
+
+def names_of(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
+    """Return the names of these sensors by their numbers; of the whole fleet where None is given."""
+    return sensor_names.names(session, sensor_ids)
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The sensors that a chooser offers.
+
+    Parameters
+    ----------
+    names
+        Theirs, by their numbers, in their order.
+    is_all
+        Whether they are the whole fleet; `find` then narrowed nothing.
+    find
+        What was sought.
+    found
+        How many of `names` it found; the others are kept.
+    fitting
+        How many sensors of the fleet hold it.
+    """
+
+    names: Mapping[int, str]
+    is_all: bool
+    find: str
+    found: int
+    fitting: int
+
+
+def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Choices:
+    """Return what a chooser offers: a small fleet whole; of a larger one what is kept and the first that hold `find`.
+
+    Parameters
+    ----------
+    find
+        Sought in the names, in letters of either case; empty is in every name.
+    keep
+        Numbers of sensors that are offered whatever is sought; one that there is not is left out.
+
+    Raises
+    ------
+    RefusedInputError
+        When `find` has control characters.
+    """
+    refuse_control_characters(find=find)
+    find = find.strip()[:LONGEST_NAME]
+    first = sensor_names.holding(session, "", MOST_CHOICES + 1)
+    if len(first) <= MOST_CHOICES:
+        return Choices(first, is_all=True, find=find, found=len(first), fitting=len(first))
+    found = dict(list((sensor_names.holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
+    kept = sensor_names.names(session, set(keep) - found.keys())
+    names = dict(sorted((found | kept).items(), key=lambda one: one[1])) if kept else found
+    return Choices(names, is_all=False, find=find, found=len(found), fitting=sensor_names.count_holding(session, find))
