@@ -95,10 +95,11 @@ def test_who_may_not_launch_is_offered_no_launch(house):
 
 
 def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(house, read, monkeypatch):
-    tiles = [SimpleNamespace(status=level) for level in ("normal", "critical", "off", "caution", "critical")]
+    levels = ("normal", "critical", "off", "caution", "critical")
+    stand = [SimpleNamespace(sensor_id=number, status=level) for number, level in enumerate(levels)]
     monkeypatch.setattr(overview, "MOST_TILES", 3)
-    assert [tile.status for tile in overview.shown_of(tiles)] == ["critical", "critical", "caution"]
-    assert overview.shown_of(tiles[:3]) == tiles[:3]
+    assert overview.drawn_of(stand) == [1, 4, 3]
+    assert overview.drawn_of(stand[:3]) == [0, 1, 2]
     assert "that stand worst" not in read(house.visitor("ada").get("/"))
     monkeypatch.setattr(overview, "MOST_TILES", 0)
     page = house.visitor("ada").get("/")

@@ -9,7 +9,7 @@ import pytest
 
 from boresight.services import parameter_sets, uplinks
 from boresight.services.actors import Actor
-from boresight.services.fleet import STATUS_WORDS, Known, SensorTile, findings, fleet_overview
+from boresight.services.fleet import STATUS_WORDS, Known, SensorTile, findings, fleet_overview, standings
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, utc_after, writing
 from boresight.store.tables import ParameterSet, Run
@@ -162,3 +162,19 @@ def test_every_finding_is_one_of_the_words_and_there_always_is_one(
             assert found
             assert all(word in STATUS_WORDS and sentence.endswith(".") for word, sentence in found)
     assert [word for word, _ in findings(NOTHING)] == ["serious", "off"]
+
+
+def test_the_fleet_stands_as_its_tiles_say(
+    engine: Engine, finished_run: Callable[..., Run], people: Mapping[str, Actor]
+) -> None:
+    with writing(engine) as session:
+        finished_run(session, state="FAILED")
+        for state in ("SENT", "MISMATCH"):
+            uplinks.record(session, people["dee"], 1, state, "pass 4711")
+    with reading(engine) as session:
+        stand = standings(session)
+        tiles = fleet_overview(session)
+        assert [(one.sensor_id, one.name, one.status, one.sentence) for one in stand] == [
+            (tile.sensor.id, tile.sensor.name, tile.status, tile.sentence) for tile in tiles
+        ]
+        assert (standings(session, [1]), standings(session, [99])) == (stand, [])

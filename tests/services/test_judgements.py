@@ -15,8 +15,8 @@ from tests.missions import add_run, add_set, make_baseline
 
 
 def _remembered(session: Session) -> judgements.Judgement:
-    (sensor,) = sensors.sensors(session, [1])
-    return judgements.judgement(session, sensor, sensors.baselines(session)[1], trends.stamps(session).get(1))
+    heads, baselines = sensors.sensor_heads(session, [1]), sensors.baseline_heads(session)
+    return judgements.judgements(session, heads, baselines, trends.stamps(session))[1]
 
 
 def test_it_equals_a_judgement_made_anew_after_every_change_of_the_trend(session: Session) -> None:

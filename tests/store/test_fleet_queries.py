@@ -47,7 +47,7 @@ def test_a_trend_and_the_newest_summaries_are_read(store: Engine) -> None:
     with reading(store) as session:
         document = trend_document(session, 1)
         assert (document["drift"]["verdict"], len(document["points"])) == ("DRIFT", 5)
-        newest = trends.recent_summaries(session, 3)[1]
+        newest = trends.recent_summaries(session, [1], 3)[1]
         assert [summary["trend"]["parameters"] for summary in newest] == [
             run.summary["trend"]["parameters"] for run in trends.finished(session, [1])[1][-3:]
         ]

@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from boresight.pages.states import LEVELS
-from boresight.services import alarms, approvals, sensors
-from boresight.services.sensors import SensorTile
+from boresight.services import alarms, approvals, fleet
 from boresight.store.marks import Mark, Marks
 from boresight.store.sessions import Engine, Session, reading
 
@@ -34,20 +33,20 @@ class Standing:
     sentence: str
 
 
-def worst_standing(tiles: Sequence[SensorTile]) -> Standing:
+def worst_standing(standings: Sequence[fleet.Standing]) -> Standing:
     """Return how a fleet stands."""
-    if not tiles:
+    if not standings:
         return Standing("off", "NO SENSORS", "No sensors yet: register one.")
-    worst = max(tiles, key=lambda tile: LEVELS.index(tile.status))
-    alike = sum(tile.status == worst.status for tile in tiles)
+    worst = max(standings, key=lambda one: LEVELS.index(one.status))
+    alike = sum(one.status == worst.status for one in standings)
     more = f" {alike - 1} more alike." if alike > 1 else ""
-    return Standing(worst.status, WORD_OF_LEVEL[worst.status], f"{worst.sensor.name}: {worst.sentence}{more}")
+    return Standing(worst.status, WORD_OF_LEVEL[worst.status], f"{worst.name}: {worst.sentence}{more}")
 
 
 def fleet_standing(session: Session) -> tuple[Standing, int, int]:
     """Return how the fleet stands, how many requests wait for a signature, and how many alarms to be acknowledged."""
     waiting = len(approvals.list_approvals(session, state="OPEN"))
-    return worst_standing(sensors.fleet_overview(session)), waiting, alarms.unacknowledged(session)
+    return worst_standing(fleet.standings(session)), waiting, alarms.unacknowledged(session)
 
 
 class FleetMemory:

@@ -14,11 +14,11 @@ from boresight.pages.audit import line_of
 from boresight.pages.rendering import render
 from boresight.pages.sparkline import Sparkline, sparkline
 from boresight.pages.states import LEVELS
-from boresight.services import alarms, approvals, audit, fleet, parameter_sets, runs, sensors
+from boresight.services import alarms, approvals, audit, fleet, lists, parameter_sets, runs, sensors
 from boresight.services.actors import Actor, Policy
-from boresight.services.sensors import SensorTile
+from boresight.services.fleet import SensorTile, Standing
 from boresight.store.sessions import Session
-from boresight.store.tables import TERMINAL_RUN_STATES, Alarm, Approval, ParameterSet
+from boresight.store.tables import TERMINAL_RUN_STATES, Alarm, Approval
 
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
@@ -38,11 +38,13 @@ class Action:
     label: str
 
 
-def _signatures(session: Session, actor: Actor, names: Mapping[int, str], policy: Policy) -> Iterator[Action]:
-    """Yield the requests that this person may sign now."""
-    for request in approvals.list_approvals(session, state="OPEN"):
+def _signatures(
+    session: Session, actor: Actor, opened: Sequence[Approval], sets: Mapping[int, Any], policy: Policy
+) -> Iterator[Action]:
+    """Yield the open requests that this person may sign now."""
+    for request in opened:
         if approvals.why_not_sign(session, actor, request.id, policy=policy) is None:
-            name = names.get(request.parameter_set_id, "A set")
+            name = sets[request.parameter_set_id].name
             yield Action("standby", f"{name} waits for your signature.", f"/approvals/{request.id}", "Review")
 
 
@@ -67,20 +69,22 @@ def _promotions(session: Session, actor: Actor) -> Iterator[Action]:
             yield Action("standby", sentence, f"/parameter-sets/{row.id}", "Record")
 
 
-def _own_requests(session: Session, actor: Actor, names: Mapping[int, str]) -> Iterator[Action]:
+def _own_requests(session: Session, actor: Actor) -> Iterator[Action]:
     """Yield this person's requests that came back."""
     for state, words in (("STALE", "went stale: evaluate again"), ("REJECTED", "was refused: read why")):
-        for request in approvals.list_approvals(session, state=state, limit=20):
-            if request.submitted_by == actor.user_id:
-                name = names.get(request.parameter_set_id, "A set")
-                yield Action("caution", f"{name} {words}.", f"/approvals/{request.id}", "Read")
+        own = {"state": state, "submitted_by": actor.user_id}
+        came_back = lists.page_of(session, "approvals", own, "-request", limit=20)
+        sets = parameter_sets.heads_of(session, [request.parameter_set_id for request in came_back])
+        for request in came_back:
+            name = sets[request.parameter_set_id].name
+            yield Action("caution", f"{name} {words}.", f"/approvals/{request.id}", "Read")
 
 
-def _calibrations(tiles: Sequence[SensorTile], sets: Sequence[ParameterSet], actor: Actor) -> Iterator[Action]:
+def _calibrations(session: Session, tiles: Sequence[SensorTile], actor: Actor) -> Iterator[Action]:
     """Yield what an analyst may do: launch a first run, look at a failed one, make a set of a good one."""
     if "analyst" not in actor.roles:
         return
-    used = {row.run_id for row in sets}
+    used = parameter_sets.runs_with_sets(session, [tile.last_run.id for tile in tiles if tile.last_run])
     for tile in tiles:
         name, run = tile.sensor.name, tile.last_run
         if run is None and tile.telemetry_sets:
@@ -119,30 +123,40 @@ class Course:
 
 @dataclass(frozen=True)
 class Desk:
-    """Everything that the overview shows of the fleet's work."""
+    """Everything that the overview shows of the fleet's work.
 
+    Parameters
+    ----------
+    standings
+        How every sensor stands, by name.
+    tiles
+        The sensors that are drawn: all, or of a large fleet those that stand worst.
+    courses, waiting
+        By sensor: how its calibrations went lately, and its open request.
+    actions
+        What waits for the person who looks.
+    queue
+        How many runs are in each state.
+    """
+
+    standings: Sequence[Standing]
     tiles: Sequence[SensorTile]
     courses: Mapping[int, Course]
     waiting: Mapping[int, Approval]
     actions: Sequence[Action]
     queue: Mapping[str, int]
 
-    @property
-    def shown(self) -> Sequence[SensorTile]:
-        """The sensors that are drawn."""
-        return shown_of(self.tiles)
 
-
-def shown_of(tiles: Sequence[SensorTile]) -> Sequence[SensorTile]:
-    """Choose the tiles that a page has room for: all by name, or of a large fleet those that stand worst, the worst first."""
-    if len(tiles) <= MOST_TILES:
-        return tiles
-    return sorted(tiles, key=lambda tile: -LEVELS.index(tile.status))[:MOST_TILES]
+def drawn_of(standings: Sequence[Standing]) -> list[int]:
+    """Choose the sensors that a page has room for: all by name, or of a large fleet those that stand worst, the worst first."""
+    if len(standings) > MOST_TILES:
+        standings = sorted(standings, key=lambda one: -LEVELS.index(one.status))[:MOST_TILES]
+    return [one.sensor_id for one in standings]
 
 
 def _courses(session: Session, tiles: Sequence[SensorTile]) -> dict[int, Course]:
     """Return how each sensor's calibrations went lately."""
-    summaries = fleet.recent_summaries(session, RUNS_IN_A_SPARKLINE)
+    summaries = fleet.recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
     drifting = {alarm.sensor_id: alarm for alarm in alarms.list_alarms(session, alarms.Sought(kind="DRIFT"), limit=500)}
     return {tile.sensor.id: _course(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id)) for tile in tiles}
 
@@ -155,19 +169,21 @@ def _course(summaries: Sequence[Mapping[str, Any]], drift: Alarm | None) -> Cour
 
 def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
     """Gather the fleet's work for a person."""
-    tiles, sets = sensors.fleet_overview(session), parameter_sets.list_parameter_sets(session, limit=500)
-    names = {row.id: row.name for row in sets}
-    sensor_of = {row.id: row.sensor_id for row in sets}
+    standings = fleet.standings(session)
+    drawn = drawn_of(standings)
+    place = {sensor_id: place for place, sensor_id in enumerate(drawn)}
+    tiles = sorted(sensors.fleet_overview(session, drawn), key=lambda tile: place[tile.sensor.id])
     opened = approvals.list_approvals(session, state="OPEN")
+    sets = parameter_sets.heads_of(session, [request.parameter_set_id for request in opened])
     actions = [
         *_alarms(session, actor),
-        *_signatures(session, actor, names, policy),
+        *_signatures(session, actor, opened, sets, policy),
         *_promotions(session, actor),
-        *_own_requests(session, actor, names),
-        *_calibrations(tiles, sets, actor),
+        *_own_requests(session, actor),
+        *_calibrations(session, tiles, actor),
     ]
-    waiting = {sensor_of[it.parameter_set_id]: it for it in opened if it.parameter_set_id in sensor_of}
-    return Desk(tiles, _courses(session, shown_of(tiles)), waiting, actions, runs.count_by_state(session))
+    waiting = {sets[request.parameter_set_id].sensor_id: request for request in opened}
+    return Desk(standings, tiles, _courses(session, tiles), waiting, actions, runs.count_by_state(session))
 
 
 @dataclass(frozen=True)
@@ -199,16 +215,16 @@ def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[Event]:
             yield Event(run.ended_utc, "Boresight", run.state, f"runs/{run.id}", f"/runs/{run.id}", gist)
 
 
-def _events(session: Session, tiles: Sequence[SensorTile]) -> list[Event]:
+def _events(session: Session, standings: Sequence[Standing]) -> list[Event]:
     """Return what happened last, newest first."""
-    names = {tile.sensor.id: tile.sensor.name for tile in tiles}
+    names = {one.sensor_id: one.name for one in standings}
     found = [*_recorded(session), *_ended_runs(session, names)]
     return sorted(found, key=lambda event: event.at_utc, reverse=True)[:RECENT_EVENTS]
 
 
-def _counts(tiles: Sequence[SensorTile]) -> dict[str, int]:
+def _counts(standings: Sequence[Standing]) -> dict[str, int]:
     """Count the sensors by level, worst first; every level, so that the strip keeps its shape."""
-    return {level: sum(tile.status == level for tile in tiles) for level in reversed(LEVELS)}
+    return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
 
 
 @router.get("/", response_class=HTMLResponse)
@@ -219,11 +235,11 @@ def overview_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
         request,
         "overview.html",
         desk=desk,
-        counts=_counts(desk.tiles),
+        counts=_counts(desk.standings),
         actions=desk.actions[:MOST_ACTIONS],
         more_actions=max(len(desk.actions) - MOST_ACTIONS, 0),
         waiting_for_me=sum(action.label == "Review" for action in desk.actions),
-        events=_events(session, desk.tiles),
+        events=_events(session, desk.standings),
         workers=request.app.state.workers.state() if request.app.state.workers else None,
         may_register=bool({"analyst", "administrator"} & actor.roles),
     )

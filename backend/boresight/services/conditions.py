@@ -23,7 +23,6 @@ from boresight.services.judgements import Judgement, judgements
 from boresight.store import sensors as rows
 from boresight.store import trends
 from boresight.store.sessions import Session, utc_text
-from boresight.store.tables import ParameterSet, Sensor
 
 CHAIN = "audit/CHAIN"
 
@@ -54,8 +53,8 @@ class Condition:
 
 def conditions(session: Session, sensor_ids: Sequence[int] | None = None) -> list[Condition]:
     """Return what is wrong with the fleet, or with some of its sensors."""
-    baselines, stamps = rows.baselines(session, sensor_ids), trends.stamps(session, sensor_ids)
-    onboard, fleet = rows.onboard_sets(session, sensor_ids), rows.sensors(session, sensor_ids)
+    baselines, stamps = rows.baseline_heads(session, sensor_ids), trends.stamps(session, sensor_ids)
+    onboard, fleet = rows.onboard_heads(session, sensor_ids), rows.sensor_heads(session, sensor_ids)
     drifts = judgements(session, fleet, baselines, stamps)
     return [
         found
@@ -78,14 +77,14 @@ def chain_condition(state: str, sentence: str) -> Condition | None:
     return Condition(CHAIN, None, "CHAIN", "critical", sentence) if state == "broken" else None
 
 
-def _drift(sensor: Sensor, found: Judgement) -> Iterator[Condition]:
+def _drift(sensor: Any, found: Judgement) -> Iterator[Condition]:
     """Ask whether the parameters hold."""
     if found.verdict == "DRIFT":
         sentence = f"{sensor.name} drifts. {found.sentence}"
         yield Condition(source_of(sensor.id, "DRIFT"), sensor.id, "DRIFT", "serious", sentence, found.document)
 
 
-def _age(sensor: Sensor, baseline: ParameterSet | None) -> Iterator[Condition]:
+def _age(sensor: Any, baseline: Any) -> Iterator[Condition]:
     """Ask whether the baseline is too old."""
     age_d = days_since(baseline)
     if baseline is None or baseline.baseline_from_utc is None or age_d is None or age_d <= OLD_DAYS:
@@ -96,7 +95,7 @@ def _age(sensor: Sensor, baseline: ParameterSet | None) -> Iterator[Condition]:
     yield Condition(source_of(sensor.id, "AGE"), sensor.id, "AGE", "caution", sentence, evidence)
 
 
-def _mismatches(sensor: Sensor, onboard: Sequence[ParameterSet]) -> Iterator[Condition]:
+def _mismatches(sensor: Any, onboard: Sequence[Any]) -> Iterator[Condition]:
     """Ask whether a read-back failed."""
     bad = [row for row in onboard if row.onboard_state == "MISMATCH"]
     if bad:

@@ -6,14 +6,14 @@ its sentence; a sensor shows the worst of its findings.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
 from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
 from boresight.services.drift import GROUND_SHIFTED
-from boresight.services.judgements import judgement
+from boresight.services.judgements import judgements
 from boresight.store import alarms, trends
 from boresight.store import sensors as rows
 from boresight.store.sessions import Session, utc_now
@@ -23,6 +23,7 @@ STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
+MOST_NAMED = 1000  # beyond it a query asks for the whole fleet: a statement holds a bounded number of values
 
 
 @dataclass(frozen=True)
@@ -54,12 +55,22 @@ class SensorTile:
 
 
 @dataclass(frozen=True)
-class Known:
-    """What is known of one sensor."""
+class Standing:
+    """How a sensor stands: its worst status word and why."""
 
-    baseline: ParameterSet | None
-    last_run: Run | None
-    onboard: tuple[ParameterSet, ...]
+    sensor_id: int
+    name: str
+    status: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of one sensor; `baseline`, `last_run` and `onboard` are rows or their heads (`store.sensors`)."""
+
+    baseline: Any
+    last_run: Any
+    onboard: tuple[Any, ...]
     waiting: str | None
     telemetry_sets: int
     days: float | None
@@ -67,15 +78,35 @@ class Known:
     ground_shifted: bool = False
 
 
+def standings(session: Session, sensor_ids: Collection[int] | None = None) -> list[Standing]:
+    """Return how every sensor of the fleet stands, or some, by name; a tenth of what their tiles cost."""
+    heads = rows.sensor_heads(session, sensor_ids)
+    runs, onboard = rows.last_run_heads(session, sensor_ids), rows.onboard_heads(session, sensor_ids)
+    known = _known(session, heads, rows.baseline_heads(session, sensor_ids), runs, onboard, sensor_ids)
+    return [Standing(head.id, head.name, *_worst(known[head.id])) for head in heads]
+
+
 def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorTile]:
     """Return a tile for every sensor, or for some, by name."""
-    baselines, runs = rows.baselines(session, sensor_ids), rows.last_runs(session, sensor_ids)
-    counts, waiting = rows.set_counts(session), rows.waiting_approvals(session)
-    drifting, stamps = _drifting(session), trends.stamps(session, sensor_ids)
-    onboard = rows.onboard_sets(session, sensor_ids)
-    tiles = []
-    for sensor in rows.sensors(session, sensor_ids):
-        known = Known(
+    sensors, runs = rows.sensors(session, sensor_ids), rows.last_runs(session, sensor_ids)
+    baselines, onboard = rows.baselines(session, sensor_ids), rows.onboard_sets(session, sensor_ids)
+    known = _known(session, sensors, baselines, runs, onboard, sensor_ids)
+    return [_tile(sensor, known[sensor.id]) for sensor in sensors]
+
+
+def _known(
+    session: Session,
+    sensors: Sequence[Any],
+    baselines: Mapping[int, Any],
+    runs: Mapping[int, Any],
+    onboard: Mapping[int, Sequence[Any]],
+    sensor_ids: Collection[int] | None,
+) -> dict[int, Known]:
+    """Gather what is known of sensors, by their ids; rows or heads of rows."""
+    counts, waiting = rows.set_counts(session, sensor_ids), rows.waiting_approvals(session, sensor_ids)
+    drifting = _drifting(session)
+    known = {
+        sensor.id: Known(
             baseline=baselines.get(sensor.id),
             last_run=runs.get(sensor.id),
             onboard=tuple(onboard.get(sensor.id, ())),
@@ -84,18 +115,26 @@ def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) 
             days=days_since(baselines.get(sensor.id)),
             drift=drifting.get(sensor.id),
         )
-        shifted = _ground_shifted(session, sensor, known, stamps.get(sensor.id))
-        tiles.append(_tile(sensor, replace(known, ground_shifted=shifted)))
-    return tiles
+        for sensor in sensors
+    }
+    asked = [sensor for sensor in sensors if _is_on_the_ground(known[sensor.id])]
+    for sensor_id in _ground_shifted(session, asked, baselines):
+        known[sensor_id] = replace(known[sensor_id], ground_shifted=True)
+    return known
 
 
-def _ground_shifted(session: Session, sensor: Sensor, known: Known, stamp: Any) -> bool:
-    """Whether a ground calibration does not hold; asked only where nothing worse hides the answer, for it reads every run."""
-    if known.baseline is None or known.baseline.run_id is not None or stamp is None:
+def _is_on_the_ground(known: Known) -> bool:
+    """Whether a sensor flies by its ground calibration and nothing worse is known, that would hide what its runs say of that."""
+    if known.baseline is None or known.baseline.run_id is not None:
         return False
-    if any(word in WORSE_THAN_NORMAL for word, _ in findings(known)):
-        return False
-    return judgement(session, sensor, known.baseline, stamp).verdict == "GROUND SHIFT"
+    return not any(word in WORSE_THAN_NORMAL for word, _ in findings(known))
+
+
+def _ground_shifted(session: Session, sensors: Sequence[Any], baselines: Mapping[int, Any]) -> Iterator[int]:
+    """Yield the sensors of which the ground calibration does not hold."""
+    stamps = trends.stamps(session, [sensor.id for sensor in sensors] if len(sensors) <= MOST_NAMED else None)
+    judged = judgements(session, [sensor for sensor in sensors if sensor.id in stamps], baselines, stamps)
+    return (sensor_id for sensor_id, found in judged.items() if found.verdict == "GROUND SHIFT")
 
 
 def _drifting(session: Session) -> dict[int | None, Alarm]:
@@ -104,21 +143,26 @@ def _drifting(session: Session) -> dict[int | None, Alarm]:
     return {row.sensor_id: row for row in found if not (row.shelved_until_utc or "") > utc_now()}
 
 
-def recent_summaries(session: Session, limit: int) -> dict[int, list[dict[str, Any]]]:
-    """Return of each sensor the summaries of its newest runs that succeeded, oldest first."""
-    return trends.recent_summaries(session, limit)
+def recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
+    """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
+    return trends.recent_summaries(session, sensor_ids, limit)
 
 
 def _tile(sensor: Sensor, known: Known) -> SensorTile:
-    """Show the worst of what is known; equally bad findings in the order in which they are looked for."""
-    status, sentence = min(findings(known), key=lambda finding: STATUS_WORDS.index(finding[0]))
+    """Show the worst of what is known."""
+    status, sentence = _worst(known)
     active = next((row for row in known.onboard if row.onboard_state == "ACTIVE"), None)
     return SensorTile(
         sensor, known.baseline, active, known.last_run, known.telemetry_sets, known.days, status, sentence
     )
 
 
-def days_since(baseline: ParameterSet | None) -> float | None:
+def _worst(known: Known) -> tuple[str, str]:
+    """Return the worst finding; of equally bad ones the one that is looked for first."""
+    return min(findings(known), key=lambda finding: STATUS_WORDS.index(finding[0]))
+
+
+def days_since(baseline: Any) -> float | None:
     """Return the days since a set became baseline."""
     if baseline is None or baseline.baseline_from_utc is None:
         return None
@@ -157,7 +201,7 @@ def _onboard_findings(known: Known) -> Iterator[tuple[str, str]]:
             yield "caution", f"{row.name} is active on board, and the baseline is {known.baseline.name}."
 
 
-def _run_findings(run: Run | None) -> Iterator[tuple[str, str]]:
+def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
     """Yield what the newest run says."""
     if run is None:
         return

@@ -14,8 +14,8 @@ from weakref import WeakKeyDictionary
 
 from boresight.services import drift
 from boresight.services.trend import trends_of
+from boresight.store import sensors as rows
 from boresight.store.sessions import Session
-from boresight.store.tables import ParameterSet, Sensor
 
 TOGETHER = 16  # sensors whose runs are held in memory at once
 
@@ -33,33 +33,29 @@ class Judgement:
 _known: WeakKeyDictionary[Any, dict[int, tuple[Any, Judgement]]] = WeakKeyDictionary()
 
 
-def judgement(session: Session, sensor: Sensor, baseline: ParameterSet | None, stamp: Any) -> Judgement:
-    """Return whether a sensor drifts.
+def judgements(
+    session: Session, sensors: Sequence[Any], baselines: Mapping[int, Any], stamps: Mapping[int, Any]
+) -> dict[int, Judgement]:
+    """Return whether some sensors drift, by their ids; those that must be asked anew are, `TOGETHER` at a time.
 
     Parameters
     ----------
-    baseline
-        The set that its runs are held against.
-    stamp
-        Of its runs, as `store.trends.stamps` gives it; None where none succeeded.
+    sensors, baselines
+        Rows or heads of rows (`store.sensors`); the sets that their runs are held against, by sensor.
+    stamps
+        Of their runs, as `store.trends.stamps` gives them; a sensor of which none succeeded has none.
     """
-    return judgements(session, [sensor], {sensor.id: baseline}, {sensor.id: stamp})[sensor.id]
-
-
-def judgements(
-    session: Session, sensors: Sequence[Sensor], baselines: Mapping[int, ParameterSet | None], stamps: Mapping[int, Any]
-) -> dict[int, Judgement]:
-    """Return whether some sensors drift; see `judgement`. Those that must be asked anew are, `TOGETHER` at a time."""
     of_store = _known.setdefault(session.get_bind().engine.pool, {})  # an engine with options is another object
     rests_on = {sensor.id: _rests_on(sensor, baselines.get(sensor.id), stamps.get(sensor.id)) for sensor in sensors}
-    unknown = [sensor for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
+    unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
     for start in range(0, len(unknown), TOGETHER):
-        for sensor_id, trend in trends_of(session, unknown[start : start + TOGETHER]).items():
+        asked = rows.sensors(session, unknown[start : start + TOGETHER])
+        for sensor_id, trend in trends_of(session, asked).items():
             found = drift.judge(trend)
             of_store[sensor_id] = rests_on[sensor_id], Judgement(found.verdict, found.sentence, drift.document(found))
     return {sensor.id: of_store[sensor.id][1] for sensor in sensors}
 
 
-def _rests_on(sensor: Sensor, baseline: ParameterSet | None, stamp: Any) -> tuple[Any, ...]:
+def _rests_on(sensor: Any, baseline: Any, stamp: Any) -> tuple[Any, ...]:
     """Return what changes when a sensor's trend does."""
     return None if baseline is None else baseline.id, sensor.version, stamp

@@ -13,7 +13,8 @@ made in `candidates`; requests for them are opened and taken back in `submission
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from typing import Any
 
 from boresight.services.candidates import USABLE_STATUSES, create_from_run, create_ground_calibration
 from boresight.services.promotions import promote
@@ -48,6 +49,16 @@ def list_parameter_sets(
 ) -> Sequence[ParameterSet]:
     """Return a page of sets, newest first; the next page starts before the last one's id."""
     return rows.sets(session, sensor_id=sensor_id, ground_state=ground_state, before_id=before_id, limit=limit)
+
+
+def heads_of(session: Session, set_ids: Collection[int]) -> dict[int, Any]:
+    """Return name and sensor_id of some sets, by id."""
+    return rows.heads(session, set_ids)
+
+
+def runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
+    """Return those of some runs that a set was made of."""
+    return rows.runs_with_sets(session, run_ids)
 
 
 def baseline_of(session: Session, sensor_id: int) -> ParameterSet | None:

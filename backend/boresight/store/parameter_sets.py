@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -19,6 +20,17 @@ def next_number(session: Session, sensor_id: int) -> int:
 def set_of_run(session: Session, run_id: int) -> ParameterSet | None:
     """Return the set that was made from a run."""
     return session.scalar(sa.select(ParameterSet).where(ParameterSet.run_id == run_id))
+
+
+def runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
+    """Return those of some runs that a set was made of."""
+    return set(session.scalars(sa.select(ParameterSet.run_id).where(ParameterSet.run_id.in_(run_ids))))
+
+
+def heads(session: Session, set_ids: Collection[int]) -> dict[int, Any]:
+    """Return name and sensor_id of some sets, by id."""
+    query = sa.select(ParameterSet.id, ParameterSet.name, ParameterSet.sensor_id)
+    return {row.id: row for row in session.execute(query.where(ParameterSet.id.in_(set_ids)))}
 
 
 def baseline(session: Session, sensor_id: int) -> ParameterSet | None:

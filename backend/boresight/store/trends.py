@@ -62,11 +62,12 @@ def _by_sensor(sensor_ids: Collection[int], rows: Iterable[Any], part: Callable[
     return found
 
 
-def recent_summaries(session: Session, limit: int) -> dict[int, list[dict[str, Any]]]:
-    """Return of each sensor the summaries of its newest runs that succeeded, oldest first."""
-    place = sa.func.row_number().over(partition_by=Run.sensor_id, order_by=Run.id.desc())
-    newest = sa.select(Run.id, place.label("place")).where(Run.state == "SUCCEEDED").subquery()
-    query = sa.select(Run.sensor_id, Run.summary).join(newest, newest.c.id == Run.id).where(newest.c.place <= limit)
+def recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
+    """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
+    succeeded = sa.select(Run.id).where(Run.sensor_id == Sensor.id, Run.state == "SUCCEEDED").correlate(Sensor)
+    first = succeeded.order_by(Run.id.desc()).offset(limit - 1).limit(1).scalar_subquery()
+    query = sa.select(Run.sensor_id, Run.summary).join(Sensor, Run.sensor_id == Sensor.id)
+    query = query.where(Sensor.id.in_(sensor_ids), Run.state == "SUCCEEDED", Run.id >= sa.func.coalesce(first, 0))
     found: dict[int, list[dict[str, Any]]] = {}
     for sensor_id, summary in session.execute(query.order_by(Run.id)):
         found.setdefault(sensor_id, []).append(summary or {})
