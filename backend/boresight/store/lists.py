@@ -78,6 +78,11 @@ def _holds(*columns: Any) -> Condition:
     return lambda text: sa.or_(*(column.icontains(text, autoescape=True) for column in columns))
 
 
+def _of_sensor_named(column: Any) -> Condition:
+    """Keep to the rows of sensors whose name holds the text."""
+    return lambda text: column.in_(sa.select(Sensor.id).where(Sensor.name.icontains(text, autoescape=True)))
+
+
 _final, _initial = (number_in(Run.summary, f"rms_{when}_arc_rad") for when in ("final", "initial"))
 
 LISTS = {
@@ -100,6 +105,7 @@ LISTS = {
         },
         {
             "sensor": _is(Run.sensor_id),
+            "sensor_name": _of_sensor_named(Run.sensor_id),
             "state": _is(Run.state),
             "method": _is(Run.method),
             "data": _is(Run.telemetry_set_id),
@@ -119,6 +125,7 @@ LISTS = {
         },
         {
             "sensor": _is(TelemetrySet.sensor_id),
+            "sensor_name": _of_sensor_named(TelemetrySet.sensor_id),
             "purpose": _is(TelemetrySet.purpose),
             "in_use": lambda _: TelemetrySet.archived_utc.is_(None),
             "q": _holds(TelemetrySet.name),
@@ -137,6 +144,7 @@ LISTS = {
         },
         {
             "sensor": _is(ParameterSet.sensor_id),
+            "sensor_name": _of_sensor_named(ParameterSet.sensor_id),
             "state": _is(ParameterSet.ground_state),
             "board": _is(ParameterSet.onboard_state),
             "q": _holds(ParameterSet.name, ParameterSet.sha256),
