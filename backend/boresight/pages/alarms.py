@@ -7,20 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.numbers import GREATEST_ID
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures.evidence import LEVELS
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import Names, read_names
-from boresight.pages.tables import csv_file
+from boresight.pages.tables import LONGEST_FILTER, csv_file
 from boresight.services import alarms, sensors, users
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session, reading, utc_after
@@ -41,12 +43,28 @@ DONE = {
 }
 
 
+def _sought(state: str = "", sensor: str = "", sensor_name: str = "", kind: str = "") -> alarms.Sought:
+    """Read the filters; one that does not exist is none."""
+    return alarms.Sought(
+        sensor_id=int(sensor) if sensor.isdecimal() and int(sensor) <= GREATEST_ID else None,
+        sensor_name=sensor_name.strip()[:LONGEST_FILTER],
+        kind=kind if kind in ALARM_KINDS else None,
+        state=state if state in alarms.STATES else None,
+    )
+
+
+def _query(sought: alarms.Sought) -> str:
+    """Write the filters as an address's query."""
+    named = {"state": sought.state or "", "sensor": sought.sensor_id or "", "kind": sought.kind or ""}
+    return urlencode(named | ({"sensor_name": sought.sensor_name} if sought.sensor_name else {}))
+
+
+Seeking = Annotated[alarms.Sought, Depends(_sought)]
+
+
 @router.get("/alarms", response_class=HTMLResponse)
-def alarms_page(
-    request: Request, session: Reading, actor: Who, state: str = "", sensor: str = "", kind: str = "", before: str = ""
-) -> HTMLResponse:  # fmt: skip
+def alarms_page(request: Request, session: Reading, actor: Who, sought: Seeking, before: str = "") -> HTMLResponse:
     """Show the alarms that are open, those to be acknowledged first; or those sought."""
-    sought = _sought(state, sensor, kind)
     before_id = int(before) if before.isdecimal() else None
     found = alarms.list_alarms(session, sought, before_id=before_id, limit=A_PAGE + 1)
     return render(
@@ -55,9 +73,10 @@ def alarms_page(
         alarms=sorted(found[:A_PAGE], key=lambda row: (bool(row.acknowledged) or alarms.is_shelved(row), -row.id)),
         older=found[A_PAGE - 1].id if len(found) > A_PAGE else None,
         sought=sought,
+        query=_query(sought),
         states=alarms.STATES,
         kinds=ALARM_KINDS,
-        sensors=sensors.list_sensors(session),
+        choices=sensors.choices(session, keep=[sought.sensor_id] if sought.sensor_id else []),
         names=read_names(session, sensors_of=found),
         state_of=alarms.state_of,
         ranks={level: rank for rank, level in enumerate(LEVELS)},
@@ -65,20 +84,11 @@ def alarms_page(
     )
 
 
-def _sought(state: str, sensor: str, kind: str) -> alarms.Sought:
-    """Read the filters; one that does not exist is none."""
-    return alarms.Sought(
-        sensor_id=int(sensor) if sensor.isdecimal() else None,
-        kind=kind if kind in ALARM_KINDS else None,
-        state=state if state in alarms.STATES else None,
-    )
-
-
 @router.get("/alarms.csv")
-def alarms_csv(session: Reading, actor: Who, state: str = "", sensor: str = "", kind: str = "") -> Response:  # noqa: ARG001 - whoever is known may read
+def alarms_csv(session: Reading, actor: Who, sought: Seeking) -> Response:  # noqa: ARG001 - whoever is known may read
     """Give every alarm of a view as CSV, newest first."""
     names = read_names(session, sensors_of=None)
-    found = alarms.list_alarms(session, _sought(state, sensor, kind), limit=A_FILE)
+    found = alarms.list_alarms(session, sought, limit=A_FILE)
     return csv_file("alarms", CSV_FIELDS, (_csv_row(row, names) for row in found))
 
 

@@ -14,8 +14,9 @@ from boresight.api.dependencies import Reading
 from boresight.api.keeping import same_for_one
 from boresight.pages.rendering import render
 from boresight.pages.runs import Names, read_names
+from boresight.pages.sensor_choices import choices_of
 from boresight.pages.tables import Column, Table, View, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
-from boresight.services import gates, sensors
+from boresight.services import gates
 from boresight.store.sessions import Session
 from boresight.store.tables import GROUND_STATES, ONBOARD_STATES, ParameterSet
 
@@ -33,7 +34,13 @@ SETS = Table(
         Column("by", "Made by", "by", "named"),
         Column("baseline", "Baseline since", "-baseline"),
     ),
-    {"sensor": is_number, "state": one_of(GROUND_STATES), "board": one_of(ONBOARD_STATES), "q": is_text},
+    {
+        "sensor": is_number,
+        "sensor_name": is_text,
+        "state": one_of(GROUND_STATES),
+        "board": one_of(ONBOARD_STATES),
+        "q": is_text,
+    },
     "-set",
     kind="sets",
 )
@@ -63,7 +70,7 @@ def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
         sets=found.rows,
         last=found.last,
         names=read_names(session, sensors_of=found.rows),
-        sensors=sensors.list_sensors(session),
+        choices=choices_of(session, view),
         states=GROUND_STATES,
         on_board=ONBOARD_STATES,
         verdicts=gates.verdicts(session, {row.id for row in found.rows}),

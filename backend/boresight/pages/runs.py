@@ -20,6 +20,7 @@ from boresight.figures.numbers import MISSING, NARROW_SPACE, number, urad
 from boresight.pages.formats import instant, seconds_since
 from boresight.pages.methods import METHODS, title_of
 from boresight.pages.rendering import render
+from boresight.pages.sensor_choices import choices_of
 from boresight.pages.tables import Column, Table, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
 from boresight.services import sensors, telemetry_sets, users
 from boresight.services.fleet import level_of_result
@@ -57,6 +58,7 @@ RUNS = Table(
     ),
     {
         "sensor": is_number,
+        "sensor_name": is_text,
         "state": one_of(RUN_STATES),
         "method": one_of(known.name for known in METHODS),
         "data": is_number,
@@ -217,7 +219,7 @@ def runs_page(request: Request, session: Reading) -> HTMLResponse:
         lines=[line_of(run, names) for run in found.rows],
         last=found.last,
         elsewhere=[number for number in view.chosen if number not in on_page],
-        sensors=sensors.list_sensors(session),
+        choices=choices_of(session, view),
         states=RUN_STATES,
         methods=METHODS,
     )

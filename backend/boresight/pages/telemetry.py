@@ -24,6 +24,7 @@ from boresight.errors import BoresightError, ForbiddenError, RefusedInputError
 from boresight.pages.attempts import Outcome, Refusal, attempt
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import Names, read_names
+from boresight.pages.sensor_choices import choices_of
 from boresight.pages.tables import Column, Table, View, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
 from boresight.services import sensors, telemetry_sets
 from boresight.services.actors import Actor, require_role
@@ -50,7 +51,7 @@ SETS = Table(
         Column("temperature", "Temperature", "", "num", "Least and greatest of the set", "°C", optional=True),
         Column("uploaded", "Uploaded", "-uploaded", "tight"),
     ),
-    {"sensor": is_number, "purpose": one_of(PURPOSES), "archived": one_of({"1"}), "q": is_text},
+    {"sensor": is_number, "sensor_name": is_text, "purpose": one_of(PURPOSES), "archived": one_of({"1"}), "q": is_text},
     "-uploaded",
     kind="dense",
 )
@@ -72,6 +73,7 @@ class Shown:
     """What the upload form left behind: what was chosen and why it was refused."""
 
     sensor: int | None = None
+    find: str = ""
     purpose: str = PURPOSES[0]
     refusal: Refusal | None = None
 
@@ -91,7 +93,7 @@ def _page(request: Request, session: Session, actor: Actor, view: View, shown: S
         view=view,
         sets=found.rows,
         last=found.last,
-        sensors=sensors.list_sensors(session),
+        choices=choices_of(session, view, find=shown.find, keep=[shown.sensor] if shown.sensor else []),
         names=read_names(session, sensors_of=found.rows),
         purposes=PURPOSES,
         may_upload="analyst" in actor.roles,
@@ -105,7 +107,8 @@ def telemetry_page(request: Request, session: Reading, actor: Who) -> HTMLRespon
     """Show a page of sets, and the form."""
     view = read_view(request, SETS)
     sensor = view.where.get("sensor")
-    return _page(request, session, actor, view, Shown(sensor=int(sensor) if sensor else None))
+    find = request.query_params.get("find", "")
+    return _page(request, session, actor, view, Shown(int(sensor) if sensor else None, find))
 
 
 @router.get("/telemetry.csv")
@@ -201,6 +204,7 @@ def _store(request: Request, actor: Actor, upload: Upload, ready: Prepared, sess
 def _again(request: Request, actor: Actor, upload: Upload, refusal: Refusal | None) -> HTMLResponse:
     """Render the page after a refusal, with what was chosen."""
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
-    shown = Shown(int(sensor) if sensor.isdecimal() else None, purpose if purpose in PURPOSES else PURPOSES[0], refusal)
+    known = purpose if purpose in PURPOSES else PURPOSES[0]
+    shown = Shown(int(sensor) if sensor.isdecimal() else None, purpose=known, refusal=refusal)
     with reading(request.app.state.engine) as session:
         return _page(request, session, actor, read_view(request, SETS), shown)

@@ -137,13 +137,13 @@ class Choices:
     Parameters
     ----------
     names
-        Theirs, by their numbers, in their order.
+        Theirs, by their numbers: first those that are only kept, then those found, each by name.
     is_all
         Whether they are the whole fleet; `find` then narrowed nothing.
     find
         What was sought.
     found
-        How many of `names` it found; the others are kept.
+        How many of `names` it found.
     fitting
         How many sensors of the fleet hold it.
     """
@@ -177,5 +177,7 @@ def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Ch
         return Choices(first, is_all=True, find=find, found=len(first), fitting=len(first))
     found = dict(list((sensor_names.holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
     kept = sensor_names.names(session, set(keep) - found.keys())
-    names = dict(sorted((found | kept).items(), key=lambda one: one[1])) if kept else found
-    return Choices(names, is_all=False, find=find, found=len(found), fitting=sensor_names.count_holding(session, find))
+    kept = dict(sorted(kept.items(), key=lambda one: one[1]))
+    return Choices(
+        kept | found, is_all=False, find=find, found=len(found), fitting=sensor_names.count_holding(session, find)
+    )

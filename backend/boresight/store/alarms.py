@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sqlalchemy as sa
 
 from boresight.store.sessions import Session, utc_now
-from boresight.store.tables import Alarm, AlarmEvent, Note
+from boresight.store.tables import Alarm, AlarmEvent, Note, Sensor
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,8 @@ class Sought:
     ----------
     sensor_id, kind
         Of the alarm.
+    sensor_name
+        What the name of its sensor holds; empty is in every name, and in that of none.
     state
         `unacknowledged`, `acknowledged`, `shelved` or `closed`.
     """
@@ -26,6 +28,7 @@ class Sought:
     sensor_id: int | None = None
     kind: str | None = None
     state: str | None = None
+    sensor_name: str = ""
 
 
 def _is_shelved() -> sa.ColumnElement[bool]:
@@ -51,6 +54,9 @@ def alarms(session: Session, sought: Sought, *, before_id: int | None, limit: in
         query = query.where(Alarm.sensor_id == sought.sensor_id)
     if sought.kind is not None:
         query = query.where(Alarm.kind == sought.kind)
+    if sought.sensor_name:
+        named = sa.select(Sensor.id).where(Sensor.name.icontains(sought.sensor_name, autoescape=True))
+        query = query.where(Alarm.sensor_id.in_(named))
     return session.scalars(query if before_id is None else query.where(Alarm.id < before_id)).all()
 
 
