@@ -1,13 +1,19 @@
-"""Short tables that a press on a heading sorts, and the sheet that holds them in narrow windows."""
+"""Short tables that a press on a heading sorts, the list of sensors, and the sheet that holds them in narrow windows."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import re
+from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import pytest
+
+from boresight.pages import sensors
+from boresight.pages.sensors import EXAMPLE
 
 STATIC = Path(__file__).parents[2] / "frontend" / "static"
 
@@ -16,7 +22,7 @@ def headings(table):
     return re.findall(r"<th scope=.col.*?</th>", table.partition("</thead>")[0])
 
 
-@pytest.mark.parametrize("address", ["/sensors", "/users", "/uplink", "/presets"])
+@pytest.mark.parametrize("address", ["/users", "/uplink", "/presets"])
 def test_a_short_table_is_sorted_by_its_headings(house, address):
     page = house.visitor("adele").get(address)
     assert 'src="/static/sort-table.js"' in page
@@ -29,18 +35,70 @@ def test_a_short_table_is_sorted_by_its_headings(house, address):
         assert len(re.findall(r"<t[hd][ >]", first)) == width
 
 
-def test_numbers_of_sensors_are_sorted_as_numbers(house):
-    page = house.visitor("victor").get("/sensors")
-    assert '<button type="button" class="plain" data-sort="number">f</button>' in page
-    assert 'data-value="0.016' in page
+def names_of(page):
+    return re.findall(r'<a href="/sensors/\d+">([^<]*)</a>', page.partition("<tbody")[2])
 
 
-def test_sensors_can_be_had_as_csv(house):
+@pytest.fixture
+def fleet(house):
+    """Four more sensors, of other detectors and focal lengths; B-3 has the longest, A-2 the most pixels."""
+    visitor = house.visitor("ada")
+    for name, f_m, rows in (("A-1", 0.02, 500), ("A-2", 0.03, 9000), ("B-3", 0.05, 600), ("b-4", 0.04, 700)):
+        document = json.loads(EXAMPLE) | {"name": name}
+        document["initial"] |= {"f_m": f_m, "m0_px": rows / 2}
+        document["detector"]["rows"] = rows
+        assert visitor.post("/sensors", document=json.dumps(document)).status_code == 303
+
+
+@pytest.mark.usefixtures("fleet")
+@pytest.mark.parametrize(
+    ("query", "names"),
+    [
+        ("", ["A-1", "A-2", "B-3", "b-4", "ST16-1"]),
+        ("?sort=-sensor", ["ST16-1", "b-4", "B-3", "A-2", "A-1"]),
+        ("?sort=-f", ["B-3", "b-4", "A-2", "A-1", "ST16-1"]),
+        ("?sort=-detector", ["A-2", "ST16-1", "b-4", "B-3", "A-1"]),
+        ("?sort=-sets&q=1", ["ST16-1", "A-1"]),
+        ("?q=b-", ["B-3", "b-4"]),
+        ("?q=%25", []),
+        ("?status=off", ["A-1", "A-2", "B-3", "b-4"]),
+        ("?status=off&q=a", ["A-1", "A-2"]),
+        ("?status=critical", []),
+        ("?status=nonsense&sort=nonsense", ["A-1", "A-2", "B-3", "b-4", "ST16-1"]),
+    ],
+)
+def test_sensors_are_narrowed_and_sorted_and_had_so_as_csv(house, query, names):
     visitor = house.visitor("victor")
-    assert 'href="/sensors.csv" download data-hotkey="e"' in visitor.get("/sensors")
+    assert names_of(visitor.get(f"/sensors{query}")) == names
+    assert [row["sensor"] for row in csv.DictReader(io.StringIO(visitor.get(f"/sensors.csv{query}")))] == names
+
+
+@pytest.mark.usefixtures("fleet")
+def test_a_long_list_of_sensors_comes_page_by_page(house, monkeypatch):
+    monkeypatch.setattr(sensors, "SENSORS", replace(sensors.SENSORS, rows_a_page=2))
+    visitor, address, seen = house.visitor("victor"), "/sensors?sort=-f", []
+    while address:
+        page = visitor.get(address)
+        seen.append(names_of(page))
+        following = re.search(r'<a href="([^"]*)" rel="next">Further sensors', page)
+        address = following and unescape(following[1])
+    assert seen == [["B-3", "b-4"], ["A-2", "A-1"], ["ST16-1"]]
+
+
+def test_the_overview_leads_from_a_count_to_the_sensors_behind_it(house):
+    page = house.visitor("victor").get("/")
+    address = re.search(r'<a href="(/sensors\?status=\w+)">1</a>', page)[1]
+    assert names_of(house.visitor("victor").get(address)) == ["ST16-1"]
+
+
+def test_a_csv_of_sensors_has_the_fields_of_the_columns_that_are_picked(house):
+    visitor = house.visitor("victor")
+    assert 'href="/sensors.csv?" download data-hotkey="e"' in visitor.get("/sensors")
     (row,) = csv.DictReader(io.StringIO(visitor.get("/sensors.csv")))
     assert (row["sensor"], row["camera_model"], row["rows"]) == ("ST16-1", "inverted_wang", "1944")
     assert float(row["f_m"]) == pytest.approx(0.016, rel=0.02)
+    (row,) = csv.DictReader(io.StringIO(visitor.get("/sensors.csv?columns=f")))
+    assert set(row) == {"number", "sensor", "simulated", "f_m"}
 
 
 def test_in_a_narrow_window_counts_stand_off_names_end_in_dots_and_edges_hint_at_more():

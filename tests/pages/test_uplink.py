@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+from html import unescape
 
 import pytest
+from sqlalchemy import select
 
+from boresight.pages import uplink
 from boresight.pages.climb import LADDER, exported_of, members_of, steps_of
 from boresight.pages.runs import Names
 from boresight.pages.sensors import EXAMPLE
-from boresight.services import packages, parameter_sets, uplinks
+from boresight.pages.uplink import line_of, standing_of
+from boresight.services import packages, parameter_sets, timeline, uplinks
 from boresight.services.onboard import add_entry
 from boresight.store.sessions import reading, writing
 from boresight.store.tables import Package, ParameterSet, Uplink
@@ -74,6 +78,55 @@ def test_a_mismatch_comes_before_everything(house, read):
     assert re.search(r"A-1 .*ST16-1", read(visitor.get("/uplink")))
     climb(house, "SENT", "MISMATCH")
     assert re.search(r"ST16-1 MISMATCH .*A-1", read(visitor.get("/uplink")))
+
+
+@pytest.fixture
+def fleet(house):
+    """Five sensors: one as it was left on the ground, and four whose ground calibrations are at different states on board."""
+    visitor = house.visitor("ada")
+    climbs = {
+        "B-sent": ("SENT",),
+        "C-mismatch": ("SENT", "MISMATCH"),
+        "D-unknown": ("SENT", "UNKNOWN"),
+        "E-loaded": LADDER[:2],
+    }
+    for name, states in climbs.items():
+        assert visitor.post("/sensors", document=EXAMPLE.replace("ST16-7", name)).status_code == 303
+        with reading(house.engine) as session:
+            (row,) = session.scalars(select(ParameterSet).where(ParameterSet.name == f"PS-{name}-0"))
+        climb(house, *states, set_id=row.id)
+    return ["C-mismatch", "D-unknown", "B-sent", "E-loaded", "ST16-1"]
+
+
+def names_of(page):
+    return re.findall(r'<th scope="row" class="nowrap"><a href="/sensors/\d+">([^<]*)</a>', page)
+
+
+def test_the_fleet_is_ordered_and_narrowed_as_its_lines_say(house, fleet):
+    visitor = house.visitor("victor")
+    assert names_of(visitor.get("/uplink")) == fleet
+    assert names_of(visitor.get("/uplink?q=-&status=SENT")) == ["B-sent"]
+    assert names_of(visitor.get("/uplink?status=nonsense&page=nonsense&q=D")) == ["D-unknown", "E-loaded"]
+    assert "No sensor fits these filters." in visitor.get("/uplink?q=nobody")
+    with reading(house.engine) as session:
+        for board in timeline.boards(session):
+            line = line_of(timeline.as_of(session, board.sensor_id))
+            assert (board.name, standing_of(board.baseline_id, board.on_board)) == (
+                line.known.sensor.name,
+                (line.level, line.word),
+            )
+
+
+def test_a_large_fleet_comes_page_by_page(house, fleet, monkeypatch):
+    monkeypatch.setattr(uplink, "ROWS_A_PAGE", 2)
+    visitor, address, seen = house.visitor("victor"), "/uplink", []
+    while address:
+        page = visitor.get(address)
+        seen += names_of(page)
+        following = re.search(r'<a href="([^"]*)" rel="next">', page)
+        address = following and unescape(following[1])
+    assert seen == fleet
+    assert 'href="/uplink" rel="prev"' in page
 
 
 def test_every_page_says_that_this_tool_commands_nothing(house, read):

@@ -33,7 +33,8 @@ def furnish(session):
     session.add(Blob(sha256="a" * 64, size_bytes=1, media_type="text/csv", created_utc=NOW))
     session.flush()
     for number in (1, 2):
-        session.add(Sensor(name=f"ST{3 - number}", document={}, created_utc=NOW))
+        document = {"camera_model": "brown", "detector": {"rows": 100 * number, "columns": 50}}
+        session.add(Sensor(name=f"ST{3 - number}", document=document if number > 1 else {}, created_utc=NOW))
         session.flush()
         session.add(
             TelemetrySet(
@@ -132,6 +133,12 @@ def test_pages_joined_are_the_whole_list_in_its_order(store):
                         store.dialect.name == "postgresql" and isinstance(there[0], str)
                     ):  # it sorts by language
                         assert there == sorted(there, reverse=sort.startswith("-")), (name, sort)
+
+
+def test_a_document_is_read_to_its_depth_and_where_nothing_is_there_nothing(store):
+    with reading(store) as session:
+        assert values(session, "sensors", "detector") == {1: None, 2: 10_000.0}
+        assert values(session, "sensors", "model") == {1: None, 2: "brown"}
 
 
 def test_among_equals_the_newest_is_first(store):

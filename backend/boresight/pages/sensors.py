@@ -1,11 +1,12 @@
-"""The list of sensors, and registering one: paste or upload its sensor file; a refused text comes back as typed."""
+"""The list of sensors, page by page, and registering one: paste or upload its sensor file; a refused text comes back as typed."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
@@ -18,8 +19,9 @@ from boresight.errors import Fault, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
-from boresight.pages.tables import csv_file
-from boresight.services import sensors
+from boresight.pages.states import LEVELS
+from boresight.pages.tables import Column, Table, View, all_of, csv_of, is_text, one_of, page_of, read_view
+from boresight.services import fleet, sensors
 from boresight.services.actors import Actor
 from boresight.services.fleet import SensorTile
 from boresight.store.sessions import Session, reading
@@ -49,9 +51,32 @@ EXAMPLE = """{
 }
 """
 
-CSV_FIELDS = (
-    "number", "sensor", "simulated", "status", "sentence", "camera_model", "rows", "columns", "f_m", "baseline", "telemetry_sets",
-)  # fmt: skip
+SENSORS = Table(
+    "sensors",
+    "Registered sensors",
+    (
+        Column("sensor", "Sensor", "sensor", "nowrap", head=True),
+        Column("status", "Status"),
+        Column("model", "Camera model", "model", "nowrap"),
+        Column("detector", "Detector", "-detector", "num", unit="px"),
+        Column("f", "f", "-f", "num", "Focal length of the baseline", "mm"),
+        Column("baseline", "Baseline", "baseline", "nowrap"),
+        Column("sets", "Sets", "-sets", "num", "Telemetry sets that are in use"),
+    ),
+    {"status": one_of(LEVELS), "q": is_text},
+    "sensor",
+    kind="dense",
+)
+CSV_FIELDS = {
+    "sensor": ("number", "sensor", "simulated"),
+    "status": ("status", "sentence"),
+    "model": ("camera_model",),
+    "detector": ("rows", "columns"),
+    "f": ("f_m",),
+    "baseline": ("baseline",),
+    "sets": ("telemetry_sets",),
+}
+ROWS_AT_ONCE = 500
 FIELDS = (
     ("name", "Unique in the fleet; becomes part of PS-<sensor>-<n>."),
     ("detector", "rows, columns, and pixel_pitch_m in metres."),
@@ -108,14 +133,35 @@ class Shown:
 
 @router.get("/sensors", response_class=HTMLResponse)
 def sensors_page(request: Request, actor: Who, example: str = "") -> HTMLResponse:
-    """Show the list and the form, filled with the example when asked."""
+    """Show a page of sensors and the form, filled with the example when asked."""
     return _page(request, actor, Shown(EXAMPLE if example else ""))
 
 
 @router.get("/sensors.csv")
-def sensors_csv(session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
-    """Give every sensor as CSV, lengths in metres."""
-    return csv_file("sensors", CSV_FIELDS, map(_csv_row, sensors.fleet_overview(session)))
+def sensors_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Give every sensor of a view as CSV, lengths in metres."""
+    view = read_view(request, SENSORS)
+    return csv_of(view, CSV_FIELDS, map(_csv_row, _every_tile(session, view)))
+
+
+def _narrowed(session: Session, view: View) -> dict[str, Any]:
+    """Narrow a view to the sensors that stand as it asks, which only looking at each of the fleet tells."""
+    if (status := view.where.get("status")) is None:
+        return {}
+    return {"status": None, "among": [one.sensor_id for one in fleet.standings(session) if one.status == status]}
+
+
+def _tiles(session: Session, sensor_ids: Sequence[int]) -> list[SensorTile]:
+    """Return the tiles of some sensors, in this order."""
+    tiles = {tile.sensor.id: tile for tile in sensors.fleet_overview(session, sensor_ids)}
+    return [tiles[sensor_id] for sensor_id in sensor_ids]
+
+
+def _every_tile(session: Session, view: View) -> Iterator[SensorTile]:
+    """Yield the tile of every sensor of a view."""
+    ids = iter([sensor.id for sensor in all_of(session, view, **_narrowed(session, view))])
+    while some := list(islice(ids, ROWS_AT_ONCE)):
+        yield from _tiles(session, some)
 
 
 def _csv_row(tile: SensorTile) -> dict[str, Any]:
@@ -139,12 +185,17 @@ def _csv_row(tile: SensorTile) -> dict[str, Any]:
 
 def _page(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
     """Render the list and the form."""
+    view = read_view(request, SENSORS)
     with reading(request.app.state.engine) as session:
+        found = page_of(session, view, **_narrowed(session, view))
         return render(
             request,
             "sensors.html",
             status_code=422 if shown.refusal else 200,
-            tiles=sensors.fleet_overview(session),
+            view=view,
+            tiles=_tiles(session, [sensor.id for sensor in found.rows]),
+            last=found.last,
+            levels=tuple(reversed(LEVELS)),
             may_register=bool({"analyst", "administrator"} & actor.roles),
             example=EXAMPLE,
             fields=FIELDS,

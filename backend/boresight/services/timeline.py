@@ -22,6 +22,7 @@ from boresight.errors import RefusedInputError
 from boresight.services.history import Event, Reader
 from boresight.services.sensors import get_sensor
 from boresight.store import approvals as approval_rows
+from boresight.store import sensors as sensor_rows
 from boresight.store import timeline as rows
 from boresight.store import uplinks as uplink_rows
 from boresight.store.sessions import Session, utc_now, utc_text
@@ -127,6 +128,33 @@ def as_of(session: Session, sensor_id: int, time: str | None = None) -> AsOf:
         profile=rows.in_force_at(session, GateProfile, sensor_id, time_utc),
         definition=rows.in_force_at(session, TableDefinition, sensor_id, time_utc),
     )
+
+
+@dataclass(frozen=True)
+class Board:
+    """Ground and board of one sensor as numbers and states: what orders a fleet, without what each line says.
+
+    Parameters
+    ----------
+    baseline_id
+        The set that is baseline; None where there is none.
+    on_board
+        Every set of which anything was recorded, with what was recorded last, in the order of recording.
+    """
+
+    sensor_id: int
+    name: str
+    baseline_id: int | None
+    on_board: Sequence[tuple[int, str]]
+
+
+def boards(session: Session) -> list[Board]:
+    """Return ground and board of every sensor now, by name, in three queries for the whole fleet."""
+    baselines, recorded = sensor_rows.baseline_heads(session), uplink_rows.newest_states(session)
+    return [
+        Board(head.id, head.name, baselines[head.id].id if head.id in baselines else None, recorded.get(head.id, ()))
+        for head in sensor_rows.sensor_heads(session)
+    ]
 
 
 def _learned_later(session: Session, sensor_id: int, time_utc: str) -> Records:

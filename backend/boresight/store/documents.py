@@ -57,27 +57,46 @@ class JsonText(sa.types.TypeDecorator[Any]):
         return None if value is None else read(value)
 
 
+class _TextIn(sa.sql.functions.GenericFunction[str]):
+    """A text inside a document: the engines read JSON in TEXT differently."""
+
+    type = sa.Text()
+    inherit_cache = True
+
+
 class _NumberIn(sa.sql.functions.GenericFunction[float]):
-    """A number inside a document: the engines read JSON in TEXT differently."""
+    """A number inside a document."""
 
     type = sa.Double()
     inherit_cache = True
 
 
+@compiles(_TextIn)
 @compiles(_NumberIn)
-def _of_sqlite(element: _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
+def _of_sqlite(element: _TextIn | _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
     """Extract by a path."""
-    column, key = (compiler.process(clause, **options) for clause in element.clauses)
-    return f"json_extract({column}, '$.' || {key})"
+    column, path = (compiler.process(clause, **options) for clause in element.clauses)
+    return f"json_extract({column}, '$.' || {path})"
+
+
+@compiles(_TextIn, "postgresql")
+def _text_of_postgresql(element: _TextIn | _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
+    """Read the text as JSON."""
+    column, path = (compiler.process(clause, **options) for clause in element.clauses)
+    return f"(CAST({column} AS JSON) #>> string_to_array({path}, '.'))"
 
 
 @compiles(_NumberIn, "postgresql")
-def _of_postgresql(element: _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
+def _number_of_postgresql(element: _NumberIn, compiler: SQLCompiler, **options: Any) -> str:
     """Read the text as JSON, and the member as a number."""
-    column, key = (compiler.process(clause, **options) for clause in element.clauses)
-    return f"CAST(CAST({column} AS JSON) ->> {key} AS DOUBLE PRECISION)"
+    return f"CAST({_text_of_postgresql(element, compiler, **options)} AS DOUBLE PRECISION)"
 
 
-def number_in(column: Any, key: str) -> sa.ColumnElement[float]:
-    """Return the expression of a number at a document's top level; NULL where there is none."""
-    return _NumberIn(sa.type_coerce(column, sa.Text), sa.literal(key, sa.Text))
+def text_in(column: Any, path: str) -> sa.ColumnElement[str]:
+    """Return the expression of a text in a document by the names on the way to it, a dot between; NULL where there is none."""
+    return _TextIn(sa.type_coerce(column, sa.Text), sa.literal(path, sa.Text))
+
+
+def number_in(column: Any, path: str) -> sa.ColumnElement[float]:
+    """Return the expression of a number in a document by the names on the way to it, a dot between; NULL where there is none."""
+    return _NumberIn(sa.type_coerce(column, sa.Text), sa.literal(path, sa.Text))

@@ -18,7 +18,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import defer
 
-from boresight.store.documents import number_in
+from boresight.store.documents import number_in, text_in
 from boresight.store.sessions import Session
 from boresight.store.tables import Approval, AuditRecord, ParameterSet, Run, Sensor, TelemetrySet, User
 
@@ -83,9 +83,37 @@ def _of_sensor_named(column: Any) -> Condition:
     return lambda text: column.in_(sa.select(Sensor.id).where(Sensor.name.icontains(text, autoescape=True)))
 
 
+def _baseline(column: Any) -> Any:
+    """Return the expression of a column of a sensor's baseline."""
+    of_sensor = sa.and_(ParameterSet.sensor_id == Sensor.id, ParameterSet.ground_state == "BASELINE")
+    return sa.select(column).where(of_sensor).correlate(Sensor).scalar_subquery()
+
+
+def _sets_in_use() -> Any:
+    """Return the expression of how many of a sensor's telemetry sets are not archived."""
+    in_use = sa.and_(TelemetrySet.sensor_id == Sensor.id, TelemetrySet.archived_utc.is_(None))
+    return sa.select(sa.func.count()).select_from(TelemetrySet).where(in_use).correlate(Sensor).scalar_subquery()
+
+
 _final, _initial = (number_in(Run.summary, f"rms_{when}_arc_rad") for when in ("final", "initial"))
 
 LISTS = {
+    "sensors": List(
+        Sensor,
+        {
+            "name": Sensor.name,
+            "sensor": sa.func.lower(Sensor.name),
+            "model": text_in(Sensor.document, "camera_model"),
+            "detector": number_in(Sensor.document, "detector.rows") * number_in(Sensor.document, "detector.columns"),
+            "f": _baseline(number_in(ParameterSet.document, "parameters.f_m")),
+            "baseline": sa.func.lower(_baseline(ParameterSet.name)),
+            "sets": _sets_in_use(),
+        },
+        {
+            "q": _holds(Sensor.name),
+            "among": Sensor.id.in_,
+        },
+    ),
     "runs": List(
         Run,
         {

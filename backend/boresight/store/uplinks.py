@@ -37,6 +37,17 @@ def records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[t
     return [(parameter_set, uplink) for parameter_set, uplink in rows]
 
 
+def newest_states(session: Session) -> dict[int, list[tuple[int, str]]]:
+    """Return of every sensor with records its sets and what was recorded last of each, by sensor, in the order of recording."""
+    newest = sa.select(sa.func.max(Uplink.id)).group_by(Uplink.parameter_set_id)
+    columns = (ParameterSet.sensor_id, ParameterSet.id, Uplink.onboard_state)
+    query = sa.select(*columns).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
+    found: dict[int, list[tuple[int, str]]] = {}
+    for sensor_id, set_id, state in session.execute(query.where(Uplink.id.in_(newest)).order_by(Uplink.id)):
+        found.setdefault(sensor_id, []).append((set_id, state))
+    return found
+
+
 def newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:
     """Return what was recorded last of a set, or last in a state."""
     query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id).order_by(Uplink.id.desc()).limit(1)

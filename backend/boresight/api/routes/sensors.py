@@ -15,7 +15,7 @@ from boresight.api.keeping import Known, whole_tag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
-from boresight.services import sensors, uplinks
+from boresight.services import lists, sensors, uplinks
 
 router = APIRouter(prefix="/sensors", tags=["sensors"])
 
@@ -38,9 +38,8 @@ def _shown(row: Any, status: int = 200, **headers: str) -> Answer:
 @router.get("", name="list_sensors", summary="List the fleet", response_model=Page[schemas.Sensor])
 def list_sensors(known: Known, session: Reading, page: Paged) -> Response:  # noqa: ARG001 - asked for what it refuses
     """List the fleet by name."""
-    return json_response(
-        page.cut_whole(sensors.list_sensors(session), lambda row: schemas.written(schemas.Sensor, row))
-    )
+    found = lists.page_of(session, "sensors", {}, "name", before_id=page.last_id, limit=page.limit + 1)
+    return json_response(page.cut(found, lambda row: schemas.written(schemas.Sensor, row)))
 
 
 @router.post(
