@@ -4,7 +4,8 @@
  * After each change the form is sent to the server as a dry run (`intent=check`), the same checks as queueing, and the
  * answer's summary replaces the one shown. Sets of another sensor are hidden, and options of another method disabled. Data
  * and method are kept in the address, beside the preset or the run that the form began from, and so is every control that
- * differs from how the form begins (`data-begun`): a reload shows the same form.
+ * differs from how the form begins (`data-begun`): a reload shows the same form. Of a large fleet the form holds the sets of one
+ * sensor (`shown`): choosing another, or finding one by its name, asks for the form again.
  */
 import { send } from "./problem.js";
 
@@ -70,8 +71,8 @@ function said() {
   return values;
 }
 
-/** Let the address, the form and the presets say what is chosen; a control that says nothing is named with nothing. */
-function keepInAddress() {
+/** The address that says what is chosen; a control that says nothing is named with nothing. */
+function address() {
   const [url, begun] = [new URL(location.href), new URLSearchParams(form.dataset.begun)];
   for (const [name, values] of said()) {
     const key = ALWAYS[name] ?? name;
@@ -81,13 +82,37 @@ function keepInAddress() {
     if (ALWAYS[name] || `${before.sort()}` === `${values.toSorted()}`) continue;
     for (const value of values.length ? values : [""]) url.searchParams.append(key, value);
   }
+  return url;
+}
+
+/** Let the address, the form and the presets say what is chosen. */
+function keepInAddress() {
+  const url = address();
   history.replaceState(history.state, "", url);
   form.action = url;
-  const beginning = [...url.searchParams].filter(([name]) => ["sensor", "set", "clone"].includes(name));
+  const beginning = [...url.searchParams].filter(([name]) => ["sensor", "set", "clone", "find"].includes(name));
   for (const button of form.querySelectorAll("[data-preset]")) {
     url.search = new URLSearchParams([...beginning, ["preset", button.dataset.preset]]);
     button.formAction = url;
   }
+}
+
+/** Ask for the form of another sensor, with everything chosen that holds for any; going back finds this one as it was. */
+function openSensor() {
+  const url = address();
+  for (const name of [...url.searchParams.keys()]) {
+    if (["set", "validation_set_id"].includes(name) || name.startsWith("free-")) url.searchParams.delete(name);
+  }
+  form.elements.sensor_id.value = form.elements.shown.value;
+  location.assign(url);
+}
+
+/** Find sensors by name, with everything chosen kept. */
+function find(event) {
+  event.preventDefault();
+  const url = address();
+  url.searchParams.set("find", event.target.elements.find.value);
+  location.assign(url);
 }
 
 async function check() {
@@ -124,7 +149,10 @@ function changed() {
 }
 
 if (form) {
-  form.addEventListener("input", () => {
+  document.querySelector("form[data-find]")?.addEventListener("submit", find);
+  form.addEventListener("input", ({ target }) => {
+    if (target.type === "search") return;
+    if (target.name === "sensor_id" && form.elements.shown) return openSensor();
     changed();
     keepInAddress();
   });

@@ -16,7 +16,8 @@ from starlette.datastructures import FormData, QueryParams
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import BoresightError, NotFoundError
 from boresight.pages.attempts import Outcome, Refusal, attempt
-from boresight.pages.launch import Origin, origin_of
+from boresight.pages.launch import origin_of
+from boresight.pages.launch_data import Origin
 from boresight.pages.launch_form import Typed, typed_form
 from boresight.pages.methods import METHODS, NUMBERS, WORDS
 from boresight.pages.rendering import redirect, render
@@ -102,7 +103,7 @@ async def campaign_launch(request: Request, session: Reading, actor: Who) -> Res
     """Apply a preset (`intent=preset`), queue the campaign (`queue`), or only check."""
     form = await request.form()
     origin = await run_in_threadpool(origin_of, request, session)
-    typed, members = typed_form(form, ()), _chosen(form)
+    typed, members = typed_form(form), _chosen(form)
     if form.get("intent") == "preset" and origin.preset is not None:
         typed = typed.under(origin.preset.settings)
     order = partial(_launch, actor=actor, typed=typed, origin=origin, members=members)

@@ -17,7 +17,6 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.filters import IN_EITHER_FORM
 from boresight.pages.forms import texts_of
 from boresight.pages.methods import is_sequential
-from boresight.store.tables import Sensor
 
 
 def _text(value: Any) -> str:
@@ -192,9 +191,10 @@ def decimal(text: str, name: str) -> float:
         raise RefusedInputError(f"The {name} {text.strip()!r} is not a number; type one, such as 0.02.") from error
 
 
-def typed_form(form: FormData, fleet: Sequence[Sensor]) -> Typed:
-    """Read the form as typed."""
+def typed_form(form: FormData) -> Typed:
+    """Read the form as typed; free parameters are those of the sensors whose boxes are ticked."""
     text = texts_of(form)
     named = {name: text.get(name, "") for name in Typed.__dataclass_fields__ if name != "free"}
-    free = {sensor.id: [str(name) for name in form.getlist(f"free-{sensor.id}")] for sensor in fleet}
+    ticked = {name: name.removeprefix("free-") for name in form if name.startswith("free-")}
+    free = {int(number): list(map(str, form.getlist(name))) for name, number in ticked.items() if number.isdecimal()}
     return Typed(**{**DEFAULTS, **{name: value for name, value in named.items() if value}}, free=free)
