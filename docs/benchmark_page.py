@@ -242,7 +242,7 @@ def _growth(found: dict[str, Any]) -> str:
 
 SECTIONS = {
     "kernels": _kernels, "accuracy": _accuracy, "growth": _growth, "whole": part_tables.whole, "spread": part_tables.spread,
-    "queue": part_tables.queue, "clients": part_tables.clients,
+    "queue": part_tables.queue, "clients": part_tables.clients, "fleet": part_tables.fleet,
 }  # fmt: skip
 
 

@@ -211,8 +211,8 @@ AFTER = """## What this does not say
 - Sizes hold for sets with given matches and about eleven stars an exposure; bytes grow with stars. Trust pictures make up
   most of a result's constant.
 - Nothing is deleted here. An archive rule (drop results of filters after a month, keep batches) divides the files of results.
-- Reads were measured on a store of one sensor, every page made anew after a commit. The overview draws the 120
-  sensors that stand worst, but looks at all of them, as the top bar does, and the list of sensors shows all on one page: at
-  thousands such a page takes seconds, and an open console reads its page again after each event. Programs read in pages.
+- Reads were measured on a store of one sensor, every page made anew after a commit. What pages of ten thousand sensors take is
+  the part `fleet`: lists come page by page, and the overview draws the 120 sensors that stand worst; only it and the top bar look
+  at how every sensor stands, and an open console reads its page again after each event.
 - The audit log's chain is verified from its first record: with the rows above, verify from a stored head, not from the beginning.
 """

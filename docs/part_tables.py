@@ -128,3 +128,21 @@ def clients(found: Mapping[str, Any]) -> str:
         + "\n"
         + others(found, tuple(CROWDS))
     )
+
+
+def fleet(found: Mapping[str, Any]) -> str:
+    """Every page by the size of the fleet, and the first page after a start."""
+    fleets = found["fleets"]
+    sizes = list(fleets)
+    rows = [
+        [f"`{path}`", *(number(fleets[size]["pages"][path][key]) for size in sizes for key in ("median_ms", "kb"))]
+        for path in fleets[sizes[0]]["pages"]
+    ]
+    heads = ("page", *(f"{int(size):,} sensors: {unit}" for size in sizes for unit in ("ms", "kB")))
+    first = ", ".join(f"{number(fleets[size]['first_page_s'])} s of {int(size):,}" for size in sizes)
+    return (
+        f"Median of {found['looks']} looks by one person, something being committed before each, so that every page is made anew; "
+        f"bytes before compression. Every sensor has {found['runs_each']} runs.\n\n"
+        + table(heads, rows)
+        + f"\nThe first page after a start waits until the drift of every sensor has been judged once: {first}.\n"
+    )

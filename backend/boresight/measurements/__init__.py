@@ -69,6 +69,9 @@ PARTS: dict[str, Part] = {
     "clients": Part(
         "boresight.measurements.clients", "200 clients on the list of runs, 500 that follow the feed and miss nothing"
     ),
+    "fleet": Part(
+        "boresight.measurements.fleet_pages", "the console's pages of ten sensors, a thousand and ten thousand"
+    ),
     "footprint": Part(
         "boresight.measurements.footprint", "what one more frame, run, sensor and record costs in time, files and rows"
     ),

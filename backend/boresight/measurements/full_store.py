@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import sqlalchemy as sa
 from starlette.responses import Response
 
 from boresight.api.cookies import LogInCookie
@@ -23,13 +24,14 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.store.blobs import open_blobs
 from boresight.store.sessions import Engine, Session, migrate, open_engine, utc_after, writing
-from boresight.store.tables import Run
+from boresight.store.tables import Run, Sensor, TelemetrySet
 from boresight.telemetry.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 
 PEOPLE = 10
 FRAMES = 20
 RUNS_A_RECORD = 500
+SENSORS_A_RECORD = 250
 PASSWORD = "a long enough password"  # noqa: S105 - of people who exist for a measurement
 METHODS = ("batch", "sqrf", "ekf", "ukf")
 SUMMARY = {
@@ -122,6 +124,36 @@ def _add_runs(engine: Engine, runs: int, sensor_id: int, set_id: int) -> None:
             numbers = range(first, min(first + RUNS_A_RECORD, runs))
             session.add_all(_run(number, runs, sensor_id, set_id, document) for number in numbers)
             audit.append(session, SYSTEM, "imported", "runs", None, {"runs": len(numbers)})
+
+
+def add_sensors(folder: Path, filled: Filled, sensors_in_all: int, runs_each: int) -> None:
+    """Add sensors like the first one until there are so many, each with a telemetry set of its own and runs that have ended.
+
+    A set is a row on the first sensor's file: nothing of it is computed.
+    """
+    engine = open_engine(settings_in(folder).database_url)
+    document = sensor_document(calibration_scenario(1).sensor)
+    try:
+        for first in range(1, sensors_in_all, SENSORS_A_RECORD):
+            with writing(engine) as session:
+                person = users.list_users(session)[0]
+                actor = Actor(person.id, person.name, person.printed_name, frozenset(person.roles), "session")
+                like = session.get_one(TelemetrySet, filled.telemetry_set_id)
+                for number in range(first, min(first + SENSORS_A_RECORD, sensors_in_all)):
+                    row = sensors.register_sensor(session, actor, document | {"name": f"ST-{number:05d}"})
+                    made = _set_like(like, row)
+                    session.add(made)
+                    session.flush()
+                    session.add_all(_run(place, runs_each, row.id, made.id, document) for place in range(runs_each))
+                audit.append(session, SYSTEM, "imported", "sensors", None, {"from": first})
+    finally:
+        engine.dispose()
+
+
+def _set_like(like: TelemetrySet, sensor: Sensor) -> TelemetrySet:
+    """Return the row of a telemetry set that has another's file."""
+    columns = {column.key: getattr(like, column.key) for column in sa.inspect(TelemetrySet).column_attrs}
+    return TelemetrySet(**columns | {"id": None, "sensor_id": sensor.id, "name": f"set of {sensor.name}"})
 
 
 def _run(number: int, runs: int, sensor_id: int, set_id: int, document: dict[str, Any]) -> Run:
