@@ -47,7 +47,7 @@ def test_a_fleet_that_can_be_looked_over_is_offered_whole_whatever_is_sought(ses
     found = sensors.choices(session, find="no such", keep=[1])
     assert found.is_all
     assert list(found.names.values()) == sorted(found.names.values())
-    assert len(found.names) == found.found == found.fitting == MOST_CHOICES
+    assert len(found.names) == found.found == found.fitting == found.fleet == MOST_CHOICES
 
 
 def test_one_sensor_more_makes_a_fleet_large(session: Session) -> None:
@@ -67,7 +67,7 @@ def test_of_a_large_fleet_the_first_that_hold_the_text_are_offered_and_what_is_k
     fitting = _fitting(find)
     kept = sorted({every[number] for number in keep if number in every} - set(fitting[:MOST_CHOICES]))
     assert not found.is_all
-    assert found.fitting == len(fitting)
+    assert (found.fitting, found.fleet) == (len(fitting), len(FLEET))
     assert found.found == min(len(fitting), MOST_CHOICES)
     assert list(found.names.values()) == kept + fitting[:MOST_CHOICES]
     assert all(every[number] == name for number, name in found.names.items())

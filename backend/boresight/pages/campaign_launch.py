@@ -1,8 +1,13 @@
-"""Launching a campaign: a setting, the sensors with their sets, and what it would be before it is queued."""
+"""Launching a campaign: a setting, the sensors with their sets, and what it would be before it is queued.
+
+Of a small fleet every sensor has a row, and those with telemetry are ticked. Of a larger one those have rows that are ticked
+and those that are found by name; nothing is ticked until somebody does. Finding others sends the form (`intent=find`), so that
+every tick and its sets stay; `intent=all` ticks what is found besides.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -23,13 +28,15 @@ from boresight.pages.methods import METHODS, NUMBERS, WORDS
 from boresight.pages.rendering import redirect, render
 from boresight.services import campaigns, presets, sensors, telemetry_sets
 from boresight.services.actors import Actor
-from boresight.services.campaign_places import Member
+from boresight.services.campaign_places import MOST_SENSORS, Member
+from boresight.services.sensors import Choices
 from boresight.store.sessions import Session
-from boresight.store.tables import Sensor
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
 MOST_SETS = 5000
+NEWEST_SETS = 5  # of either purpose, that a row offers where the fleet is large
+LONGEST_NUMBER = 9  # digits of a row's number
 
 
 @dataclass(frozen=True)
@@ -40,17 +47,45 @@ class Sets:
     validation: list[Any] = field(default_factory=list)
 
 
-def _sets(session: Session) -> dict[int, Sets]:
-    """Return the sets of every sensor."""
+@dataclass(frozen=True)
+class Offered:
+    """The sensors that have a row, the sets that each can be calibrated on, and which are ticked."""
+
+    choices: Choices
+    sets: Mapping[int, Sets]
+    ticked: Collection[int]
+
+    @property
+    def able(self) -> list[int]:
+        """The sensors that have something to be calibrated on, in the order of the rows."""
+        return [number for number in self.choices.names if number in self.sets and self.sets[number].calibration]
+
+    @property
+    def begun(self) -> list[int]:
+        """The sensors that are ticked as the form begins."""
+        return self.able if self.choices.is_all else []
+
+
+def _offer(session: Session, given: FormData | QueryParams) -> Offered:
+    """Read what the form offers that was sent, or that an address begins: what is ticked, and what it seeks."""
+    members = _chosen(given)
+    choices = sensors.choices(session, find=str(given.get("find", "")), keep=[member.sensor_id for member in members])
+    chosen = {one for member in members for one in (member.telemetry_set_id, member.validation_set_id)}
+    keep = [one for one in chosen if isinstance(one, int)]
     found: dict[int, Sets] = {}
-    for row in telemetry_sets.list_telemetry_sets(session, limit=MOST_SETS):
+    for row in (
+        telemetry_sets.list_telemetry_sets(session, limit=MOST_SETS)
+        if choices.is_all
+        else telemetry_sets.sets_of(session, choices.names, newest=NEWEST_SETS, keep=keep)
+    ):
         getattr(found.setdefault(row.sensor_id, Sets()), row.purpose).append(row)
-    return found
+    return Offered(choices, found, {member.sensor_id for member in members})
 
 
 def _chosen(form: FormData | QueryParams) -> list[Member]:
     """Read the sensors that are ticked, and their sets."""
-    return [_member(form, int(number)) for number in map(str, form.getlist("sensors")) if number.isdecimal()]
+    texts = map(str, form.getlist("sensors"))
+    return [_member(form, int(text)) for text in texts if text.isdecimal() and len(text) <= LONGEST_NUMBER]
 
 
 def _member(form: FormData | QueryParams, number: int) -> Member:
@@ -61,20 +96,18 @@ def _member(form: FormData | QueryParams, number: int) -> Member:
 def _set(form: FormData | QueryParams, name: str) -> Any:
     """Read a set's number, `newest`, or None for none."""
     value = form.get(name, "newest")
-    return int(value) if isinstance(value, str) and value.isdecimal() else (value or None)
+    is_number = isinstance(value, str) and value.isdecimal() and len(value) <= LONGEST_NUMBER
+    return int(str(value)) if is_number else (value or None)
 
 
 @router.get("/campaigns/new", response_class=HTMLResponse)
 def campaign_form(request: Request, session: Reading, actor: Who) -> HTMLResponse:
-    """Show the form as the address says, else with the whole fleet chosen."""
+    """Show the form as the address says, else with the whole of a small fleet chosen."""
     origin, address = origin_of(request, session), request.query_params
-    typed = _begun(origin).amended(address)
-    members = (
-        _chosen(address) if "sensors" in address else [_member(address, number) for number in _able(_sets(session))]
-    )
-    return _page(
-        request, session, actor, replace(typed, method=origin.method or typed.method), origin, members, address
-    )
+    typed, offered = _begun(origin).amended(address), _offer(session, address)
+    typed = replace(typed, method=origin.method or typed.method)
+    offered = offered if "sensors" in address else replace(offered, ticked=set(offered.begun))
+    return _page(request, session, actor, typed, origin, offered, address)
 
 
 def _begun(origin: Origin) -> Typed:
@@ -82,38 +115,37 @@ def _begun(origin: Origin) -> Typed:
     return Typed() if origin.preset is None else Typed().under(origin.preset.settings)
 
 
-def _able(sets: Mapping[int, Sets]) -> list[int]:
-    """Return the sensors that have something to be calibrated on."""
-    return [number for number, of_sensor in sets.items() if of_sensor.calibration]
-
-
-def _beginning(origin: Origin, sets: Mapping[int, Sets]) -> str:
+def _beginning(origin: Origin, offered: Offered) -> str:
     """Write the form as it begins, as an address's query."""
     newest = [
         (f"{purpose}-{number}", "newest")
-        for number, of_sensor in sets.items()
+        for number, of_sensor in offered.sets.items()
         for purpose in ("calibration", "validation")
         if getattr(of_sensor, purpose)
     ]
-    return f"{_begun(origin).query}&{urlencode([*(('sensors', number) for number in _able(sets)), *newest])}"
+    return f"{_begun(origin).query}&{urlencode([*(('sensors', number) for number in offered.begun), *newest])}"
 
 
 @router.post("/campaigns/new", response_class=HTMLResponse)
 async def campaign_launch(request: Request, session: Reading, actor: Who) -> Response:
-    """Apply a preset (`intent=preset`), queue the campaign (`queue`), or only check."""
+    """Apply a preset (`intent=preset`), find sensors (`find`), tick what is found (`all`), queue (`queue`), or only check."""
     form = await request.form()
     origin = await run_in_threadpool(origin_of, request, session)
     typed, members = typed_form(form), _chosen(form)
     if form.get("intent") == "preset" and origin.preset is not None:
         typed = typed.under(origin.preset.settings)
     order = partial(_launch, actor=actor, typed=typed, origin=origin, members=members)
-    if form.get("intent") == "queue":
+    intent, outcome = form.get("intent"), None
+    if intent == "queue":
         outcome = await attempt(request, order)
         if outcome.value is not None:
             return redirect(f"/campaigns/{outcome.value.id}", flash="The campaign is queued.")
-    else:
+    elif intent not in {"find", "all"}:
         outcome = await run_in_threadpool(_checked, partial(order, session, validate_only=True))
-    return await run_in_threadpool(_page, request, session, actor, typed, origin, members, form, outcome)
+    offered = await run_in_threadpool(_offer, session, form)
+    if intent == "all":
+        offered = replace(offered, ticked={*offered.ticked, *offered.able})
+    return await run_in_threadpool(_page, request, session, actor, typed, origin, offered, form, outcome)
 
 
 def _launch(
@@ -156,29 +188,28 @@ def _page(
     actor: Actor,
     typed: Typed,
     origin: Origin,
-    members: Sequence[Member],
+    offered: Offered,
     given: FormData | QueryParams,
     outcome: Outcome[Any] | None = None,
 ) -> HTMLResponse:
     """Render the form with what was typed and what the check said."""
-    fleet: Sequence[Sensor] = sensors.list_sensors(session)
-    refusal, sets = outcome.refusal if outcome else None, _sets(session)
+    refusal = outcome.refusal if outcome else None
     return render(
         request,
         "campaign_launch.html",
         status_code=422 if refusal and given.get("intent") == "queue" else 200,
-        sensors=fleet,
-        sets=sets,
-        chosen={sensor.id: _member(given, sensor.id) for sensor in fleet},
-        ticked={member.sensor_id for member in members},
+        offered=offered,
+        has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
+        chosen={number: _member(given, number) for number in offered.choices.names},
         nothing=Sets(),
         methods=METHODS,
         words={**WORDS, **NUMBERS},
         typed=typed,
         origin=origin,
-        begun=_beginning(origin, sets),
+        begun=_beginning(origin, offered),
         offers=presets.offers(session),
         refusal=refusal,
         summary=outcome.value if outcome else None,
         may_launch="analyst" in actor.roles,
+        most=MOST_SENSORS,
     )

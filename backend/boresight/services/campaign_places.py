@@ -13,6 +13,7 @@ from typing import Any, Literal
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.services.orders import Order, ordered
 from boresight.store import campaigns as rows
+from boresight.store import sensor_names
 from boresight.store import sensors as sensor_rows
 from boresight.store.sessions import Session
 from boresight.store.tables import Sensor
@@ -57,10 +58,13 @@ def places_of(
     RefusedInputError
         When there are too many sensors, one twice, or none that can have a run.
     """
-    fleet = {sensor.id: sensor for sensor in sensor_rows.sensors(session)}
-    wanted = [Member(sensor_id) for sensor_id in fleet] if members is None else list(members)
-    _refuse_members(wanted, fleet)
-    newest = rows.newest_sets(session)
+    wanted = [Member(number) for number, _ in _by_name(session)] if members is None else list(members)
+    ids = [member.sensor_id for member in wanted]
+    _refuse_members(ids)
+    fleet = {sensor.id: sensor for sensor in sensor_rows.sensors(session, ids)}
+    if strange := [number for number in ids if number not in fleet]:
+        raise NotFoundError(f"There is no sensor {strange[0]}; choose from the list.")
+    newest = rows.newest_sets(session, ids)
     named = [(member, *_sets_of(member, newest)) for member in wanted]
     numbers = {number for _, *numbers in named for number in numbers if number is not None}
     held = rows.sets_numbered(session, numbers)  # while these are held, an order finds its own without a statement
@@ -74,17 +78,19 @@ def places_of(
     return places
 
 
-def _refuse_members(wanted: Sequence[Member], fleet: Mapping[int, Sensor]) -> None:
-    """Refuse sensors that there are not, twice the same, none, or too many."""
-    ids = [member.sensor_id for member in wanted]
+def _by_name(session: Session) -> list[tuple[int, str]]:
+    """Return the numbers and names of the fleet, by name."""
+    return sorted(sensor_names.names(session, None).items(), key=lambda one: one[1])
+
+
+def _refuse_members(ids: Sequence[int]) -> None:
+    """Refuse twice the same sensor, none, or too many."""
     if not ids:
         raise RefusedInputError("A campaign needs at least one sensor; choose some.")
     if len(ids) > MOST_SENSORS:
         raise RefusedInputError(f"A campaign holds at most {MOST_SENSORS} sensors, not {len(ids)}; launch several.")
     if len(set(ids)) < len(ids):
         raise RefusedInputError("A sensor is in the campaign twice; name each once.")
-    if strange := [number for number in ids if number not in fleet]:
-        raise NotFoundError(f"There is no sensor {strange[0]}; choose from the list.")
 
 
 def _sets_of(member: Member, newest: Mapping[tuple[int, str], int]) -> tuple[int | None, int | None]:

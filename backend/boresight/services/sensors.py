@@ -1,7 +1,7 @@
 """Sensors: registering star trackers, choosing among them, and the state of the fleet at a glance.
 
 A chooser names every sensor of a fleet that one can look over; of a larger one, the first by name that hold what is
-sought. However large the fleet, it costs three short queries of at most `MOST_CHOICES` names.
+sought. However large the fleet, it costs a few short queries of at most `MOST_CHOICES` names.
 """
 
 from __future__ import annotations
@@ -146,6 +146,8 @@ class Choices:
         How many of `names` it found.
     fitting
         How many sensors of the fleet hold it.
+    fleet
+        How many there are.
     """
 
     names: Mapping[int, str]
@@ -153,6 +155,7 @@ class Choices:
     find: str
     found: int
     fitting: int
+    fleet: int
 
 
 def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Choices:
@@ -174,10 +177,10 @@ def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Ch
     find = find.strip()[:LONGEST_NAME]
     first = sensor_names.holding(session, "", MOST_CHOICES + 1)
     if len(first) <= MOST_CHOICES:
-        return Choices(first, is_all=True, find=find, found=len(first), fitting=len(first))
+        return Choices(first, is_all=True, find=find, found=len(first), fitting=len(first), fleet=len(first))
     found = dict(list((sensor_names.holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
     kept = sensor_names.names(session, set(keep) - found.keys())
     kept = dict(sorted(kept.items(), key=lambda one: one[1]))
-    return Choices(
-        kept | found, is_all=False, find=find, found=len(found), fitting=sensor_names.count_holding(session, find)
-    )
+    fleet = sensor_names.count_holding(session, "")
+    fitting = sensor_names.count_holding(session, find) if find else fleet
+    return Choices(kept | found, is_all=False, find=find, found=len(found), fitting=fitting, fleet=fleet)

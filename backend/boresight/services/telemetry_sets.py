@@ -243,6 +243,19 @@ def names_of(session: Session, set_ids: Collection[int] | None = None) -> dict[i
     return rows.names(session, set_ids)
 
 
+def sets_of(session: Session, sensor_ids: Collection[int], *, newest: int, keep: Collection[int] = ()) -> Sequence[Any]:
+    """Return id, sensor_id, purpose, name and frames of the sets in use of some sensors, newest first.
+
+    Parameters
+    ----------
+    newest
+        How many of either purpose, the newest, of each sensor.
+    keep
+        Numbers of sets that are among them however old they are.
+    """
+    return rows.heads_of(session, sensor_ids, newest, keep)
+
+
 def list_telemetry_sets(
     session: Session,
     *,

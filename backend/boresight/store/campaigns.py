@@ -156,11 +156,11 @@ def sets_numbered(session: Session, set_ids: Collection[int]) -> list[TelemetryS
     ]
 
 
-def newest_sets(session: Session) -> dict[tuple[int, str], int]:
-    """Return the newest set in use of every sensor and purpose, by (sensor id, purpose)."""
+def newest_sets(session: Session, sensor_ids: Collection[int]) -> dict[tuple[int, str], int]:
+    """Return the newest set in use of each of these sensors and purpose, by (sensor id, purpose)."""
     query = (
         sa.select(TelemetrySet.sensor_id, TelemetrySet.purpose, sa.func.max(TelemetrySet.id))
-        .where(TelemetrySet.archived_utc.is_(None))
+        .where(TelemetrySet.archived_utc.is_(None), TelemetrySet.sensor_id.in_(sensor_ids))
         .group_by(TelemetrySet.sensor_id, TelemetrySet.purpose)
     )
     return {(sensor_id, purpose): newest for sensor_id, purpose, newest in session.execute(query)}

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import sqlalchemy as sa
 
+from boresight.store import seals
 from boresight.store.sessions import Session
 from boresight.store.tables import TelemetrySet
 
@@ -30,6 +32,27 @@ def sets(
     if before_id is not None:
         query = query.where(TelemetrySet.id < before_id)
     return session.scalars(query).all()
+
+
+def heads_of(session: Session, sensor_ids: Collection[int], newest: int, set_ids: Collection[int]) -> list[Any]:
+    """Return id, sensor_id, purpose, name and frames of sensors' sets in use, newest first.
+
+    Parameters
+    ----------
+    newest
+        How many of either purpose, the newest, of each sensor.
+    set_ids
+        Sets that are among them however old they are.
+    """
+    row = TelemetrySet
+    age = sa.func.row_number().over(partition_by=(row.sensor_id, row.purpose), order_by=row.id.desc()).label("age")
+    found: list[Any] = []
+    for some in seals.portions(sorted(sensor_ids)):
+        of_these = sa.select(row.id, row.sensor_id, row.purpose, row.name, row.frames, age)
+        aged = of_these.where(row.sensor_id.in_(some), row.archived_utc.is_(None)).subquery()
+        wanted = sa.or_(aged.c.age <= newest, aged.c.id.in_(set_ids))
+        found += session.execute(sa.select(aged).where(wanted).order_by(aged.c.id.desc()))
+    return found
 
 
 def names(session: Session, set_ids: Collection[int] | None) -> dict[int, str]:
