@@ -97,6 +97,12 @@ function keepInAddress() {
   }
 }
 
+/** Whether another sensor is chosen than the one whose sets the form holds, perhaps before this script was there. */
+function isOfAnother() {
+  const shown = form.elements.shown?.value;
+  return Boolean(shown) && shown !== form.elements.sensor_id.value;
+}
+
 /** Ask for the form of another sensor, with everything chosen that holds for any; going back finds this one as it was. */
 function openSensor() {
   const url = address();
@@ -126,7 +132,7 @@ async function check() {
     const answer = await fetch(form.action, { method: "POST", body, signal: flight.signal });
     if (answer.status >= 500) return await send(form.action);
     const page = new DOMParser().parseFromString(await answer.text(), "text/html");
-    for (const part of ["[data-dry-run]", "[data-changes]"]) {
+    for (const part of ["[data-dry-run]", "[data-changes]", "[data-ticked]"]) {
       const fresh = page.querySelector(part);
       if (fresh) document.querySelector(part)?.replaceChildren(...fresh.childNodes);
     }
@@ -152,10 +158,11 @@ if (form) {
   document.querySelector("form[data-find]")?.addEventListener("submit", find);
   form.addEventListener("input", ({ target }) => {
     if (target.type === "search") return;
-    if (target.name === "sensor_id" && form.elements.shown) return openSensor();
+    if (target.name === "sensor_id" && isOfAnother()) return openSensor();
     changed();
     keepInAddress();
   });
+  if (isOfAnother()) openSensor();
   changed();
   if ("answered" in form.dataset) keepInAddress();
 }
