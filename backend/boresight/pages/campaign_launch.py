@@ -35,7 +35,7 @@ from boresight.store.sessions import Session
 router = APIRouter(dependencies=[Depends(csrf)])
 
 MOST_SETS = 5000
-NEWEST_SETS = 5  # of either purpose, that a row offers where the fleet is large
+NEWEST_SETS = 3  # of either purpose, that a row offers where the fleet is large
 LONGEST_NUMBER = 9  # digits of a row's number
 
 
@@ -212,4 +212,5 @@ def _page(
         summary=outcome.value if outcome else None,
         may_launch="analyst" in actor.roles,
         most=MOST_SENSORS,
+        newest=NEWEST_SETS,
     )
