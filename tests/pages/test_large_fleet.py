@@ -163,6 +163,11 @@ def test_what_is_sought_is_taken_as_it_is_written(ada, read, text):
     )
 
 
+@pytest.mark.parametrize("path", ["/runs", "/telemetry", "/alarms", "/parameter-sets"])
+def test_what_no_store_can_hold_narrows_nothing(ada, path):
+    assert "fits these filters" not in ada.get(f"{path}?sensor_name=%00&q=%00")
+
+
 def test_the_name_stays_in_the_addresses_of_the_other_pages_and_of_the_file(ada):
     page = ada.get("/telemetry?sensor_name=fleet-0")
     assert "/telemetry.csv?sensor_name=fleet-0" in page

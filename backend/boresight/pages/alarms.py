@@ -22,7 +22,7 @@ from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import Names, read_names
-from boresight.pages.tables import LONGEST_FILTER, csv_file
+from boresight.pages.tables import LONGEST_FILTER, csv_file, is_text
 from boresight.services import alarms, sensors, users
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session, reading, utc_after
@@ -47,7 +47,7 @@ def _sought(state: str = "", sensor: str = "", sensor_name: str = "", kind: str 
     """Read the filters; one that does not exist is none."""
     return alarms.Sought(
         sensor_id=int(sensor) if sensor.isdecimal() and int(sensor) <= GREATEST_ID else None,
-        sensor_name=sensor_name.strip()[:LONGEST_FILTER],
+        sensor_name=sensor_name.strip()[:LONGEST_FILTER] if is_text(sensor_name) else "",
         kind=kind if kind in ALARM_KINDS else None,
         state=state if state in alarms.STATES else None,
     )

@@ -87,8 +87,8 @@ def is_number(text: str) -> bool:
 
 
 def is_text(text: str) -> bool:
-    """Accept any words."""
-    return bool(text.strip())
+    """Accept any words that a store can hold."""
+    return bool(text.strip()) and "\0" not in text
 
 
 def one_of(words: Iterable[str]) -> Accepts:
