@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from boresight.services import alarms, sensors, watch
+from boresight.services import alarms, fleet, sensors, watch
 from boresight.services.actors import COMMAND_LINE
 from boresight.services.trend_views import trend_document
 from boresight.simulation.sensors import st16_sensor
 from boresight.store import alarms as rows
+from boresight.store import sensors as of_sensors
 from boresight.store import trends
 from boresight.store.sessions import Engine, reading, utc_after, writing
 from boresight.telemetry.sensors import sensor_document
@@ -51,3 +52,29 @@ def test_a_trend_and_the_newest_summaries_are_read(store: Engine) -> None:
         assert [summary["trend"]["parameters"] for summary in newest] == [
             run.summary["trend"]["parameters"] for run in trends.finished(session, [1])[1][-3:]
         ]
+
+
+def test_of_each_sensor_its_own_newest_run_is_found_and_a_head_says_what_its_row_does(store: Engine) -> None:
+    rng = np.random.default_rng(5)
+    with writing(store) as session:
+        for name in ("B", "C"):
+            document = sensor_document(st16_sensor(1)) | {"name": name}
+            number = sensors.register_sensor(session, COMMAND_LINE, document).id
+            for day in range(3) if name == "B" else ():
+                add_run(session, add_set(session, number, 30.0 * day), rng)
+    with reading(store) as session:
+        newest = {number: max(run.id for run in runs) for number, runs in trends.finished(session, [1, 2]).items()}
+        for asked in (None, [1, 2, 3]):
+            runs, heads = of_sensors.last_runs(session, asked), of_sensors.last_run_heads(session, asked)
+            assert {number: run.id for number, run in runs.items()} == newest
+            assert {number: head[1:] for number, head in heads.items()} == {
+                number: (run.id, run.state, run.reason, run.summary) for number, run in runs.items()
+            }
+            sets, short = of_sensors.baselines(session, asked), of_sensors.baseline_heads(session, asked)
+            assert {number: head[1:] for number, head in short.items()} == {
+                number: (row.id, row.name, row.run_id, row.baseline_from_utc) for number, row in sets.items()
+            }
+        assert set(of_sensors.last_runs(session, [2])) == {2}
+        assert len({head.status for head in fleet.standings(session)}) > 1
+        one_by_one = [one for number in (2, 3, 1) for one in fleet.standings(session, [number])]
+        assert fleet.standings(session) == one_by_one

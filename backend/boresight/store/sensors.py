@@ -59,7 +59,8 @@ def last_run_heads(session: Session, sensor_ids: Collection[int] | None = None) 
 def _last_runs(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[Any]:
     """Ask each sensor for its newest run: the end of an index, however many it has."""
     newest = sa.select(sa.func.max(Run.id)).where(Run.sensor_id == Sensor.id).correlate(Sensor).scalar_subquery()
-    return sa.select(*columns).where(Run.id.in_(sa.select(newest).where(*_of(Sensor.id, sensor_ids))))
+    of_each = sa.select(newest).select_from(Sensor).where(*_of(Sensor.id, sensor_ids))
+    return sa.select(*columns).where(Run.id.in_(of_each))
 
 
 def set_counts(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, int]:
