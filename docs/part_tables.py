@@ -144,5 +144,6 @@ def fleet(found: Mapping[str, Any]) -> str:
         f"Median of {found['looks']} looks by one person, something being committed before each, so that every page is made anew; "
         f"bytes before compression. Every sensor has {found['runs_each']} runs.\n\n"
         + table(heads, rows)
-        + f"\nThe first page after a start waits until the drift of every sensor has been judged once: {first}.\n"
+        + "\nThe first page after a start, while the server judges the drift of every sensor for the first time, took "
+        + f"{first} sensors.\n"
     )

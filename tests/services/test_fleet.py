@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 import pytest
 
 from boresight.services import parameter_sets, uplinks
 from boresight.services.actors import Actor
+from boresight.services.conditions import conditions
 from boresight.services.fleet import STATUS_WORDS, Known, SensorTile, findings, fleet_overview, standings
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, utc_after, writing
 from boresight.store.tables import ParameterSet, Run
 from boresight.workers.summary import summary_of
+from tests.missions import add_run, add_set
 
 from .onboard import climb, promote_by_hand
 
@@ -178,3 +181,16 @@ def test_the_fleet_stands_as_its_tiles_say(
             (tile.sensor.id, tile.sensor.name, tile.status, tile.sentence) for tile in tiles
         ]
         assert (standings(session, [1]), standings(session, [99])) == (stand, [])
+
+
+def test_a_ground_shift_beyond_what_a_look_asks_anew_is_said_once_it_is_known(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(6)
+    for day in range(4):
+        add_run(session, add_set(session, 1, 30.0 * day), rng, 30.0 * np.eye(8)[0])
+    monkeypatch.setattr("boresight.services.fleet.MOST_JUDGED", 0)
+    assert [one.status for one in standings(session)] == ["normal"]
+    conditions(session)
+    assert [one.status for one in standings(session)] == ["caution"]
+    assert "ground calibration" in standings(session)[0].sentence

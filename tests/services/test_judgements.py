@@ -53,3 +53,12 @@ def test_a_second_look_at_an_unchanged_fleet_reads_no_run(engine: Engine, monkey
     for transaction in (reading, writing):
         with transaction(engine) as session:
             assert conditions(session) == before
+
+
+def test_who_must_not_wait_asks_of_a_few_anew_and_is_told_the_rest_when_it_is_known(session: Session) -> None:
+    heads, baselines = sensors.sensor_heads(session), sensors.baseline_heads(session)
+    stamps = trends.stamps(session)
+    assert judgements.judgements(session, heads, baselines, stamps, most=0) == {}
+    known = judgements.judgements(session, heads, baselines, stamps, most=1)
+    assert list(known) == [1]
+    assert judgements.judgements(session, heads, baselines, stamps, most=0) == known

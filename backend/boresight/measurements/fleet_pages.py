@@ -2,8 +2,8 @@
 
 Each fleet is a store of its own behind `boresight serve` at its default settings. Every sensor has a ground calibration, a set and
 runs that have ended. A person asks for each page in turn, and before each time something is committed, so that no answer stands
-ready: what is timed is a page made anew. How long the very first page takes is told by itself, for it waits until the drift of
-every sensor has been judged once since the server was started.
+ready: what is timed is a page made anew. How long the very first page takes is told by itself: the server has just been started,
+and its watch judges the drift of every sensor for the first time.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
+MOST_JUDGED = 100
 MOST_NAMED = 1000  # beyond it a query asks for the whole fleet: a statement holds a bounded number of values
 
 
@@ -131,9 +132,14 @@ def _is_on_the_ground(known: Known) -> bool:
 
 
 def _ground_shifted(session: Session, sensors: Sequence[Any], baselines: Mapping[int, Any]) -> Iterator[int]:
-    """Yield the sensors of which the ground calibration does not hold."""
+    """Yield the sensors of which the ground calibration does not hold.
+
+    A look asks of `MOST_JUDGED` sensors anew, as many as it can without anybody waiting; of the others of a large fleet nothing is
+    said until a later look or the watch, which judges every sensor in its rounds, has asked of them.
+    """
     stamps = trends.stamps(session, [sensor.id for sensor in sensors] if len(sensors) <= MOST_NAMED else None)
-    judged = judgements(session, [sensor for sensor in sensors if sensor.id in stamps], baselines, stamps)
+    with_runs = [sensor for sensor in sensors if sensor.id in stamps]
+    judged = judgements(session, with_runs, baselines, stamps, most=MOST_JUDGED)
     return (sensor_id for sensor_id, found in judged.items() if found.verdict == "GROUND SHIFT")
 
 

@@ -34,7 +34,12 @@ _known: WeakKeyDictionary[Any, dict[int, tuple[Any, Judgement]]] = WeakKeyDictio
 
 
 def judgements(
-    session: Session, sensors: Sequence[Any], baselines: Mapping[int, Any], stamps: Mapping[int, Any]
+    session: Session,
+    sensors: Sequence[Any],
+    baselines: Mapping[int, Any],
+    stamps: Mapping[int, Any],
+    *,
+    most: int | None = None,
 ) -> dict[int, Judgement]:
     """Return whether some sensors drift, by their ids; those that must be asked anew are, `TOGETHER` at a time.
 
@@ -44,16 +49,20 @@ def judgements(
         Rows or heads of rows (`store.sensors`); the sets that their runs are held against, by sensor.
     stamps
         Of their runs, as `store.trends.stamps` gives them; a sensor of which none succeeded has none.
+    most
+        How many are asked anew; those beyond are not in the answer.
     """
     of_store = _known.setdefault(session.get_bind().engine.pool, {})  # an engine with options is another object
     rests_on = {sensor.id: _rests_on(sensor, baselines.get(sensor.id), stamps.get(sensor.id)) for sensor in sensors}
     unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
-    for start in range(0, len(unknown), TOGETHER):
-        asked = rows.sensors(session, unknown[start : start + TOGETHER])
+    anew, left_out = (unknown, []) if most is None else (unknown[:most], unknown[most:])
+    for start in range(0, len(anew), TOGETHER):
+        asked = rows.sensors(session, anew[start : start + TOGETHER])
         for sensor_id, trend in trends_of(session, asked).items():
             found = drift.judge(trend)
             of_store[sensor_id] = rests_on[sensor_id], Judgement(found.verdict, found.sentence, drift.document(found))
-    return {sensor.id: of_store[sensor.id][1] for sensor in sensors}
+    told = {sensor.id for sensor in sensors}.difference(left_out)
+    return {sensor_id: of_store[sensor_id][1] for sensor_id in told}
 
 
 def _rests_on(sensor: Any, baseline: Any, stamp: Any) -> tuple[Any, ...]:
