@@ -43,7 +43,7 @@ def names_of(page):
 def fleet(house):
     """Four more sensors, of other detectors and focal lengths; B-3 has the longest, A-2 the most pixels."""
     visitor = house.visitor("ada")
-    for name, f_m, rows in (("A-1", 0.02, 500), ("A-2", 0.03, 9000), ("B-3", 0.05, 600), ("b-4", 0.04, 700)):
+    for name, f_m, rows in (("A-1", 0.02, 500), ("A-2", 0.03, 9000), ("B-3", 0.05, 600), ("B-4", 0.04, 700)):
         document = json.loads(EXAMPLE) | {"name": name}
         document["initial"] |= {"f_m": f_m, "m0_px": rows / 2}
         document["detector"]["rows"] = rows
@@ -54,17 +54,17 @@ def fleet(house):
 @pytest.mark.parametrize(
     ("query", "names"),
     [
-        ("", ["A-1", "A-2", "B-3", "b-4", "ST16-1"]),
-        ("?sort=-sensor", ["ST16-1", "b-4", "B-3", "A-2", "A-1"]),
-        ("?sort=-f", ["B-3", "b-4", "A-2", "A-1", "ST16-1"]),
-        ("?sort=-detector", ["A-2", "ST16-1", "b-4", "B-3", "A-1"]),
+        ("", ["A-1", "A-2", "B-3", "B-4", "ST16-1"]),
+        ("?sort=-sensor", ["ST16-1", "B-4", "B-3", "A-2", "A-1"]),
+        ("?sort=-f", ["B-3", "B-4", "A-2", "A-1", "ST16-1"]),
+        ("?sort=-detector", ["A-2", "ST16-1", "B-4", "B-3", "A-1"]),
         ("?sort=-sets&q=1", ["ST16-1", "A-1"]),
-        ("?q=b-", ["B-3", "b-4"]),
+        ("?q=b-", ["B-3", "B-4"]),
         ("?q=%25", []),
-        ("?status=off", ["A-1", "A-2", "B-3", "b-4"]),
+        ("?status=off", ["A-1", "A-2", "B-3", "B-4"]),
         ("?status=off&q=a", ["A-1", "A-2"]),
         ("?status=critical", []),
-        ("?status=nonsense&sort=nonsense", ["A-1", "A-2", "B-3", "b-4", "ST16-1"]),
+        ("?status=nonsense&sort=nonsense", ["A-1", "A-2", "B-3", "B-4", "ST16-1"]),
     ],
 )
 def test_sensors_are_narrowed_and_sorted_and_had_so_as_csv(house, query, names):
@@ -82,7 +82,7 @@ def test_a_long_list_of_sensors_comes_page_by_page(house, monkeypatch):
         seen.append(names_of(page))
         following = re.search(r'<a href="([^"]*)" rel="next">Further sensors', page)
         address = following and unescape(following[1])
-    assert seen == [["B-3", "b-4"], ["A-2", "A-1"], ["ST16-1"]]
+    assert seen == [["B-3", "B-4"], ["A-2", "A-1"], ["ST16-1"]]
 
 
 def test_the_overview_leads_from_a_count_to_the_sensors_behind_it(house):

@@ -40,7 +40,7 @@ def test_the_worst_of_several_is_shown():
 
 
 def tile(name: str, status: str) -> SimpleNamespace:
-    return SimpleNamespace(sensor=SimpleNamespace(name=name), status=status, sentence=f"{name} is {status}.")
+    return SimpleNamespace(name=name, status=status, sentence=f"{name} is {status}.")
 
 
 def test_the_fleet_stands_as_its_worst_sensor_and_names_it():

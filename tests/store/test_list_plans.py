@@ -9,6 +9,7 @@ from boresight.store.lists import LISTS, Asked
 from boresight.store.sessions import migrate, open_engine, reading
 
 FIRST = {
+    "sensors": "sensor",
     "runs": "-run",
     "telemetry": "-uploaded",
     "parameter-sets": "-set",

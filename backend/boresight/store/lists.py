@@ -101,8 +101,7 @@ LISTS = {
     "sensors": List(
         Sensor,
         {
-            "name": Sensor.name,
-            "sensor": sa.func.lower(Sensor.name),
+            "sensor": Sensor.name,
             "model": text_in(Sensor.document, "camera_model"),
             "detector": number_in(Sensor.document, "detector.rows") * number_in(Sensor.document, "detector.columns"),
             "f": _baseline(number_in(ParameterSet.document, "parameters.f_m")),

@@ -38,7 +38,7 @@ def _shown(row: Any, status: int = 200, **headers: str) -> Answer:
 @router.get("", name="list_sensors", summary="List the fleet", response_model=Page[schemas.Sensor])
 def list_sensors(known: Known, session: Reading, page: Paged) -> Response:  # noqa: ARG001 - asked for what it refuses
     """List the fleet by name."""
-    found = lists.page_of(session, "sensors", {}, "name", before_id=page.last_id, limit=page.limit + 1)
+    found = lists.page_of(session, "sensors", {}, "sensor", before_id=page.last_id, limit=page.limit + 1)
     return json_response(page.cut(found, lambda row: schemas.written(schemas.Sensor, row)))
 
 
