@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from boresight.services import audit, campaigns, runs
 from boresight.services.actors import COMMAND_LINE
 from boresight.store.sessions import reading, utc_now, writing
-from boresight.store.tables import Alarm, ParameterSet, Sensor, TelemetrySet
+from boresight.store.tables import Alarm, Blob, ParameterSet, Sensor, TelemetrySet
 from tests.pages.conftest import House, _settings
 from tests.stores import copied
 
@@ -246,6 +246,20 @@ def test_without_scripts_another_sensor_is_chosen_by_the_form_which_keeps_what_w
         assert (run.sensor_id, run.telemetry_set_id, run.settings["free"]) == (290, int(number), ["f_m"])
 
 
+def test_a_clone_keeps_its_sets_however_many_are_newer(ada, fleets):
+    with writing(fleets[1000].engine) as session:
+        run = runs.get_run(session, 1)
+        like = session.get_one(TelemetrySet, run.telemetry_set_id)
+        columns = {one.key: getattr(like, one.key) for one in sa.inspect(TelemetrySet).column_attrs if one.key != "id"}
+        for place in range(101):
+            digest = f"{place:064x}"
+            session.add(Blob(sha256=digest, size_bytes=1, media_type="text/csv", created_utc=like.uploaded_utc))
+            session.flush()
+            session.add(TelemetrySet(**columns | {"name": f"newer {place}", "original_sha256": digest}))
+        audit.append(session, COMMAND_LINE, "brought in", "sensors")
+    assert selected(ada.get("/runs/new?clone=1"), "telemetry_set_id")[0] == str(like.id)
+
+
 def test_an_upload_is_of_any_sensor_that_is_found(ada):
     assert selected(ada.get("/telemetry?find=-0290"), "sensor_id") == ("290", LAST)
     assert selected(ada.get("/telemetry?sensor=290&find=-01"), "sensor_id") == ("290", LAST)
@@ -269,8 +283,12 @@ def test_finding_sensors_for_a_campaign_keeps_every_tick_and_every_set(ada, flee
     assert f'<option value="{number}" selected>' in row
     assert '<option value="" selected>none' in row
     assert 'value="after eclipse"' in page
-    every = ada.post("/campaigns/new", **form, find="fleet-099", intent="all").text
+    found = re.search(r'name="found" value="([^"]*)"', page)[1]
+    every = ada.post("/campaigns/new", **form, find="fleet-099", found=found, intent="all").text
     assert len(re.findall(r'name="sensors" value="\d+" checked', every)) == 12
+    unseen = ada.post("/campaigns/new", **form, find="fleet-01", found=found, intent="all").text
+    assert len(re.findall(r'name="sensors" value="\d+" checked', unseen)) == 2
+    assert len(hold(unseen, "calibration")) == 102
 
 
 def test_a_campaign_of_a_sensor_far_down_the_list_is_queued_with_its_sets(ada, fleets):

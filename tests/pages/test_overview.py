@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from types import SimpleNamespace
+from weakref import WeakKeyDictionary
 
 import pytest
 
@@ -98,10 +99,23 @@ def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(
     levels = ("normal", "critical", "off", "caution", "critical")
     stand = [SimpleNamespace(sensor_id=number, status=level) for number, level in enumerate(levels)]
     monkeypatch.setattr(overview, "MOST_TILES", 3)
-    assert overview.drawn_of(stand) == [1, 4, 3]
-    assert overview.drawn_of(stand[:3]) == [0, 1, 2]
+    assert [one.sensor_id for one in overview.drawn_of(stand)] == [1, 4, 3]
+    assert overview.drawn_of(stand[:3]) == stand[:3]
     assert "that stand worst" not in read(house.visitor("ada").get("/"))
     monkeypatch.setattr(overview, "MOST_TILES", 0)
     page = house.visitor("ada").get("/")
     assert "The 0 that stand worst; all 1" in page
     assert '<h3 class="name">' not in page
+
+
+def test_what_the_page_counts_and_what_it_draws_are_one_look_and_it_says_what_is_not_judged_yet(
+    house, read, monkeypatch
+):
+    monkeypatch.setattr("boresight.services.judgements._known", WeakKeyDictionary())
+    monkeypatch.setattr("boresight.services.fleet.MOST_JUDGED", 0)
+    page = house.visitor("ada").get("/")
+    assert "of 1 it is not known yet whether the ground calibration holds" in read(page)
+    assert '<a href="/sensors?status=normal">1</a>' in page
+    assert '<li class="tile tile-normal">' in page
+    monkeypatch.setattr("boresight.services.fleet.MOST_JUDGED", 1)
+    assert "not known yet" not in read(house.visitor("victor").get("/?again=1"))

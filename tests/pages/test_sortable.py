@@ -85,6 +85,13 @@ def test_a_long_list_of_sensors_comes_page_by_page(house, monkeypatch):
     assert seen == [["B-3", "B-4"], ["A-2", "A-1"], ["ST16-1"]]
 
 
+@pytest.mark.usefixtures("fleet")
+def test_the_list_says_how_many_are_registered_and_how_many_stand_so(house, read):
+    visitor = house.visitor("victor")
+    assert "5 registered" in read(visitor.get("/sensors"))
+    assert "5 registered, of which 4 NO DATA" in read(visitor.get("/sensors?status=off"))
+
+
 def test_the_overview_leads_from_a_count_to_the_sensors_behind_it(house):
     page = house.visitor("victor").get("/")
     address = re.search(r'<a href="(/sensors\?status=\w+)">1</a>', page)[1]

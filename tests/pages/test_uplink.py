@@ -126,7 +126,10 @@ def test_a_large_fleet_comes_page_by_page(house, fleet, monkeypatch):
         following = re.search(r'<a href="([^"]*)" rel="next">', page)
         address = following and unescape(following[1])
     assert seen == fleet
-    assert 'href="/uplink" rel="prev"' in page
+    assert "Sensors 5 to 5 of 5, the worst first." in page
+    assert 'href="/uplink?page=2" rel="prev"' in page
+    assert 'href="/uplink" rel="prev"' in visitor.get("/uplink?page=2")
+    assert "data-sortable" not in page
 
 
 def test_every_page_says_that_this_tool_commands_nothing(house, read):

@@ -62,3 +62,17 @@ def test_who_must_not_wait_asks_of_a_few_anew_and_is_told_the_rest_when_it_is_kn
     known = judgements.judgements(session, heads, baselines, stamps, most=1)
     assert list(known) == [1]
     assert judgements.judgements(session, heads, baselines, stamps, most=0) == known
+
+
+def test_a_judgement_that_is_out_of_date_stands_until_it_is_made_anew(session: Session) -> None:
+    rng = np.random.default_rng(2)
+
+    def told(most: int | None) -> dict[int, judgements.Judgement]:
+        heads, baselines = sensors.sensor_heads(session), sensors.baseline_heads(session)
+        return judgements.judgements(session, heads, baselines, trends.stamps(session), most=most)
+
+    before = told(None)
+    for day in range(4):
+        add_run(session, add_set(session, 1, 30.0 * day), rng, 30.0 * np.eye(8)[0])
+    assert told(0) == before
+    assert told(1)[1].verdict != before[1].verdict

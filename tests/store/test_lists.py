@@ -141,6 +141,13 @@ def test_a_document_is_read_to_its_depth_and_where_nothing_is_there_nothing(stor
         assert values(session, "sensors", "model") == {1: None, 2: "brown"}
 
 
+@pytest.mark.parametrize("ids", [[], [2], [2, 1, 99], list(range(2, 100_000))])
+def test_a_list_is_narrowed_to_any_number_of_rows(store, ids):
+    with reading(store) as session:
+        found = lists.page(session, "sensors", Asked({"among": ids}, "sensor"), 50)
+    assert {row.id for row in found} == {1, 2} & set(ids)
+
+
 def test_among_equals_the_newest_is_first(store):
     with reading(store) as session:
         found = lists.page(session, "runs", Asked({}, "state"), 50)

@@ -85,7 +85,8 @@ def _offer(session: Session, given: FormData | QueryParams) -> Offered:
 def _chosen(form: FormData | QueryParams) -> list[Member]:
     """Read the sensors that are ticked, and their sets."""
     texts = map(str, form.getlist("sensors"))
-    return [_member(form, int(text)) for text in texts if text.isdecimal() and len(text) <= LONGEST_NUMBER]
+    numbers = [int(text) for text in texts if text.isdecimal() and len(text) <= LONGEST_NUMBER]
+    return [_member(form, number) for number in numbers[: MOST_SENSORS + 1]]  # one too many, to be refused
 
 
 def _member(form: FormData | QueryParams, number: int) -> Member:
@@ -135,7 +136,7 @@ async def campaign_launch(request: Request, session: Reading, actor: Who) -> Res
     if form.get("intent") == "preset" and origin.preset is not None:
         typed = typed.under(origin.preset.settings)
     order = partial(_launch, actor=actor, typed=typed, origin=origin, members=members)
-    intent, outcome = form.get("intent"), None
+    intent, outcome = _intent(form), None
     if intent == "queue":
         outcome = await attempt(request, order)
         if outcome.value is not None:
@@ -146,6 +147,12 @@ async def campaign_launch(request: Request, session: Reading, actor: Who) -> Res
     if intent == "all":
         offered = replace(offered, ticked={*offered.ticked, *offered.able})
     return await run_in_threadpool(_page, request, session, actor, typed, origin, offered, form, outcome)
+
+
+def _intent(form: FormData) -> str:
+    """Return what the form was sent for; what was not found yet is found before all of it is ticked."""
+    intent = str(form.get("intent", ""))
+    return "find" if intent == "all" and form.get("find", "") != form.get("found", "") else intent
 
 
 def _launch(

@@ -35,6 +35,7 @@ from boresight.pages.launch_data import (
     names_of,
     offer,
     sensor_meant,
+    sets_of_clone,
 )
 from boresight.pages.launch_form import Typed, typed_form, whole
 from boresight.pages.launch_summary import Difference, differences, dry_run_of
@@ -99,7 +100,7 @@ def _begun(session: Session, offered: Offered, origin: Origin) -> Typed:
 def launch_page(request: Request, session: Reading, actor: Who) -> Response:
     """Show the form, empty or filled from a run, a telemetry set or a preset."""
     origin, address = origin_of(request, session), request.query_params
-    named = [address.get(name, "") for name in OF_A_SENSOR]
+    named = [*(address.get(name, "") for name in OF_A_SENSOR), *sets_of_clone(session, origin)]
     offered = offer(session, origin.find, sensor_meant(session, origin, address), named)
     if query := found_alone(offered, address):
         return redirect(f"/runs/new?{query}")

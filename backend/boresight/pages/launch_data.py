@@ -125,6 +125,14 @@ def sensor_meant(session: Session, origin: Origin, address: Mapping[str, str]) -
     return None
 
 
+def sets_of_clone(session: Session, origin: Origin) -> list[str]:
+    """Return the numbers of the sets of the run that the form began from, which may be older than all that it offers besides."""
+    if origin.clone is None:
+        return []
+    run = runs.get_run(session, origin.clone)
+    return [str(number) for number in (run.telemetry_set_id, run.validation_set_id) if number is not None]
+
+
 def found_alone(offered: Offered, address: QueryParams) -> str | None:
     """Return the query of the form about the only sensor that is found; None where it is about that one, or several are found."""
     choices = offered.choices

@@ -14,7 +14,7 @@ from boresight.pages.audit import line_of
 from boresight.pages.rendering import render
 from boresight.pages.sparkline import Sparkline, sparkline
 from boresight.pages.states import LEVELS
-from boresight.services import alarms, approvals, audit, fleet, lists, parameter_sets, runs, sensors
+from boresight.services import alarms, approvals, audit, fleet, lists, parameter_sets, runs
 from boresight.services.actors import Actor, Policy
 from boresight.services.fleet import SensorTile, Standing
 from boresight.store.sessions import Session
@@ -134,7 +134,7 @@ class Desk:
     courses, waiting
         By sensor: how its calibrations went lately, and its open request.
     actions
-        What waits for the person who looks.
+        What waits for the person who looks; of calibrations, those of the sensors that are drawn.
     queue
         How many runs are in each state.
     """
@@ -146,12 +146,22 @@ class Desk:
     actions: Sequence[Action]
     queue: Mapping[str, int]
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether every sensor is drawn."""
+        return len(self.tiles) == len(self.standings)
 
-def drawn_of(standings: Sequence[Standing]) -> list[int]:
+    @property
+    def unjudged(self) -> int:
+        """Of how many sensors it is not known yet whether the ground calibration holds."""
+        return sum(not one.is_judged for one in self.standings)
+
+
+def drawn_of(standings: Sequence[Standing]) -> Sequence[Standing]:
     """Choose the sensors that a page has room for: all by name, or of a large fleet those that stand worst, the worst first."""
-    if len(standings) > MOST_TILES:
-        standings = sorted(standings, key=lambda one: -LEVELS.index(one.status))[:MOST_TILES]
-    return [one.sensor_id for one in standings]
+    if len(standings) <= MOST_TILES:
+        return standings
+    return sorted(standings, key=lambda one: -LEVELS.index(one.status))[:MOST_TILES]
 
 
 def _courses(session: Session, tiles: Sequence[SensorTile]) -> dict[int, Course]:
@@ -170,9 +180,7 @@ def _course(summaries: Sequence[Mapping[str, Any]], drift: Alarm | None) -> Cour
 def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
     """Gather the fleet's work for a person."""
     standings = fleet.standings(session)
-    drawn = drawn_of(standings)
-    place = {sensor_id: place for place, sensor_id in enumerate(drawn)}
-    tiles = sorted(sensors.fleet_overview(session, drawn), key=lambda tile: place[tile.sensor.id])
+    tiles = fleet.tiles(session, drawn_of(standings))
     opened = approvals.list_approvals(session, state="OPEN")
     sets = parameter_sets.heads_of(session, [request.parameter_set_id for request in opened])
     actions = [

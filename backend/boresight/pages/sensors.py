@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -23,7 +23,7 @@ from boresight.pages.states import LEVELS
 from boresight.pages.tables import Column, Table, View, all_of, csv_of, is_text, one_of, page_of, read_view
 from boresight.services import fleet, sensors
 from boresight.services.actors import Actor
-from boresight.services.fleet import SensorTile
+from boresight.services.fleet import SensorTile, Standing
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import Sensor
 
@@ -144,24 +144,30 @@ def sensors_csv(request: Request, session: Reading, actor: Who) -> Response:  # 
     return csv_of(view, CSV_FIELDS, map(_csv_row, _every_tile(session, view)))
 
 
-def _narrowed(session: Session, view: View) -> dict[str, Any]:
-    """Narrow a view to the sensors that stand as it asks, which only looking at each of the fleet tells."""
+def _standing(session: Session, view: View) -> dict[int, Standing] | None:
+    """Return the sensors that stand as a view asks, which only looking at each of the fleet tells; None where it does not ask."""
     if (status := view.where.get("status")) is None:
-        return {}
-    return {"status": None, "among": [one.sensor_id for one in fleet.standings(session) if one.status == status]}
+        return None
+    return {one.sensor_id: one for one in fleet.standings(session) if one.status == status}
 
 
-def _tiles(session: Session, sensor_ids: Sequence[int]) -> list[SensorTile]:
-    """Return the tiles of some sensors, in this order."""
-    tiles = {tile.sensor.id: tile for tile in sensors.fleet_overview(session, sensor_ids)}
-    return [tiles[sensor_id] for sensor_id in sensor_ids]
+def _where(chosen: Mapping[int, Standing] | None) -> dict[str, Any]:
+    """Narrow a view to these sensors."""
+    return {} if chosen is None else {"status": None, "among": list(chosen)}
+
+
+def _tiles(session: Session, sensor_ids: Sequence[int], chosen: Mapping[int, Standing] | None) -> list[SensorTile]:
+    """Return the tiles of some sensors, in this order, as they were found to stand when they were chosen."""
+    stand = chosen or {one.sensor_id: one for one in fleet.standings(session, sensor_ids)}
+    return fleet.tiles(session, [stand[sensor_id] for sensor_id in sensor_ids])
 
 
 def _every_tile(session: Session, view: View) -> Iterator[SensorTile]:
     """Yield the tile of every sensor of a view."""
-    ids = iter([sensor.id for sensor in all_of(session, view, **_narrowed(session, view))])
+    chosen = _standing(session, view)
+    ids = iter([sensor.id for sensor in all_of(session, view, **_where(chosen))])
     while some := list(islice(ids, ROWS_AT_ONCE)):
-        yield from _tiles(session, some)
+        yield from _tiles(session, some, chosen)
 
 
 def _csv_row(tile: SensorTile) -> dict[str, Any]:
@@ -187,13 +193,16 @@ def _page(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
     """Render the list and the form."""
     view = read_view(request, SENSORS)
     with reading(request.app.state.engine) as session:
-        found = page_of(session, view, **_narrowed(session, view))
+        chosen = _standing(session, view)
+        found = page_of(session, view, **_where(chosen))
         return render(
             request,
             "sensors.html",
             status_code=422 if shown.refusal else 200,
             view=view,
-            tiles=_tiles(session, [sensor.id for sensor in found.rows]),
+            tiles=_tiles(session, [sensor.id for sensor in found.rows], chosen),
+            registered=sensors.count(session),
+            fitting=None if chosen is None or "q" in view.where else len(chosen),
             last=found.last,
             levels=tuple(reversed(LEVELS)),
             may_register=bool({"analyst", "administrator"} & actor.roles),

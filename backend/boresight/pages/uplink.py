@@ -133,7 +133,9 @@ def uplink_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
         shown=shown,
         words=WORDS,
         following=shown.address(page=shown.page + 1) if len(found) > start + ROWS_A_PAGE else None,
-        first=shown.address(page="") if shown.page > 1 else None,
+        previous=shown.address(page=shown.page - 1 if shown.page > 2 else "") if shown.page > 1 else None,
+        start=start,
+        found=len(found),
         names=read_names(session),
         actor=actor,
     )

@@ -57,12 +57,13 @@ class SensorTile:
 
 @dataclass(frozen=True)
 class Standing:
-    """How a sensor stands: its worst status word and why."""
+    """How a sensor stands: its worst status word and why; `is_judged` says whether it was asked if its ground calibration holds."""
 
     sensor_id: int
     name: str
     status: str
     sentence: str
+    is_judged: bool = True
 
 
 @dataclass(frozen=True)
@@ -77,51 +78,61 @@ class Known:
     days: float | None
     drift: Alarm | None = None
     ground_shifted: bool = False
+    is_judged: bool = True
 
 
 def standings(session: Session, sensor_ids: Collection[int] | None = None) -> list[Standing]:
-    """Return how every sensor of the fleet stands, or some, by name; a tenth of what their tiles cost."""
+    """Return how every sensor of the fleet stands, or some, by name; a fraction of what their tiles cost."""
     heads = rows.sensor_heads(session, sensor_ids)
-    runs, onboard = rows.last_run_heads(session, sensor_ids), rows.onboard_heads(session, sensor_ids)
-    known = _known(session, heads, rows.baseline_heads(session, sensor_ids), runs, onboard, sensor_ids)
-    return [Standing(head.id, head.name, *_worst(known[head.id])) for head in heads]
+    baselines, runs = rows.baseline_heads(session, sensor_ids), rows.last_run_heads(session, sensor_ids)
+    onboard, counts = rows.onboard_heads(session, sensor_ids), rows.set_counts(session, sensor_ids)
+    waiting, drifting = rows.waiting_approvals(session, sensor_ids), _drifting(session)
+    known = {
+        head.id: Known(
+            baseline=baselines.get(head.id),
+            last_run=runs.get(head.id),
+            onboard=tuple(onboard.get(head.id, ())),
+            waiting=waiting.get(head.id),
+            telemetry_sets=counts.get(head.id, 0),
+            days=days_since(baselines.get(head.id)),
+            drift=drifting.get(head.id),
+        )
+        for head in heads
+    }
+    for sensor_id, shifted in _ground_shifted(session, heads, known):
+        known[sensor_id] = replace(known[sensor_id], ground_shifted=bool(shifted), is_judged=shifted is not None)
+    return [Standing(head.id, head.name, *_worst(known[head.id]), known[head.id].is_judged) for head in heads]
 
 
 def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorTile]:
     """Return a tile for every sensor, or for some, by name."""
-    sensors, runs = rows.sensors(session, sensor_ids), rows.last_runs(session, sensor_ids)
-    baselines, onboard = rows.baselines(session, sensor_ids), rows.onboard_sets(session, sensor_ids)
-    known = _known(session, sensors, baselines, runs, onboard, sensor_ids)
-    return [_tile(sensor, known[sensor.id]) for sensor in sensors]
+    return tiles(session, standings(session, sensor_ids))
 
 
-def _known(
-    session: Session,
-    sensors: Sequence[Any],
-    baselines: Mapping[int, Any],
-    runs: Mapping[int, Any],
-    onboard: Mapping[int, Sequence[Any]],
-    sensor_ids: Collection[int] | None,
-) -> dict[int, Known]:
-    """Gather what is known of sensors, by their ids; rows or heads of rows."""
-    counts, waiting = rows.set_counts(session, sensor_ids), rows.waiting_approvals(session, sensor_ids)
-    drifting = _drifting(session)
-    known = {
-        sensor.id: Known(
-            baseline=baselines.get(sensor.id),
-            last_run=runs.get(sensor.id),
-            onboard=tuple(onboard.get(sensor.id, ())),
-            waiting=waiting.get(sensor.id),
-            telemetry_sets=counts.get(sensor.id, 0),
-            days=days_since(baselines.get(sensor.id)),
-            drift=drifting.get(sensor.id),
+def tiles(session: Session, stand: Sequence[Standing]) -> list[SensorTile]:
+    """Return the tiles of sensors that stand so, in their order: what a page counts and what it draws are one look."""
+    ids = named([one.sensor_id for one in stand])
+    sensors = {sensor.id: sensor for sensor in rows.sensors(session, ids)}
+    baselines, runs = rows.baselines(session, ids), rows.last_runs(session, ids)
+    onboard, counts = rows.onboard_sets(session, ids), rows.set_counts(session, ids)
+    return [
+        SensorTile(
+            sensor=sensors[one.sensor_id],
+            baseline=baselines.get(one.sensor_id),
+            active=next((row for row in onboard.get(one.sensor_id, ()) if row.onboard_state == "ACTIVE"), None),
+            last_run=runs.get(one.sensor_id),
+            telemetry_sets=counts.get(one.sensor_id, 0),
+            days_since_calibration=days_since(baselines.get(one.sensor_id)),
+            status=one.status,
+            sentence=one.sentence,
         )
-        for sensor in sensors
-    }
-    asked = [sensor for sensor in sensors if _is_on_the_ground(known[sensor.id])]
-    for sensor_id in _ground_shifted(session, asked, baselines):
-        known[sensor_id] = replace(known[sensor_id], ground_shifted=True)
-    return known
+        for one in stand
+    ]
+
+
+def named(sensor_ids: Sequence[int]) -> Sequence[int] | None:
+    """Return what a query names: some sensors, or None, the whole fleet, where naming them would be too long a statement."""
+    return sensor_ids if len(sensor_ids) <= MOST_NAMED else None
 
 
 def _is_on_the_ground(known: Known) -> bool:
@@ -131,16 +142,22 @@ def _is_on_the_ground(known: Known) -> bool:
     return not any(word in WORSE_THAN_NORMAL for word, _ in findings(known))
 
 
-def _ground_shifted(session: Session, sensors: Sequence[Any], baselines: Mapping[int, Any]) -> Iterator[int]:
-    """Yield the sensors of which the ground calibration does not hold.
+def _ground_shifted(
+    session: Session, heads: Sequence[Any], known: Mapping[int, Known]
+) -> Iterator[tuple[int, bool | None]]:
+    """Yield of the sensors that are asked whether the ground calibration does not hold; None where that is not known yet.
 
-    A look asks of `MOST_JUDGED` sensors anew, as many as it can without anybody waiting; of the others of a large fleet nothing is
-    said until a later look or the watch, which judges every sensor in its rounds, has asked of them.
+    A look asks of `MOST_JUDGED` sensors anew, as many as it can without anybody waiting; the others of a large fleet stand by what
+    is known of them until a later look, or the watch, which judges every sensor in its rounds, has asked.
     """
-    stamps = trends.stamps(session, [sensor.id for sensor in sensors] if len(sensors) <= MOST_NAMED else None)
-    with_runs = [sensor for sensor in sensors if sensor.id in stamps]
-    judged = judgements(session, with_runs, baselines, stamps, most=MOST_JUDGED)
-    return (sensor_id for sensor_id, found in judged.items() if found.verdict == "GROUND SHIFT")
+    asked = [head for head in heads if _is_on_the_ground(known[head.id])]
+    stamps = trends.stamps(session, named([head.id for head in asked]))
+    asked = [head for head in asked if head.id in stamps]
+    baselines = {head.id: known[head.id].baseline for head in asked}
+    judged = judgements(session, asked, baselines, stamps, most=MOST_JUDGED)
+    for head in asked:
+        found = judged.get(head.id)
+        yield head.id, None if found is None else found.verdict == "GROUND SHIFT"
 
 
 def _drifting(session: Session) -> dict[int | None, Alarm]:
@@ -152,15 +169,6 @@ def _drifting(session: Session) -> dict[int | None, Alarm]:
 def recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
     """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
     return trends.recent_summaries(session, sensor_ids, limit)
-
-
-def _tile(sensor: Sensor, known: Known) -> SensorTile:
-    """Show the worst of what is known."""
-    status, sentence = _worst(known)
-    active = next((row for row in known.onboard if row.onboard_state == "ACTIVE"), None)
-    return SensorTile(
-        sensor, known.baseline, active, known.last_run, known.telemetry_sets, known.days, status, sentence
-    )
 
 
 def _worst(known: Known) -> tuple[str, str]:

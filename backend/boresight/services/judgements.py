@@ -50,19 +50,18 @@ def judgements(
     stamps
         Of their runs, as `store.trends.stamps` gives them; a sensor of which none succeeded has none.
     most
-        How many are asked anew; those beyond are not in the answer.
+        How many are asked anew; of those beyond the answer is the last that is known, or none.
     """
     of_store = _known.setdefault(session.get_bind().engine.pool, {})  # an engine with options is another object
     rests_on = {sensor.id: _rests_on(sensor, baselines.get(sensor.id), stamps.get(sensor.id)) for sensor in sensors}
     unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
-    anew, left_out = (unknown, []) if most is None else (unknown[:most], unknown[most:])
+    anew = unknown if most is None else unknown[:most]
     for start in range(0, len(anew), TOGETHER):
         asked = rows.sensors(session, anew[start : start + TOGETHER])
         for sensor_id, trend in trends_of(session, asked).items():
             found = drift.judge(trend)
             of_store[sensor_id] = rests_on[sensor_id], Judgement(found.verdict, found.sentence, drift.document(found))
-    told = {sensor.id for sensor in sensors}.difference(left_out)
-    return {sensor_id: of_store[sensor_id][1] for sensor_id in told}
+    return {sensor.id: of_store[sensor.id][1] for sensor in sensors if sensor.id in of_store}
 
 
 def _rests_on(sensor: Any, baseline: Any, stamp: Any) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""Reading long lists page by page, sorted and narrowed: runs, telemetry, parameter sets, approvals, audit records."""
+"""Reading long lists page by page, sorted and narrowed: sensors, runs, telemetry, parameter sets, approvals, audit records."""
 
 from __future__ import annotations
 

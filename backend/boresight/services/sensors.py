@@ -29,6 +29,7 @@ __all__ = [
     "Choices",
     "SensorTile",
     "choices",
+    "count",
     "edit_sensor",
     "fleet_overview",
     "get_sensor",
@@ -130,6 +131,11 @@ def names_of(session: Session, sensor_ids: Collection[int] | None = None) -> dic
     return sensor_names.names(session, sensor_ids)
 
 
+def count(session: Session) -> int:
+    """Count the fleet."""
+    return sensor_names.count_holding(session, "")
+
+
 @dataclass(frozen=True)
 class Choices:
     """The sensors that a chooser offers.
@@ -181,6 +187,6 @@ def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Ch
     found = dict(list((sensor_names.holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
     kept = sensor_names.names(session, set(keep) - found.keys())
     kept = dict(sorted(kept.items(), key=lambda one: one[1]))
-    fleet = sensor_names.count_holding(session, "")
+    fleet = count(session)
     fitting = sensor_names.count_holding(session, find) if find else fleet
     return Choices(kept | found, is_all=False, find=find, found=len(found), fitting=fitting, fleet=fleet)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import orjson
@@ -100,3 +101,29 @@ def text_in(column: Any, path: str) -> sa.ColumnElement[str]:
 def number_in(column: Any, path: str) -> sa.ColumnElement[float]:
     """Return the expression of a number in a document by the names on the way to it, a dot between; NULL where there is none."""
     return _NumberIn(sa.type_coerce(column, sa.Text), sa.literal(path, sa.Text))
+
+
+class _NumbersOf(sa.sql.functions.GenericFunction[int]):
+    """The numbers of a JSON list, as rows."""
+
+    type = sa.Integer()
+    inherit_cache = True
+
+
+@compiles(_NumbersOf)
+def _rows_of_sqlite(element: _NumbersOf, compiler: SQLCompiler, **options: Any) -> str:
+    """Take the list apart."""
+    listed = compiler.process(*element.clauses, **options)
+    return f"(SELECT value FROM json_each({listed}))"  # noqa: S608 - a compiled clause, whose value is bound
+
+
+@compiles(_NumbersOf, "postgresql")
+def _rows_of_postgresql(element: _NumbersOf, compiler: SQLCompiler, **options: Any) -> str:
+    """Take the list apart; its members come as text."""
+    members = f"json_array_elements_text(CAST({compiler.process(*element.clauses, **options)} AS JSON))"
+    return f"(SELECT CAST(member AS INTEGER) FROM {members} AS member)"  # noqa: S608 - a compiled clause, whose value is bound
+
+
+def numbers_of(numbers: Iterable[int]) -> sa.ColumnElement[int]:
+    """Return the expression of numbers to be compared by IN, any number of them: one value is bound, not one each."""
+    return _NumbersOf(sa.literal(json.dumps(list(numbers)), sa.Text))

@@ -18,7 +18,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import defer
 
-from boresight.store.documents import number_in, text_in
+from boresight.store.documents import number_in, numbers_of, text_in
 from boresight.store.sessions import Session
 from boresight.store.tables import Approval, AuditRecord, ParameterSet, Run, Sensor, TelemetrySet, User
 
@@ -104,13 +104,15 @@ LISTS = {
             "sensor": Sensor.name,
             "model": text_in(Sensor.document, "camera_model"),
             "detector": number_in(Sensor.document, "detector.rows") * number_in(Sensor.document, "detector.columns"),
-            "f": _baseline(number_in(ParameterSet.document, "parameters.f_m")),
+            "f": sa.func.coalesce(
+                _baseline(number_in(ParameterSet.document, "parameters.f_m")), number_in(Sensor.document, "initial.f_m")
+            ),
             "baseline": sa.func.lower(_baseline(ParameterSet.name)),
             "sets": _sets_in_use(),
         },
         {
             "q": _holds(Sensor.name),
-            "among": Sensor.id.in_,
+            "among": lambda ids: Sensor.id.op("IN", is_comparison=True)(numbers_of(ids)),
         },
     ),
     "runs": List(
