@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -18,6 +16,8 @@ from boresight.store.sessions import reading, utc_now, writing
 from boresight.store.tables import Alarm, Blob, ParameterSet, Sensor, TelemetrySet
 from tests.pages.conftest import House, _settings
 from tests.stores import copied
+
+from .statements import counted
 
 MOST_BYTES = 300_000
 PAGES = (
@@ -63,37 +63,6 @@ def furnish(house: House, n: int) -> House:
         )  # fmt: skip
         audit.append(session, COMMAND_LINE, "brought in", "sensors")
     return house
-
-
-@dataclass
-class Asked:
-    """What was asked of the store: statements, and the rows that came."""
-
-    statements: int = 0
-    rows: int = 0
-
-
-@contextmanager
-def counted(engine: Any) -> Iterator[Asked]:
-    """Count the statements and the rows that are fetched."""
-    asked = Asked()
-
-    def _statement(*event: Any) -> None:
-        statement = event[2]
-        asked.statements += not statement.startswith(("BEGIN", "COMMIT", "ROLLBACK", "PRAGMA", "SAVEPOINT"))
-
-    @sa.event.listens_for(sa.orm.Session, "do_orm_execute")
-    def _rows(state: Any) -> Any:
-        if not state.is_select or state.session.get_bind().engine.pool is not engine.pool:
-            return None  # another store's, whose server is at work behind another test
-        result = state.invoke_statement().freeze()
-        asked.rows += len(result().all())
-        return result()
-
-    sa.event.listen(engine, "before_cursor_execute", _statement)
-    yield asked
-    sa.event.remove(engine, "before_cursor_execute", _statement)
-    sa.event.remove(sa.orm.Session, "do_orm_execute", _rows)
 
 
 @pytest.fixture(scope="module")
