@@ -12,7 +12,7 @@ import pytest
 from distributed import Client
 
 from boresight.errors import CancelledError, RefusedInputError
-from services import Services, free_port, wait_for
+from services import Services, free_port, listens, wait_for
 
 EXPECTED = [number * number for number in range(piecework.COUNT)]
 
@@ -22,12 +22,16 @@ def client(tmp_path_factory, catalogue_folder):
     """Connect to a scheduler with two workers, all started by the commands."""
     address = f"tcp://127.0.0.1:{free_port()}"
     services = Services(tmp_path_factory.mktemp("services"), data_folder=str(catalogue_folder.parent))
-    services.start("scheduler", "--port", address.rpartition(":")[2])
-    services.start("worker", "--scheduler", address, "--processes", "2")
-    with Client(address, timeout=60, set_as_default=False) as connected:
-        connected.wait_for_workers(2, timeout=120)
-        yield connected
-    services.stop()
+    try:
+        services.start("scheduler", "--port", address.rpartition(":")[2])
+        wait_for(lambda: listens(int(address.rpartition(":")[2])))
+        # dask gives a client's own thread ten seconds to start, which it may not have while processes start on every core
+        with Client(address, timeout=60, set_as_default=False) as connected:
+            services.start("worker", "--scheduler", address, "--processes", "2")
+            connected.wait_for_workers(2, timeout=120)
+            yield connected
+    finally:
+        services.stop()
 
 
 @pytest.fixture
