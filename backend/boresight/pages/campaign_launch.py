@@ -22,7 +22,7 @@ from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import BoresightError, NotFoundError
 from boresight.pages.attempts import Outcome, Refusal, attempt
 from boresight.pages.launch import origin_of
-from boresight.pages.launch_data import Origin
+from boresight.pages.launch_data import LONGEST_NUMBER, Origin
 from boresight.pages.launch_form import Typed, typed_form
 from boresight.pages.methods import METHODS, NUMBERS, WORDS
 from boresight.pages.rendering import redirect, render
@@ -36,7 +36,6 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 MOST_SETS = 5000
 NEWEST_SETS = 3  # of either purpose, that a row offers where the fleet is large
-LONGEST_NUMBER = 9  # digits of a row's number
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from typing import Any, Literal
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.services.orders import Order, ordered
 from boresight.store import campaigns as rows
-from boresight.store import sensor_names
 from boresight.store import sensors as sensor_rows
 from boresight.store.sessions import Session
 from boresight.store.tables import Sensor
@@ -58,7 +57,7 @@ def places_of(
     RefusedInputError
         When there are too many sensors, one twice, or none that can have a run.
     """
-    wanted = [Member(number) for number, _ in _by_name(session)] if members is None else list(members)
+    wanted = [Member(head.id) for head in sensor_rows.sensor_heads(session)] if members is None else list(members)
     ids = [member.sensor_id for member in wanted]
     _refuse_members(ids)
     fleet = {sensor.id: sensor for sensor in sensor_rows.sensors(session, ids)}
@@ -76,11 +75,6 @@ def places_of(
     if all(place.order is None for place in places):
         raise RefusedInputError(f"No sensor of the campaign can have a run. {places[0].refusal}")
     return places
-
-
-def _by_name(session: Session) -> list[tuple[int, str]]:
-    """Return the numbers and names of the fleet, by name."""
-    return sorted(sensor_names.names(session, None).items(), key=lambda one: one[1])
 
 
 def _refuse_members(ids: Sequence[int]) -> None:

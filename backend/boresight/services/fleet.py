@@ -23,7 +23,7 @@ STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
-MOST_JUDGED = 100
+MOST_JUDGED = 100  # ground calibrations that a look asks of anew: a fifth of a second
 MOST_NAMED = 1000  # beyond it a query asks for the whole fleet: a statement holds a bounded number of values
 
 

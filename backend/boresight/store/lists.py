@@ -80,7 +80,8 @@ def _holds(*columns: Any) -> Condition:
 
 def _of_sensor_named(column: Any) -> Condition:
     """Keep to the rows of sensors whose name holds the text."""
-    return lambda text: column.in_(sa.select(Sensor.id).where(Sensor.name.icontains(text, autoescape=True)))
+    holds = _holds(Sensor.name)
+    return lambda text: column.in_(sa.select(Sensor.id).where(holds(text)))
 
 
 def _baseline(column: Any) -> Any:
