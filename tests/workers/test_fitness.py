@@ -5,9 +5,9 @@ from __future__ import annotations
 import socket
 
 import pytest
-from distributed import Client
 
 import boresight
+from boresight.workers.connection import Connection
 from boresight.workers.fitness import UNFIT_TOPIC, Fitness, fault_of
 from services import Services, free_port, wait_for
 
@@ -42,7 +42,7 @@ def test_a_worker_of_another_version_tells_both_sides_and_leaves_and_joins_when_
     services.start("scheduler", "--port", address.rpartition(":")[2])
     worker = services.start("worker", "--scheduler", address)
     heard = []
-    with Client(address, timeout=120, set_as_default=False) as client:
+    with Connection(address, timeout=120, set_as_default=False) as client:
         client.subscribe_topic(UNFIT_TOPIC, lambda event: heard.append(event[1]["fault"]))
         client.wait_for_workers(1, timeout=120)
         client.register_plugin(Fitness("99.0", ""))

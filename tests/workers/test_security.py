@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 import subprocess
+import threading
 from pathlib import Path
 
 import pytest
-from distributed import Client, Security
+from distributed import Security
 
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
+from boresight.workers.connection import Connection
 from boresight.workers.security import security_of
 from services import Services, free_port
 
@@ -33,23 +35,37 @@ def settings(**given: str):
     return read_settings({f"BORESIGHT_{name.upper()}": value for name, value in given.items()})
 
 
+def loops() -> set[threading.Thread]:
+    """Return the threads of clients."""
+    return {thread for thread in threading.enumerate() if thread.name == "IO loop"}
+
+
 def test_a_worker_and_a_client_join_a_scheduler_that_all_have_certificates_and_a_stranger_does_not(
     certificates, tmp_path
 ):
     address = f"tls://127.0.0.1:{free_port()}"
-    services = Services(tmp_path, data_folder=str(tmp_path), **certificates)
+    services, before = Services(tmp_path, data_folder=str(tmp_path), **certificates), loops()
     try:
         services.start("scheduler", "--port", address.rpartition(":")[2])
         services.start("worker", scheduler=address)
         security = security_of(settings(scheduler=address, **certificates))
-        with Client(address, security=security, timeout=120, set_as_default=False) as client:
+        with Connection(address, security=security, timeout=120, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=120)
             assert client.submit(sum, [1, 2], pure=False).result(60) == 3
         stranger = Security(tls_ca_file=certificates["tls_authority"], require_encryption=True)
         with pytest.raises((OSError, TypeError)):
-            Client(address, security=stranger, timeout=5, set_as_default=False)
+            Connection(address, security=stranger, timeout=5, set_as_default=False)
+        assert loops() == before
     finally:
         services.stop()
+
+
+def test_a_scheduler_that_does_not_answer_costs_no_thread_however_often_it_is_asked():
+    before = loops()
+    for _ in range(2):
+        with pytest.raises(OSError, match=r"Timed out|refused"):
+            Connection(f"tcp://127.0.0.1:{free_port()}", timeout=0.2, set_as_default=False)
+    assert loops() == before
 
 
 def test_links_without_certificates_are_plain():

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import piecework
 import pytest
-from distributed import Client
 
 from boresight.errors import CancelledError, RefusedInputError
+from boresight.workers.connection import Connection
 from services import Services, free_port, listens, wait_for
 
 EXPECTED = [number * number for number in range(piecework.COUNT)]
@@ -25,8 +25,7 @@ def client(tmp_path_factory, catalogue_folder):
     try:
         services.start("scheduler", "--port", address.rpartition(":")[2])
         wait_for(lambda: listens(int(address.rpartition(":")[2])))
-        # dask gives a client's own thread ten seconds to start, which it may not have while processes start on every core
-        with Client(address, timeout=60, set_as_default=False) as connected:
+        with Connection(address, timeout=60, set_as_default=False) as connected:
             services.start("worker", "--scheduler", address, "--processes", "2")
             connected.wait_for_workers(2, timeout=120)
             yield connected

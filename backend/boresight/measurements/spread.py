@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 import orjson
 import psutil
-from distributed import Client
 
 from boresight.measurements import Report
 from boresight.measurements.installation import free_port
@@ -37,6 +36,7 @@ from boresight.measurements.synthetic_file import write_synthetic
 from boresight.simulation.sensors import st16_sensor
 from boresight.store.blobs import BlobStore
 from boresight.telemetry.sensors import sensor_document
+from boresight.workers.connection import Connection
 from boresight.workers.tasks import Inputs, execute_group
 
 RATIO_LIMIT = 1.6
@@ -100,13 +100,13 @@ class Site:
         return sha256
 
     @contextmanager
-    def cluster(self, workers: int) -> Iterator[Client]:
+    def cluster(self, workers: int) -> Iterator[Connection]:
         """Start a scheduler and workers, and connect to them."""
         address = f"tcp://127.0.0.1:{free_port()}"
         services = [self._start("scheduler", "--port", address.rpartition(":")[2])]
         try:
             services += [self._start("worker", "--scheduler", address) for _ in range(workers)]
-            with Client(address, timeout=JOIN_S, set_as_default=False) as client:
+            with Connection(address, timeout=JOIN_S, set_as_default=False) as client:
                 client.wait_for_workers(workers, timeout=JOIN_S)
                 yield client
         finally:
@@ -120,12 +120,12 @@ class Site:
             command = [sys.executable, "-m", "boresight", *words]
             return subprocess.Popen(command, env=self._environment, stdout=log, stderr=log, cwd=self.folder)  # noqa: S603 - words of our own
 
-    def warm(self, client: Client, table: str) -> None:
+    def warm(self, client: Connection, table: str) -> None:
         """Let every worker in turn compute a small set, of which it lends pieces to the others."""
         for worker in sorted(client.nthreads()):
             self._submit(client, table, worker).result()
 
-    def run(self, client: Client, table: str, kill_after_s: float | None = None) -> dict[str, Any]:
+    def run(self, client: Connection, table: str, kill_after_s: float | None = None) -> dict[str, Any]:
         """Compute a set, and say what it took and what was found."""
         own, *others = sorted(client.nthreads())
         pids = client.run(os.getpid)
@@ -149,7 +149,7 @@ class Site:
             "document": document,
         }
 
-    def _submit(self, client: Client, table: str, worker: str) -> Any:
+    def _submit(self, client: Connection, table: str, worker: str) -> Any:
         """Hand a run to a worker, as the engine does."""
         self._runs += 1
         inputs = Inputs(
@@ -195,7 +195,7 @@ class Kill:
         When, as `time.perf_counter` counts.
     """
 
-    def __init__(self, client: Client, worker: str, pid: int, at_s: float) -> None:
+    def __init__(self, client: Connection, worker: str, pid: int, at_s: float) -> None:
         self._client, self._worker, self._pid, self._at_s = client, worker, pid, at_s
         self._before = self._groups()["groups_done"]
         self._killed_s: float | None = None

@@ -19,13 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import dask
-from distributed import Client, Event, KilledWorker, LocalCluster
+from distributed import Event, KilledWorker, LocalCluster
 from distributed.system import MEMORY_LIMIT
 
 import boresight
 from boresight.settings import Settings
 from boresight.store.runs import Held
 from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE, NOWHERE
+from boresight.workers.connection import Connection
 from boresight.workers.fitness import UNFIT_TOPIC, Fitness
 from boresight.workers.link import TOPIC, cancel_event
 from boresight.workers.security import security_of
@@ -73,7 +74,7 @@ class Cluster:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with dask.config.set(CONFIGURATION):
             local = None if settings.scheduler else _local_cluster(settings)
-            client = Client(
+            client = Connection(
                 settings.scheduler or local,
                 timeout=CONNECT_S,
                 security=security_of(settings) if settings.scheduler else None,
