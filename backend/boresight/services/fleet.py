@@ -24,7 +24,6 @@ WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
 MOST_JUDGED = 100  # ground calibrations that a look asks of anew: a fifth of a second
-MOST_NAMED = 1000  # beyond it a query asks for the whole fleet: a statement holds a bounded number of values
 
 
 @dataclass(frozen=True)
@@ -77,8 +76,7 @@ class Known:
     telemetry_sets: int
     days: float | None
     drift: Alarm | None = None
-    ground_shifted: bool = False
-    is_judged: bool = True
+    ground_shifted: bool | None = False  # None where its runs have not been asked yet
 
 
 def standings(session: Session, sensor_ids: Collection[int] | None = None) -> list[Standing]:
@@ -100,8 +98,11 @@ def standings(session: Session, sensor_ids: Collection[int] | None = None) -> li
         for head in heads
     }
     for sensor_id, shifted in _ground_shifted(session, heads, known):
-        known[sensor_id] = replace(known[sensor_id], ground_shifted=bool(shifted), is_judged=shifted is not None)
-    return [Standing(head.id, head.name, *_worst(known[head.id]), known[head.id].is_judged) for head in heads]
+        known[sensor_id] = replace(known[sensor_id], ground_shifted=shifted)
+    return [
+        Standing(head.id, head.name, *_worst(known[head.id]), is_judged=known[head.id].ground_shifted is not None)
+        for head in heads
+    ]
 
 
 def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorTile]:
@@ -111,7 +112,7 @@ def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) 
 
 def tiles(session: Session, stand: Sequence[Standing]) -> list[SensorTile]:
     """Return the tiles of sensors that stand so, in their order: what a page counts and what it draws are one look."""
-    ids = named([one.sensor_id for one in stand])
+    ids = [one.sensor_id for one in stand]
     sensors = {sensor.id: sensor for sensor in rows.sensors(session, ids)}
     baselines, runs = rows.baselines(session, ids), rows.last_runs(session, ids)
     onboard, counts = rows.onboard_sets(session, ids), rows.set_counts(session, ids)
@@ -130,11 +131,6 @@ def tiles(session: Session, stand: Sequence[Standing]) -> list[SensorTile]:
     ]
 
 
-def named(sensor_ids: Sequence[int]) -> Sequence[int] | None:
-    """Return what a query names: some sensors, or None, the whole fleet, where naming them would be too long a statement."""
-    return sensor_ids if len(sensor_ids) <= MOST_NAMED else None
-
-
 def _is_on_the_ground(known: Known) -> bool:
     """Whether a sensor flies by its ground calibration and nothing worse is known, that would hide what its runs say of that."""
     if known.baseline is None or known.baseline.run_id is not None:
@@ -151,7 +147,7 @@ def _ground_shifted(
     is known of them until a later look, or the watch, which judges every sensor in its rounds, has asked.
     """
     asked = [head for head in heads if _is_on_the_ground(known[head.id])]
-    stamps = trends.stamps(session, named([head.id for head in asked]))
+    stamps = trends.stamps(session, [head.id for head in asked])
     asked = [head for head in asked if head.id in stamps]
     baselines = {head.id: known[head.id].baseline for head in asked}
     judged = judgements(session, asked, baselines, stamps, most=MOST_JUDGED)

@@ -18,7 +18,6 @@ from boresight.services.fleet import SensorTile, fleet_overview
 from boresight.services.parameter_sets import create_ground_calibration
 from boresight.services.transitions import get_sensor, require_seen, subject_of
 from boresight.services.words import refuse_control_characters
-from boresight.store import sensor_names
 from boresight.store import sensors as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Sensor
@@ -128,12 +127,12 @@ def list_sensors(session: Session, sensor_ids: Collection[int] | None = None) ->
 
 def names_of(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
     """Return the names of these sensors by their numbers; of the whole fleet where None is given."""
-    return sensor_names.names(session, sensor_ids)
+    return rows.names(session, sensor_ids)
 
 
 def count(session: Session) -> int:
     """Count the fleet."""
-    return sensor_names.count_holding(session, "")
+    return rows.count_holding(session, "")
 
 
 @dataclass(frozen=True)
@@ -181,12 +180,12 @@ def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Ch
     """
     refuse_control_characters(find=find)
     find = find.strip()[:LONGEST_NAME]
-    first = sensor_names.holding(session, "", MOST_CHOICES + 1)
+    first = rows.names_holding(session, "", MOST_CHOICES + 1)
     if len(first) <= MOST_CHOICES:
         return Choices(first, is_all=True, find=find, found=len(first), fitting=len(first), fleet=len(first))
-    found = dict(list((sensor_names.holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
-    kept = sensor_names.names(session, set(keep) - found.keys())
+    found = dict(list((rows.names_holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
+    kept = rows.names(session, set(keep) - found.keys())
     kept = dict(sorted(kept.items(), key=lambda one: one[1]))
     fleet = count(session)
-    fitting = sensor_names.count_holding(session, find) if find else fleet
+    fitting = rows.count_holding(session, find) if find else fleet
     return Choices(kept | found, is_all=False, find=find, found=len(found), fitting=fitting, fleet=fleet)

@@ -12,6 +12,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from boresight.store import seals
+from boresight.store.documents import among
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import TERMINAL_RUN_STATES, Base, Campaign, CampaignRun, Run, RunEvent, Sensor, TelemetrySet
 
@@ -149,18 +150,14 @@ def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[in
 
 def sets_numbered(session: Session, set_ids: Collection[int]) -> list[TelemetrySet]:
     """Return telemetry sets; while they are held, the session finds them without a statement each."""
-    return [
-        row
-        for some in seals.portions(sorted(set_ids))
-        for row in session.scalars(sa.select(TelemetrySet).where(TelemetrySet.id.in_(some)))
-    ]
+    return list(session.scalars(sa.select(TelemetrySet).where(among(TelemetrySet.id, set_ids))))
 
 
 def newest_sets(session: Session, sensor_ids: Collection[int]) -> dict[tuple[int, str], int]:
     """Return the newest set in use of each of these sensors and purpose, by (sensor id, purpose)."""
     query = (
         sa.select(TelemetrySet.sensor_id, TelemetrySet.purpose, sa.func.max(TelemetrySet.id))
-        .where(TelemetrySet.archived_utc.is_(None), TelemetrySet.sensor_id.in_(sensor_ids))
+        .where(TelemetrySet.archived_utc.is_(None), among(TelemetrySet.sensor_id, sensor_ids))
         .group_by(TelemetrySet.sensor_id, TelemetrySet.purpose)
     )
     return {(sensor_id, purpose): newest for sensor_id, purpose, newest in session.execute(query)}

@@ -21,6 +21,9 @@ from sqlalchemy.sql.compiler import SQLCompiler
 #: An integer that may not fit into 64 bits, which the fast reader would round to a float.
 _LONG_INTEGER = re.compile(r"(?<![.\d])\d{19}")
 
+#: No key of a row is as large.
+MOST_NUMBER = 1 << 31
+
 
 def canonical(document: Any) -> str:
     """Return the one spelling of a JSON document.
@@ -124,6 +127,7 @@ def _rows_of_postgresql(element: _NumbersOf, compiler: SQLCompiler, **options: A
     return f"(SELECT CAST(member AS INTEGER) FROM {members} AS member)"  # noqa: S608 - a compiled clause, whose value is bound
 
 
-def numbers_of(numbers: Iterable[int]) -> sa.ColumnElement[int]:
-    """Return the expression of numbers to be compared by IN, any number of them: one value is bound, not one each."""
-    return _NumbersOf(sa.literal(json.dumps(list(numbers)), sa.Text))
+def among(column: Any, numbers: Iterable[int]) -> sa.ColumnElement[bool]:
+    """Keep to rows whose key is one of these, any number of them: one value is bound, not one each. What no key is, is none."""
+    listed = json.dumps(sorted(number for number in set(numbers) if 0 < number < MOST_NUMBER))
+    return column.op("IN", is_comparison=True)(_NumbersOf(sa.literal(listed, sa.Text)))  # type: ignore[no-any-return]  # columns are Any here

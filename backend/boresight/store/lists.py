@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import defer
 
-from boresight.store.documents import number_in, numbers_of, text_in
+from boresight.store.documents import MOST_NUMBER, among, number_in, text_in
 from boresight.store.sessions import Session
 from boresight.store.tables import Approval, AuditRecord, ParameterSet, Run, Sensor, TelemetrySet, User
 
@@ -61,10 +62,6 @@ def _name_of(table: Any, number: Any) -> Any:
     """Return the expression of the name that a number of another table stands for."""
     name = table.printed_name if table is User else table.name
     return sa.func.lower(sa.select(name).where(table.id == number).correlate_except(table).scalar_subquery())
-
-
-#: Beyond every number of a row.
-MOST_NUMBER = 1 << 31
 
 
 def _is(column: Any) -> Condition:
@@ -113,7 +110,7 @@ LISTS = {
         },
         {
             "q": _holds(Sensor.name),
-            "among": lambda ids: Sensor.id.op("IN", is_comparison=True)(numbers_of(ids)),
+            "among": partial(among, Sensor.id),
         },
     ),
     "runs": List(
@@ -251,6 +248,6 @@ def _after(session: Session, known: List, key: Any, descends: bool, before_id: i
 def _rows(session: Session, known: List, ids: Sequence[int]) -> list[Any]:
     """Read rows by their ids, in the order of these."""
     left_out = [defer(getattr(known.table, name)) for name in known.unread]
-    found = session.scalars(sa.select(known.table).where(known.table.id.in_(ids)).options(*left_out))
+    found = session.scalars(sa.select(known.table).where(among(known.table.id, ids)).options(*left_out))
     by_id = {row.id: row for row in found}
     return [by_id[number] for number in ids if number in by_id]

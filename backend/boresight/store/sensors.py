@@ -1,4 +1,4 @@
-"""Queries on sensors: whole rows, and heads, which say how a sensor stands without the documents that are most of a row."""
+"""Queries on sensors: whole rows, names, and heads, which say how a sensor stands without the documents that are most of a row."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from boresight.store.documents import among
 from boresight.store.sessions import Session
 from boresight.store.tables import Approval, ParameterSet, Run, Sensor, TelemetrySet
 
@@ -26,6 +27,28 @@ def sensor_heads(session: Session, sensor_ids: Collection[int] | None = None) ->
     """Return id, name and version of the sensors of the fleet, or of some, by name."""
     query = sa.select(Sensor.id, Sensor.name, Sensor.version).where(*_of(Sensor.id, sensor_ids))
     return session.execute(query.order_by(Sensor.name)).all()
+
+
+def names(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
+    """Return the names of the fleet, or of some sensors, by their numbers."""
+    query = sa.select(Sensor.id, Sensor.name).where(*_of(Sensor.id, sensor_ids))
+    return {row[0]: row[1] for row in session.execute(query)}
+
+
+def names_holding(session: Session, text: str, limit: int) -> dict[int, str]:
+    """Return the first sensors by name whose name holds a text in letters of either case, their names by their numbers."""
+    query = sa.select(Sensor.id, Sensor.name).where(*_holding(text)).order_by(Sensor.name).limit(limit)
+    return {row[0]: row[1] for row in session.execute(query)}
+
+
+def count_holding(session: Session, text: str) -> int:
+    """Count the sensors whose name holds a text in letters of either case."""
+    return session.scalar(sa.select(sa.func.count(Sensor.name)).where(*_holding(text))) or 0
+
+
+def _holding(text: str) -> list[sa.ColumnElement[bool]]:
+    """Keep to names that hold a text; every name holds nothing."""
+    return [Sensor.name.icontains(text, autoescape=True)] if text else []
 
 
 def baselines(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, ParameterSet]:
@@ -103,4 +126,4 @@ def _by_sensor(found: Iterable[Any]) -> dict[int, list[Any]]:
 
 def _of(column: Any, sensor_ids: Collection[int] | None) -> list[sa.ColumnElement[bool]]:
     """Keep to some sensors where some are named."""
-    return [] if sensor_ids is None else [column.in_(sensor_ids)]
+    return [] if sensor_ids is None else [among(column, sensor_ids)]

@@ -7,7 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from boresight.store import seals
+from boresight.store.documents import among
 from boresight.store.sessions import Session
 from boresight.store.tables import TelemetrySet
 
@@ -46,18 +46,15 @@ def heads_of(session: Session, sensor_ids: Collection[int], newest: int, set_ids
     """
     row = TelemetrySet
     age = sa.func.row_number().over(partition_by=(row.sensor_id, row.purpose), order_by=row.id.desc()).label("age")
-    found: list[Any] = []
-    for some in seals.portions(sorted(sensor_ids)):
-        of_these = sa.select(row.id, row.sensor_id, row.purpose, row.name, row.frames, age)
-        aged = of_these.where(row.sensor_id.in_(some), row.archived_utc.is_(None)).subquery()
-        wanted = sa.or_(aged.c.age <= newest, aged.c.id.in_(set_ids))
-        found += session.execute(sa.select(aged).where(wanted).order_by(aged.c.id.desc()))
-    return found
+    of_these = sa.select(row.id, row.sensor_id, row.purpose, row.name, row.frames, age)
+    aged = of_these.where(among(row.sensor_id, sensor_ids), row.archived_utc.is_(None)).subquery()
+    wanted = sa.or_(aged.c.age <= newest, among(aged.c.id, set_ids))
+    return list(session.execute(sa.select(aged).where(wanted).order_by(aged.c.id.desc())))
 
 
 def names(session: Session, set_ids: Collection[int] | None) -> dict[int, str]:
     """Return the names of sets by their numbers; of all where None is given."""
     query = sa.select(TelemetrySet.id, TelemetrySet.name)
     if set_ids is not None:
-        query = query.where(TelemetrySet.id.in_(set_ids))
+        query = query.where(among(TelemetrySet.id, set_ids))
     return {row[0]: row[1] for row in session.execute(query)}

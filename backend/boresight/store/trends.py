@@ -7,6 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
+from boresight.store.documents import among
 from boresight.store.sessions import Session
 from boresight.store.tables import ParameterSet, Promotion, Run, Sensor, TelemetrySet, Uplink
 
@@ -22,8 +23,8 @@ def stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[
     """Return of each sensor how many of its runs succeeded, and when the last of them ended: it changes when a trend does."""
     every = sa.select(Sensor.id)  # named, or SQLite reads every run that succeeded instead of an index by sensor
     counted = sa.select(Run.sensor_id, sa.func.count(Run.id), sa.func.max(Run.ended_utc)).group_by(Run.sensor_id)
-    counted = counted.where(Run.sensor_id.in_(every if sensor_ids is None else sensor_ids), Run.state == "SUCCEEDED")
-    rows = session.execute(counted)
+    of_them = Run.sensor_id.in_(every) if sensor_ids is None else among(Run.sensor_id, sensor_ids)
+    rows = session.execute(counted.where(of_them, Run.state == "SUCCEEDED"))
     return {sensor_id: (count, ended_utc) for sensor_id, count, ended_utc in rows}
 
 
