@@ -21,7 +21,7 @@ def serving_s3(bucket: str) -> Iterator[str]:
     server.start()
     host, port = server.get_host_and_port()
     address = f"http://{host}:{port}"
-    assert httpx.put(f"{address}/{bucket}").status_code == 200
+    assert httpx.put(f"{address}/{bucket}", timeout=60).status_code == 200
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("AWS_ENDPOINT_URL", address)
         environment.setenv("AWS_ACCESS_KEY_ID", "key")

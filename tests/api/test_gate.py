@@ -62,7 +62,9 @@ def test_health_is_told_while_every_thread_is_taken(house: House, monkeypatch: p
         waiting = [pool.submit(client.get, "/api/v1/presets") for _ in range(30)]
         time.sleep(0.3)
         try:
-            answers = {path: httpx.get(house.address + path, timeout=5).status_code for path in ("/healthz", "/readyz")}
+            answers = {
+                path: httpx.get(house.address + path, timeout=15).status_code for path in ("/healthz", "/readyz")
+            }
         finally:
             free.set()
         assert all(one.result().status_code == 200 for one in waiting)

@@ -63,8 +63,8 @@ def test_health_asks_nothing_and_readiness_says_what_it_looked_at(house: House) 
 def test_a_server_whose_workers_are_not_there_is_not_ready(tmp_path: Path) -> None:
     settings = settings_in(tmp_path, scheduler="tcp://127.0.0.1:1")
     with serving(settings) as (address, _):
-        answer = httpx.get(f"{address}/readyz")
-        assert httpx.get(f"{address}/healthz").status_code == 200
+        answer = httpx.get(f"{address}/readyz", timeout=60)
+        assert httpx.get(f"{address}/healthz", timeout=60).status_code == 200
     assert answer.status_code == 503
     assert answer.json()["checks"]["workers"]["ready"] is False
 

@@ -50,7 +50,8 @@ def test_too_many_failures_are_told_how_long_to_wait(tmp_path: Path) -> None:
     settings = settings_in(tmp_path, login_attempts="1")
     add_people(settings)
     with serving(settings) as (address, _):
-        answers = [httpx.post(f"{address}/api/v1/sessions", json={"name": "ada", "password": "no"}) for _ in range(2)]
+        wrong = {"name": "ada", "password": "no"}
+        answers = [httpx.post(f"{address}/api/v1/sessions", json=wrong, timeout=60) for _ in range(2)]
     assert [answer.status_code for answer in answers] == [401, 429]
     assert answers[1].headers["content-type"] == "application/problem+json"
     assert 1 <= int(answers[1].headers["retry-after"]) <= 60

@@ -151,7 +151,7 @@ def test_a_file_over_the_limit_is_refused_while_it_is_read(tmp_path: Path, annou
         + b"1,2\n" * 900_000
         + b"\r\n--b--\r\n"
     )
-    with serving(settings) as (address, _), httpx.Client(base_url=address) as client:
+    with serving(settings) as (address, _), httpx.Client(base_url=address, timeout=60) as client:
         session = client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).json()
         headers = {"X-CSRF-Token": session["csrf_token"], "Content-Type": "multipart/form-data; boundary=b"}
         body = content if announced else iter([content[:2_000_000], content[2_000_000:]])

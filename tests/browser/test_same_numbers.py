@@ -47,7 +47,7 @@ def same(one, other):
 
 
 def test_rest_with_an_api_key_gives_the_numbers_of_the_page(installation, key, batch_run, page_result):
-    with httpx.Client(base_url=installation.address, headers={"Authorization": f"Bearer {key}"}) as client:
+    with httpx.Client(base_url=installation.address, headers={"Authorization": f"Bearer {key}"}, timeout=60) as client:
         run = client.get(f"/api/v1/runs/{batch_run}").json()
         names = ("sensor_id", "telemetry_set_id", "validation_set_id", "settings")
         order = {name: run[name] for name in names} | {"label": "Over REST"}
@@ -74,6 +74,7 @@ def test_a_key_cannot_sign_and_says_so(installation, key, promoted):
         f"{installation.address}/api/v1/approvals/{promoted.request_id}:approve",
         headers={"Authorization": f"Bearer {key}", "If-Match": '"v1"'},
         json={"meaning": "I have read it", "password": "whatever it is", "comment": ""},
+        timeout=60,
     )
     assert answer.status_code == httpx.codes.FORBIDDEN
     assert "key" in answer.json()["detail"]
