@@ -17,7 +17,7 @@ from functools import cache
 
 import uvicorn
 from anyio.to_thread import current_default_thread_limiter
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.exceptions import RequestValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
@@ -63,6 +63,12 @@ from boresight.workers.engine import Engine
 log = logging.getLogger(__name__)
 
 DRAIN_S = 10
+#: Every route. What each wants of a request is worked out when it is first sought: once a process, however many servers it makes.
+ROUTES = APIRouter(generate_unique_id_function=lambda route: route.name)
+ROUTES.include_router(api_router)
+ROUTES.include_router(static_files.router)
+ROUTES.include_router(pages_router)
+
 THREADS = 8  # of requests: more of them only take the interpreter from each other (ADR 0041)
 
 
@@ -77,14 +83,11 @@ def create_app(settings: Settings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         lifespan=_lifespan,
-        generate_unique_id_function=lambda route: route.name,
+        routes=ROUTES.routes,
     )
     described = app.openapi
     app.openapi = lambda: corrected(described())  # type: ignore[method-assign]  # the framework's own way to extend it
     _furnish(app, settings)
-    app.include_router(api_router)
-    app.include_router(static_files.router)
-    app.include_router(pages_router)
     for kind in (BoresightError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, _refuse)
     app.add_middleware(Keeping, ready=app.state.ready)  # what is added later is further out
