@@ -63,7 +63,6 @@ def _template(tokens: Tokens, paper: str) -> go.layout.Template:
         "tickcolor": line,
         "tickfont": ticks,
         "title": {"font": {"size": 12, "color": muted}, "standoff": 8},
-        "automargin": True,
     }
     bar = {"tickfont": ticks, "outlinewidth": 0, "title": {"font": {"size": 12, "color": muted}}}
     return go.layout.Template(
@@ -72,8 +71,9 @@ def _template(tokens: Tokens, paper: str) -> go.layout.Template:
             "plot_bgcolor": paper,
             "font": {"family": SANS, "size": 13, "color": ink},
             "title": {"font": {"size": 14, "color": ink}, "x": 0, "xref": "paper", "xanchor": "left"},
-            "xaxis": axis,
-            "yaxis": axis,
+            # room across the axis only: along it every panel's labels push the others, for seconds, until nothing moves
+            "xaxis": axis | {"automargin": "height"},
+            "yaxis": axis | {"automargin": "width"},
             "colorway": RUN_COLOURS,
             "legend": {"font": {"size": 12, "color": ink}, "bgcolor": CLEAR},
             "hoverlabel": {
