@@ -27,6 +27,8 @@ from starlette.responses import Response
 from starlette.types import Scope
 
 import boresight
+from boresight import pages
+from boresight.api import routes as api_routes
 from boresight.api import static_files
 from boresight.api.broadcast import Broadcast
 from boresight.api.changes import Changes
@@ -44,11 +46,9 @@ from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.ready import Answering, Proof, Ready
-from boresight.api.routes import router as api_router
 from boresight.api.upkeep import Upkeep
 from boresight.api.watched import Watched
 from boresight.errors import BoresightError
-from boresight.pages import router as pages_router
 from boresight.pages.fleet import FleetMemory
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
 from boresight.services import runs
@@ -65,9 +65,9 @@ log = logging.getLogger(__name__)
 DRAIN_S = 10
 #: Every route. What each wants of a request is worked out when it is first sought: once a process, however many servers it makes.
 ROUTES = APIRouter(generate_unique_id_function=lambda route: route.name)
-ROUTES.include_router(api_router)
+api_routes.join(ROUTES)
 ROUTES.include_router(static_files.router)
-ROUTES.include_router(pages_router)
+pages.join(ROUTES)
 
 THREADS = 8  # of requests: more of them only take the interpreter from each other (ADR 0041)
 

@@ -12,15 +12,12 @@ from boresight.pages.addresses import check_numbers
 from boresight.pages.frame import know_fleet
 
 
-def _assemble() -> APIRouter:
-    """Join the `router` of every page file."""
+def join(routes: APIRouter) -> None:
+    """Join the `router` of every page file to the routes of a server."""
     first = [Depends(check_numbers), Depends(know_fleet)]
-    joined = APIRouter(include_in_schema=False, default_response_class=HTMLResponse, dependencies=first)
     for found in iter_modules(__path__):
         page = import_module(f"{__name__}.{found.name}")
         if hasattr(page, "router"):
-            joined.include_router(page.router)
-    return joined
-
-
-router = _assemble()
+            routes.include_router(
+                page.router, include_in_schema=False, default_response_class=HTMLResponse, dependencies=first
+            )

@@ -76,16 +76,13 @@ CREDENTIALS = (
 )
 
 
-def _assemble() -> APIRouter:
-    """Join the nouns under the version, guarded, with the servers' own routes beside them."""
-    nouns = APIRouter(prefix=PREFIX, dependencies=[*CREDENTIALS, Depends(csrf)], responses=refusals(401, 403, 422))
+def join(routes: APIRouter) -> None:
+    """Join the nouns to the routes of a server, under the version and guarded, and the servers' own beside them.
+
+    Each by itself: a router around all of them would have the framework work every route out once more.
+    """
+    guards, refused = [*CREDENTIALS, Depends(csrf)], refusals(401, 403, 422)
     for noun in NOUNS:
-        nouns.include_router(noun.router)
-    joined = APIRouter()
-    joined.include_router(nouns)
-    joined.include_router(server.router)
-    joined.include_router(documentation.router)
-    return joined
-
-
-router = _assemble()
+        routes.include_router(noun.router, prefix=PREFIX, dependencies=guards, responses=refused)
+    routes.include_router(server.router)
+    routes.include_router(documentation.router)
