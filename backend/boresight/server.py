@@ -63,7 +63,8 @@ from boresight.workers.engine import Engine
 log = logging.getLogger(__name__)
 
 DRAIN_S = 10
-#: Every route. What each wants of a request is worked out when it is first sought: once a process, however many servers it makes.
+#: Every route. What each wants of a request is worked out when it is first sought: once a process, however many
+#: servers it makes; so a server's `dependency_overrides` change nothing.
 ROUTES = APIRouter(generate_unique_id_function=lambda route: route.name)
 api_routes.join(ROUTES)
 ROUTES.include_router(static_files.router)

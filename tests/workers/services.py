@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -65,3 +66,8 @@ def wait_for(condition, patience_s=PATIENCE_S):
         assert time.monotonic() < until_s, "waited in vain"
         time.sleep(0.05)
     return found
+
+
+def loops() -> set[threading.Thread]:
+    """Return the threads of dask's clients."""
+    return {thread for thread in threading.enumerate() if thread.name == "IO loop"}

@@ -53,6 +53,7 @@ def draw(trend: Document, model: str | None = None) -> go.Figure:
         _temperature(figure, points, len(names) + 1)
     _records(figure, trend, rows)
     theme.dress(figure, title=_headline(trend, points, own=own), height_px=sum(heights) + 120, hovermode="closest")
+    figure.update_layout(margin_r=40)  # half of the last date
     figure.update_xaxes(type="date", showgrid=True)
     figure.update_xaxes(title_text="Time of the data, UTC", row=rows, col=1)
     return figure

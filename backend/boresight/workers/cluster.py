@@ -74,13 +74,18 @@ class Cluster:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with dask.config.set(CONFIGURATION):
             local = None if settings.scheduler else _local_cluster(settings)
-            client = Connection(
-                settings.scheduler or local,
-                timeout=CONNECT_S,
-                security=security_of(settings) if settings.scheduler else None,
-                set_as_default=False,
-                heartbeat_interval="2s",
-            )
+            try:
+                client = Connection(
+                    settings.scheduler or local,
+                    timeout=CONNECT_S,
+                    security=security_of(settings) if settings.scheduler else None,
+                    set_as_default=False,
+                    heartbeat_interval="2s",
+                )
+            except Exception:
+                if local is not None:  # or the next attempt's workers come beside these
+                    local.close(timeout=CLOSE_S)
+                raise
         opened = cls(client, local)
         try:
             client.subscribe_topic(TOPIC, lambda event: on_progress(event[1]))
