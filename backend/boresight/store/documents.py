@@ -106,28 +106,29 @@ def number_in(column: Any, path: str) -> sa.ColumnElement[float]:
     return _NumberIn(sa.type_coerce(column, sa.Text), sa.literal(path, sa.Text))
 
 
-class _NumbersOf(sa.sql.functions.GenericFunction[int]):
-    """The numbers of a JSON list, as rows."""
+class _Among(sa.sql.functions.GenericFunction[bool]):
+    """Whether a number is in a JSON list of numbers."""
 
-    type = sa.Integer()
+    type = sa.Boolean()
     inherit_cache = True
+    _is_implicitly_boolean = True  # or SQLite, which has none, is asked whether it equals 1
 
 
-@compiles(_NumbersOf)
-def _rows_of_sqlite(element: _NumbersOf, compiler: SQLCompiler, **options: Any) -> str:
+@compiles(_Among)
+def _among_of_sqlite(element: _Among, compiler: SQLCompiler, **options: Any) -> str:
     """Take the list apart."""
-    listed = compiler.process(*element.clauses, **options)
-    return f"(SELECT value FROM json_each({listed}))"  # noqa: S608 - a compiled clause, whose value is bound
+    column, listed = (compiler.process(clause, **options) for clause in element.clauses)
+    return f"({column} IN (SELECT value FROM json_each({listed})))"  # noqa: S608 - compiled clauses, whose values are bound
 
 
-@compiles(_NumbersOf, "postgresql")
-def _rows_of_postgresql(element: _NumbersOf, compiler: SQLCompiler, **options: Any) -> str:
-    """Take the list apart; its members come as text."""
-    members = f"json_array_elements_text(CAST({compiler.process(*element.clauses, **options)} AS JSON))"
-    return f"(SELECT CAST(member AS INTEGER) FROM {members} AS member)"  # noqa: S608 - a compiled clause, whose value is bound
+@compiles(_Among, "postgresql")
+def _among_of_postgresql(element: _Among, compiler: SQLCompiler, **options: Any) -> str:
+    """Spell the list as an array: of one the planner sees how long it is, of rows from JSON it takes it to be a hundred."""
+    column, listed = (compiler.process(clause, **options) for clause in element.clauses)
+    return f"({column} = ANY (CAST(translate({listed}, '[]', '{{}}') AS INTEGER[])))"
 
 
 def among(column: Any, numbers: Iterable[int]) -> sa.ColumnElement[bool]:
     """Keep to rows whose key is one of these, any number of them: one value is bound, not one each. What no key is, is none."""
     listed = json.dumps(sorted(number for number in set(numbers) if 0 < number < MOST_NUMBER))
-    return column.op("IN", is_comparison=True)(_NumbersOf(sa.literal(listed, sa.Text)))  # type: ignore[no-any-return]  # columns are Any here
+    return _Among(column, sa.literal(listed, sa.Text))
