@@ -1,9 +1,9 @@
 """How the fleet stands, for the top bar of every page: as its worst sensor does, that sensor named.
 
 It takes a look at every sensor, so it is remembered while nothing is committed (`store.marks`), and no longer than `HELD_S`, for
-baselines age by the clock. Of a large fleet, where a look takes over `LONG_S`, it is remembered `REST` times as long as the look
-took, whatever is committed: so the top bar of thousands of sensors takes a fixed share of one processor. One page looks for all
-that ask meanwhile.
+baselines age by the clock. Of a fleet of more than `LARGE` sensors it is remembered `REST` times as long as the look took, whatever
+is committed: so the top bar of thousands of sensors takes a fixed share of one processor, and most pages wait for none of it. One
+page looks for all that ask meanwhile.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from boresight.pages.states import LEVELS
-from boresight.services import alarms, approvals, fleet
+from boresight.services import alarms, approvals, fleet, sensors
 from boresight.store.marks import Mark, Marks
 from boresight.store.sessions import Engine, Session, reading
 
 HELD_S = 30.0
-LONG_S, REST = 1.0, 5.0
+LARGE, REST = 200, 5.0
 
 WORD_OF_LEVEL = {level: level.upper() for level in LEVELS} | {"off": "NO DATA"}
 
@@ -76,8 +76,9 @@ class FleetMemory:
                 return known[2]
             with reading(self._engine) as session:
                 found = fleet_standing(session)
+                is_large = sensors.count(session) > LARGE
             ended_s = time.monotonic()
             took_s = ended_s - now_s
             self._known = None if mark is None else (mark, ended_s, found)
-            self._resting_until_s = ended_s + min(HELD_S, REST * took_s) if took_s > LONG_S else 0.0
+            self._resting_until_s = ended_s + min(HELD_S, REST * took_s) if is_large else 0.0
             return found
