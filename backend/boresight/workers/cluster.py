@@ -83,8 +83,7 @@ class Cluster:
                     heartbeat_interval="2s",
                 )
             except Exception:
-                if local is not None:  # or the next attempt's workers come beside these
-                    local.close(timeout=CLOSE_S)
+                _close(local)  # or the next attempt's workers come beside these
                 raise
         opened = cls(client, local)
         try:
@@ -160,10 +159,15 @@ class Cluster:
         with suppress(Exception):  # what is lost already cannot be closed in order
             for held in unfinished if self.connected and self._local is None else ():
                 self.ask_to_stop(held)
-        for part in (self._client, self._local):
-            if part is not None:
-                with suppress(Exception):
-                    part.close(timeout=CLOSE_S)
+        _close(self._client)
+        _close(self._local)
+
+
+def _close(part: Any | None) -> None:
+    """Close a client, or workers, that are there; whatever that says, there is nothing more to be done."""
+    if part is not None:
+        with suppress(Exception):
+            part.close(timeout=CLOSE_S)
 
 
 def _shared_folder(settings: Settings) -> str:
