@@ -87,7 +87,7 @@ def test_the_same_again_is_no_new_version_unless_it_was_archived(session, people
         ({"name": "n" * 61}, "up to 60 characters"),
         ({"sentence": ""}, "when to use Ours"),
         ({"name": "quick LOOK"}, "comes with Boresight; choose another name"),
-        ({"name": "a\x07b"}, "control character"),
+        ({"name": "a\x07b"}, "U.0007"),
         ({"method": "magic"}, "choose from batch"),
     ],
 )

@@ -193,6 +193,20 @@ def test_the_folders_of_the_sender_are_not_kept(
     assert _add(engine, people["ana"], blobs, file, sent).name == kept
 
 
+def test_a_file_name_is_stored_in_its_normal_form(engine: Engine, people: People, blobs: BlobStore, file: Path) -> None:
+    assert _add(engine, people["ana"], blobs, file, "..\uff0fcafe\u0301.csv").name == "caf\u00e9.csv"
+
+
+@pytest.mark.parametrize("sent", ["n" * 252 + ".csv", "a\u202evsc.csv", "a\u200b.csv", "a\ud800.csv"])
+def test_a_file_name_that_is_long_or_hides_something_stores_nothing(
+    engine: Engine, people: People, blobs: BlobStore, file: Path, sent: str
+) -> None:
+    with pytest.raises(RefusedInputError, match="file name"):
+        _add(engine, people["ana"], blobs, file, sent)
+    with reading(engine) as session:
+        assert telemetry_sets.list_telemetry_sets(session) == []
+
+
 def test_sets_are_listed_by_purpose(engine: Engine, people: People, blobs: BlobStore, file: Path) -> None:
     first = _add(engine, people["ana"], blobs, file)
     file.write_text(_csv(frames=4), encoding="utf-8")

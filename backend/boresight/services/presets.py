@@ -14,7 +14,7 @@ from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
-from boresight.services.words import refuse_control_characters
+from boresight.services.words import normal_name, refuse_control_characters
 from boresight.store import presets as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Preset
@@ -158,7 +158,7 @@ def save_preset(session: Session, actor: Actor, name: str, sentence: str, settin
     """
     require_role(actor, "analyst")
     require_scope(actor, "runs")
-    name, sentence = name.strip(), sentence.strip()
+    name, sentence = normal_name("name", name), sentence.strip()
     _refuse_words(name, sentence)
     document = _whole(settings)
     before = rows.newest_of_name(session, name)
@@ -191,7 +191,7 @@ def _refuse_words(name: str, sentence: str) -> None:
         raise RefusedInputError(f"Say in a sentence of up to {SENTENCE_LENGTH} characters when to use {name}.")
     if name.casefold() in {offer.name.casefold() for offer in BUILT_IN}:
         raise RefusedInputError(f"{name} comes with Boresight; choose another name.")
-    refuse_control_characters(name=name, sentence=sentence)
+    refuse_control_characters(sentence=sentence)
 
 
 def archive_preset(session: Session, actor: Actor, preset_id: int) -> Preset:

@@ -19,7 +19,7 @@ from boresight.errors import NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.sensors import get_sensor
-from boresight.services.words import refuse_control_characters
+from boresight.services.words import normal_name
 from boresight.sky.catalogue import Catalogue
 from boresight.store import telemetry_sets as rows
 from boresight.store.blobs import BlobStore, register_blob
@@ -88,7 +88,6 @@ def prepared(
     RefusedInputError
         When the file cannot be read, with rows and columns.
     """
-    refuse_control_characters(file_name=file_name)
     sensor, name = parse_sensor(sensor_document), _base_name(file_name)
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table.parquet"
@@ -97,7 +96,7 @@ def prepared(
             original=path,
             table=table,
             name=name,
-            media_type=MEDIA_TYPES.get(PurePath(file_name).suffix.lower(), PARQUET),
+            media_type=MEDIA_TYPES.get(PurePath(name).suffix.lower(), PARQUET),
             original_sha256=_sha256_of_file(path),
             frames=quality["frames"],
             stars=quality["stars"],
@@ -220,8 +219,13 @@ def _in_use_again(session: Session, actor: Actor, row: TelemetrySet) -> Telemetr
 
 
 def _base_name(file_name: str) -> str:
-    """Return a sender's file name without the folders of either kind of path."""
-    return file_name.replace("\\", "/").rsplit("/", 1)[-1] or "telemetry"
+    """Return a sender's file name in its normal form, without the folders of either kind of path."""
+    name = normal_name("file name", _without_folders(file_name))
+    return _without_folders(name) or "telemetry"  # once more: normal forms of other characters are slashes
+
+
+def _without_folders(path: str) -> str:
+    return path.replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
