@@ -231,6 +231,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "list_packages": lambda _: ("victor", {}),
     "get_package": _package,
     "get_package_content": _package,
+    "list_signers": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
     "list_approvals": lambda _: ("victor", {}),
     "get_approval": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
     "approve": _sign,

@@ -79,11 +79,11 @@ class Installation:
             telemetry_sets.add_telemetry_set(session, COMMAND_LINE, self.blobs, None, row.id, path, name)
             return row.id
 
-    def candidate(self, sensor_id: int, analyst: Actor) -> ParameterSet:
-        """Make a candidate of a run that this analyst launched."""
+    def candidate(self, sensor_id: int, launcher: Actor, creator: Actor | None = None) -> ParameterSet:
+        """Make a candidate of a run that this analyst launched, and created it of too unless another did."""
         with writing(self.engine) as session:
-            run = self._run(session, sensor_id, analyst)
-            return parameter_sets.create_from_run(session, analyst, self.blobs, run.id)
+            run = self._run(session, sensor_id, launcher)
+            return parameter_sets.create_from_run(session, creator or launcher, self.blobs, run.id)
 
     def _run(self, session: Session, sensor_id: int, analyst: Actor) -> Run:
         """Store a run that ended, as a worker would."""

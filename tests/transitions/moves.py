@@ -14,6 +14,7 @@ ACTORS = (
     *ROLES,  # a person with one role each, who has no part in the request
     "submitter",  # analyst and approver, who submitted the set
     "launcher",  # analyst and approver, who launched the run that the set comes from
+    "creator",  # analyst and approver, who created the set of somebody else's run
     "signer",  # approver, who signed whatever is signed
     "newcomer",  # approver, whose password somebody else set
     "key of the analyst",
@@ -62,12 +63,12 @@ def _allow(actors: str, transitions: str, places: str) -> set[Move]:
 SIGNATURES = "approve, refuse, approve-over-the-shoulder, refuse-over-the-shoulder"
 ALLOWED = (
     _allow(
-        "analyst, submitter, launcher, key of the analyst, key of the submitter",
+        "analyst, submitter, launcher, creator, key of the analyst, key of the submitter",
         "submit",
         "CANDIDATE, WITHDRAWN, EXPIRED, SUPERSEDED, STALE",
     )
     | _allow(
-        "analyst, operator, submitter, launcher, key of the analyst, key of the operator, key of the submitter",
+        "analyst, operator, submitter, launcher, creator, key of the analyst, key of the operator, key of the submitter",
         "roll-back",
         "SUPERSEDED",
     )
@@ -77,7 +78,7 @@ ALLOWED = (
     | _allow("approver", "refuse, refuse-over-the-shoulder", "APPROVED")
     | _allow("operator, key of the operator", "promote", "APPROVED")
     | _allow(
-        "analyst, operator, approver, administrator, submitter, launcher, signer",
+        "analyst, operator, approver, administrator, submitter, launcher, creator, signer",
         "assign",
         "SUBMITTED, HALF",
     )

@@ -28,6 +28,7 @@ PEOPLE = {
     **{role: (role,) for role in ROLES},
     "submitter": ("analyst", "approver"),
     "launcher": ("analyst", "approver"),
+    "creator": ("analyst", "approver"),
     "signer": ("approver",),
     "newcomer": ("approver",),
     "console": ("viewer",),
@@ -119,9 +120,9 @@ def _everything() -> list[str]:
 
 
 def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | None = None) -> ParameterSet:
-    """Have a candidate of the launcher's run submitted by the submitter."""
+    """Have a candidate that the creator made of the launcher's run submitted by the submitter."""
     house = board.installation
-    row = house.candidate(sensor_id or house.sensor(), board.actor("launcher"))
+    row = house.candidate(sensor_id or house.sensor(), board.actor("launcher"), board.actor("creator"))
     board.sets[place] = row.id
     with writing(house.engine) as session:
         asked = (house.blobs, row.id, "It moved.", row.version)
@@ -153,7 +154,7 @@ def _place(board: Board, place: str) -> None:
     """Bring a set, of a sensor of its own, into a place."""
     house = board.installation
     if place == "CANDIDATE":
-        board.sets[place] = house.candidate(house.sensor(), board.actor("launcher")).id
+        board.sets[place] = house.candidate(house.sensor(), board.actor("launcher"), board.actor("creator")).id
         return
     row = _open(board, place, POLICIES.get(place, POLICY))
     if place in {"APPROVED", "HALF", "REJECTED"}:

@@ -21,7 +21,7 @@ class Policy:
     Parameters
     ----------
     four_eyes
-        Whether who submitted a set or launched its run is kept from signing. False only where one person works alone;
+        Whether who submitted or created a set, or launched its run, is kept from signing. False only where one person works alone;
         every page and every export then says so.
     approval_days, rollback_days
         How long a request for a new set, and for a former baseline, may wait before it expires [d].

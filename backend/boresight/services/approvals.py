@@ -25,7 +25,7 @@ from boresight.services.actors import POLICY, Actor, Policy, require_person
 from boresight.services.discussions import assign, openings_of, record_opening, remark, remarks_of
 from boresight.services.evidence import refuse_blocked, shown_sha256
 from boresight.services.passwords import password_by
-from boresight.services.signers import refuse_signer, second_persons
+from boresight.services.signers import Signer, refuse_signer, second_persons, signers_of
 from boresight.services.staleness import any_due, expire_due, is_expired, refuse_expired, refuse_moved
 from boresight.services.transitions import get_approval, move, require_seen, resting_state, who_changed
 from boresight.services.words import refuse_control_characters
@@ -48,6 +48,7 @@ __all__ = [
     "sign",
     "sign_over_the_shoulder",
     "signatures_of",
+    "who_may_sign",
     "why_not_sign",
 ]
 
@@ -82,6 +83,11 @@ def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Po
     if is_expired(approval):
         return f"Request {approval.id} expired at {approval.expires_utc}; the set must be submitted again."
     return None
+
+
+def who_may_sign(session: Session, approval_id: int, *, policy: Policy = POLICY) -> list[Signer]:
+    """Return every approver with whether they may sign a request, and if not, why."""
+    return signers_of(session, get_approval(session, approval_id), policy)
 
 
 def sign(  # noqa: PLR0913 - a signature has that many parts

@@ -9,10 +9,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, users
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.services import audit
 from boresight.services.actors import POLICY, Actor, Policy, require_person, require_role
-from boresight.services.signers import refuse_signer
+from boresight.services.signers import signers_of
 from boresight.services.transitions import get_approval, move, require_seen, subject_of, who_changed
 from boresight.services.words import refuse_control_characters
 from boresight.store import approvals as rows
@@ -54,21 +54,6 @@ def assign(
     return approval
 
 
-def possible_signers(session: Session, approval: Approval, *, policy: Policy = POLICY) -> Sequence[User]:
-    """Return everyone who may sign a request now."""
-    return [user for user in users.list_users(session) if _may_sign(session, approval, user, policy)]
-
-
-def _may_sign(session: Session, approval: Approval, user: User, policy: Policy) -> bool:
-    """Whether a person may sign a request."""
-    actor = Actor(user.id, user.name, user.printed_name, frozenset(user.roles), "session")
-    try:
-        refuse_signer(session, actor, approval, policy)
-    except (ConflictError, ForbiddenError):
-        return False
-    return user.disabled_utc is None
-
-
 def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) -> User:
     """Return a person who may sign a request."""
     user = session.get(User, user_id)
@@ -76,8 +61,13 @@ def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) 
         raise NotFoundError(f"There is no user {user_id}.")
     if user.disabled_utc is not None:
         raise ConflictError(f"{user.printed_name} is disabled; ask another approver.")
-    if not _may_sign(session, approval, user, policy):
-        raise ConflictError(f"{user.printed_name} cannot sign this request; ask another approver.")
+    found = next((one for one in signers_of(session, approval, policy) if one.user.id == user_id), None)
+    if found is None:
+        raise ConflictError(
+            f"{user.printed_name} cannot sign this request, having no role approver; ask another person."
+        )
+    if found.refusal is not None:
+        raise ConflictError(f"{found.refusal} Ask another approver.")
     return user
 
 

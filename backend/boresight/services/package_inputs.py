@@ -48,9 +48,9 @@ def four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, 
     elif kept is None:
         sentence = "Nobody signed this set: it is the ground calibration."
     elif kept:
-        sentence = "Four eyes: it was approved by who neither submitted it nor launched its run."
+        sentence = "Four eyes: it was approved by who neither submitted nor created it, nor launched its run."
     else:
-        sentence = "FOUR EYES WERE NOT KEPT: it was approved by who submitted it or launched its run."
+        sentence = "FOUR EYES WERE NOT KEPT: it was approved by who submitted or created it, or launched its run."
     return {"enforced": policy.four_eyes, "kept": kept, "sentence": sentence}
 
 

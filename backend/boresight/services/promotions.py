@@ -56,12 +56,12 @@ def promote(
 
 
 def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
-    """Refuse an approval that lacks second persons: it was signed while four-eyes was off."""
+    """Refuse an approval that lacks second persons: it was signed while four-eyes was off, or its signer made the set."""
     signed = len(second_persons(session, approval, policy))
     if signed < approval.needed:
         raise ConflictError(
             f"Request {approval.id} has {signed} of {approval.needed} approvals by a second person: it was signed "
-            "while four-eyes was off. Withdraw it and submit the set again."
+            "while four-eyes was off, or by who created the set. Withdraw it and submit the set again."
         )
 
 

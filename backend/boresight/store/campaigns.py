@@ -86,6 +86,12 @@ def campaigns(session: Session, *, before_id: int | None, limit: int) -> Sequenc
     return session.scalars(query if before_id is None else query.where(Campaign.id < before_id)).all()
 
 
+def campaigns_of_run(session: Session, run_id: int) -> Sequence[Campaign]:
+    """Return the campaigns that a run belongs to."""
+    query = sa.select(Campaign).join(CampaignRun, CampaignRun.campaign_id == Campaign.id)
+    return session.scalars(query.where(CampaignRun.run_id == run_id).order_by(Campaign.id)).all()
+
+
 def counts(session: Session, campaign_ids: Collection[int]) -> dict[int, Counted]:
     """Count the sensors of campaigns by the state of their runs."""
     counted = session.execute(

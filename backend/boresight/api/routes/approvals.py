@@ -78,6 +78,29 @@ def get_approval(approval_id: Id, actor: Who, session: Reading) -> Response:  # 
     return _answer(session, approvals.get_approval(session, approval_id)).response()
 
 
+@router.get(
+    "/{approval_id}/signers",
+    name="list_signers",
+    summary="List who may sign",
+    response_model=Page[schemas.Signer],
+    responses=refusals(404),
+)
+def list_signers(approval_id: Id, actor: Who, policy: Held, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+    """List every approver with whether they may sign this request, and if not, which part in the set excludes them."""
+    found = approvals.who_may_sign(session, approval_id, policy=policy)
+    items = [
+        {
+            "user_id": one.user.id,
+            "printed_name": one.user.printed_name,
+            "may_sign": one.refusal is None,
+            "excluded_as": list(dict.fromkeys(one.roles)),
+            "refusal": one.refusal,
+        }
+        for one in found
+    ]
+    return json_response({"items": items, "next": None})
+
+
 @router.post(
     "/{approval_id}:approve",
     name="approve",
@@ -88,7 +111,7 @@ def get_approval(approval_id: Id, actor: Who, session: Reading) -> Response:  # 
 def approve(
     approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, policy: Held, session: Writing
 ) -> Response:
-    """Approve, as a second person: not the submitter, not who launched the run, no administrator, no API key."""
+    """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
     return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "APPROVE", signing, seen, policy))
 
 

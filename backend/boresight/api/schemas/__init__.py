@@ -7,7 +7,7 @@ addresses of their own.
 from __future__ import annotations
 
 from boresight.api.schemas.alarms import Alarm, AlarmEvent, Note
-from boresight.api.schemas.approvals import Approval, Opening, Remark, Signature
+from boresight.api.schemas.approvals import Approval, Opening, Remark, Signature, Signer
 from boresight.api.schemas.audit import AuditRecord, ChainReport
 from boresight.api.schemas.campaigns import Campaign, CampaignResult, DryRunOfCampaign, Preset
 from boresight.api.schemas.fleet import Sensor, TelemetrySet
@@ -59,6 +59,7 @@ __all__ = [
     "Sensor",
     "Session",
     "Signature",
+    "Signer",
     "TableDefinition",
     "TelemetrySet",
     "TriedProfile",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.api.schemas.row import Document, Row
 
@@ -47,6 +47,20 @@ class Approval(Row):
     submitted_by: int
     closed_utc: str | None
     signatures: list[Signature] = Field(default_factory=list)
+
+
+class Signer(BaseModel):
+    """An approver, and whether they may sign a request now."""
+
+    model_config = ConfigDict(extra="forbid")
+    user_id: int
+    printed_name: str
+    may_sign: bool
+    excluded_as: list[Literal["SUBMITTER", "LAUNCHER", "CREATOR"]] = Field(
+        description="The part in the set that keeps this person from signing: who submitted it, who launched its run or "
+        "campaign, who created it."
+    )
+    refusal: str | None = Field(description="Why they may not, a sentence; null when they may.")
 
 
 class Remark(Row):
