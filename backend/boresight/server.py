@@ -44,6 +44,7 @@ from boresight.api.keeping import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, Keepin
 from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
+from boresight.api.origins import OwnPages
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.ready import Answering, Proof, Ready
 from boresight.api.upkeep import Upkeep
@@ -87,7 +88,7 @@ def create_app(settings: Settings) -> FastAPI:
         routes=ROUTES.routes,
     )
     described = app.openapi
-    app.openapi = lambda: corrected(described())  # type: ignore[method-assign]  # the framework's own way to extend it
+    app.openapi = lambda: corrected(described(), app.state.log_in_cookie.name)  # type: ignore[method-assign]  # the framework's own way to extend it
     _furnish(app, settings)
     for kind in (BoresightError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, _refuse)
@@ -97,6 +98,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Answering, ready=app.state.ready)
     app.add_middleware(Heads)
     app.add_middleware(Codings)
+    app.add_middleware(OwnPages, refuse=_turn_away, public_url=settings.public_url)
     limit_mb = settings.upload_limit_mb
     app.add_middleware(
         Border,
@@ -104,6 +106,7 @@ def create_app(settings: Settings) -> FastAPI:
         refuse=_refuse,
         upload_limit_mb=limit_mb,
         four_eyes=lambda: app.state.policy.four_eyes,
+        https_only=bool(settings.secure_cookies),
     )
     return app
 
@@ -233,14 +236,19 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
-    """Serve until told to stop by SIGINT or SIGTERM; `on_open` is called once connections are accepted."""
-    config = uvicorn.Config(
-        create_app(settings),
+def configured(app: FastAPI, settings: Settings) -> uvicorn.Config:
+    """Return how an application is served over HTTP."""
+    return uvicorn.Config(
+        app,
         host=settings.host,
         port=settings.port,
         log_level="warning",
         server_header=False,
+        forwarded_allow_ips=settings.trusted_proxies,
         timeout_graceful_shutdown=DRAIN_S,
     )
-    _Server(config, on_open).run()
+
+
+def serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
+    """Serve until told to stop by SIGINT or SIGTERM; `on_open` is called once connections are accepted."""
+    _Server(configured(create_app(settings), settings), on_open).run()

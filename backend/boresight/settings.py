@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Policy
@@ -32,6 +33,14 @@ class Setting:
         return f"BORESIGHT_{self.name.upper()}"
 
 
+def _site(text: str) -> str:
+    """Read the address of a site: empty, or a scheme and a host."""
+    parts = urlsplit(text)
+    if text and (parts.scheme not in {"http", "https"} or not parts.hostname or parts.port == 0):
+        raise ValueError(text)
+    return text
+
+
 SETTINGS = (
     Setting("data_folder", "", "path", "Database, blobs, catalogue, compiled kernels; empty = your data folder.", str),
     Setting("database_url", "", "URL", "SQLAlchemy address of the store; empty = SQLite in the data folder.", str),
@@ -39,6 +48,10 @@ SETTINGS = (
     Setting("blob_cache_mb", "10240", "MB", "Files of an object store kept here; the least used go.", float),
     Setting("host", "127.0.0.1", "address", "Address the server listens on.", str),
     Setting("port", "8000", "", "Port the server listens on.", int),
+    Setting("trusted_proxies", "127.0.0.1", "addresses", "Proxies whose X-Forwarded-For and -Proto count.", str),
+    Setting(
+        "public_url", "", "URL", "Where people find the server, if a proxy hides it; empty = what Host says.", _site
+    ),
     Setting("mode", "OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.", str),
     Setting("scheduler", "", "address", "Dask scheduler, tcp://host:port; empty = our own worker processes.", str),
     Setting(
@@ -76,6 +89,8 @@ class Settings:
     blob_cache_mb: float
     host: str
     port: int
+    trusted_proxies: str
+    public_url: str
     mode: str
     scheduler: str
     tls_authority: str

@@ -19,11 +19,10 @@ import httpx
 import numpy as np
 import orjson
 import pytest
-import uvicorn
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
-from boresight.server import _Server, create_app
+from boresight.server import _Server, configured, create_app
 from boresight.services import audit, users
 from boresight.services.actors import COMMAND_LINE, SYSTEM
 from boresight.settings import Settings, read_settings
@@ -62,8 +61,7 @@ def serving(settings: Settings, catalogue: Catalogue | None = None) -> Iterator[
     """Serve on a free port; yields the address and the application."""
     app = create_app(settings)
     app.state.catalogue = lambda: catalogue
-    config = uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning", server_header=False)
-    server = _Server(config)
+    server = _Server(configured(app, dataclasses.replace(settings, host="127.0.0.1", port=0)))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     while not server.started:

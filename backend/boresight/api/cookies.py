@@ -24,6 +24,7 @@ from boresight.errors import UnauthenticatedError
 from boresight.settings import Settings
 
 SESSION_COOKIE = "boresight_session"
+SECURE_PREFIX = "__Host-"  # browsers then take the cookie from this host alone, over HTTPS alone, for every path
 SECRET_FILE = "secret.key"  # noqa: S105 - the name of a file
 SECRET_BYTES = 32
 MOST_LOG_INS = 10_000
@@ -68,6 +69,7 @@ class LogInCookie:
         self._idle_s = settings.session_idle_hours * 3600
         self._used_s: dict[str, float] = {}  # by CSRF token, which no two log-ins share
         self._secure = bool(settings.secure_cookies)
+        self.name = SECURE_PREFIX + SESSION_COOKIE if self._secure else SESSION_COOKIE
         self._serializer = URLSafeTimedSerializer(read_secret(settings.data_folder), salt=SESSION_COOKIE)
 
     def open(self, response: Response, user_id: int, epoch: int) -> LogIn:
@@ -75,7 +77,7 @@ class LogInCookie:
         log_in = LogIn(user_id, epoch, secrets.token_urlsafe(24))
         value = self._serializer.dumps([log_in.user_id, log_in.epoch, log_in.csrf_token])
         response.set_cookie(
-            SESSION_COOKIE,
+            self.name,
             value if isinstance(value, str) else value.decode(),
             max_age=self._max_age_s,
             path="/",
@@ -87,7 +89,7 @@ class LogInCookie:
 
     def close(self, response: Response) -> None:
         """Take the log-in away from the browser."""
-        response.delete_cookie(SESSION_COOKIE, path="/", secure=self._secure, httponly=True, samesite="lax")
+        response.delete_cookie(self.name, path="/", secure=self._secure, httponly=True, samesite="lax")
 
     def read(self, value: str, *, active: bool = True) -> LogIn:
         """Return what a cookie says.

@@ -12,7 +12,7 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import Scope
 
-from boresight.api.cookies import SESSION_COOKIE, LogInCookie
+from boresight.api.cookies import LogInCookie
 from boresight.api.ready import Proof
 from boresight.errors import BoresightError, UnauthenticatedError
 from boresight.services import api_keys, users
@@ -59,10 +59,10 @@ def _identify(request: Request, *, active: bool = True) -> Actor:
         use()
         request.state.proof = Proof(_seconds(actor.until_utc), use)
         return actor
-    if SESSION_COOKIE not in request.cookies:
-        raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
     cookie: LogInCookie = request.app.state.log_in_cookie
-    log_in = cookie.read(request.cookies[SESSION_COOKIE], active=active)
+    if cookie.name not in request.cookies:
+        raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
+    log_in = cookie.read(request.cookies[cookie.name], active=active)
     request.state.csrf_token = log_in.csrf_token
     due = f"/api/v1/users/{log_in.user_id}:change-password"
     with reading(request.app.state.engine) as session:

@@ -18,8 +18,9 @@ from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.api.cookies import SESSION_COOKIE, LogIn
+from boresight.api.cookies import LogIn
 from boresight.api.credentials import bearer, current_actor
+from boresight.api.origins import SAFE_METHODS
 from boresight.errors import (
     ForbiddenError,
     PreconditionRequiredError,
@@ -32,7 +33,6 @@ from boresight.services.actors import Actor, Policy
 from boresight.services.forecasts import Sight
 from boresight.store.sessions import Session, only_try, reading, writing
 
-SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
 CSRF_HEADER = "X-CSRF-Token"
 CSRF_FIELD = "csrf_token"
@@ -102,13 +102,11 @@ async def csrf(request: Request) -> None:
     Raises
     ------
     ForbiddenError
-        When the token is missing or another, or when the browser says that another site made the request.
+        When the token is missing or another.
     """
     if request.method in SAFE_METHODS or bearer(request.headers) is not None:
         return
-    if request.headers.get("sec-fetch-site") == "cross-site":
-        raise ForbiddenError("This request was made by another site; make it from Boresight's own pages.")
-    if SESSION_COOKIE not in request.cookies:
+    if request.app.state.log_in_cookie.name not in request.cookies:
         return  # nothing to abuse; whoever needs an actor refuses it
     try:
         await run_in_threadpool(current_actor, request)

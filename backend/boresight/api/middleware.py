@@ -53,6 +53,7 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
+STRICT_TRANSPORT = (b"strict-transport-security", b"max-age=31536000; includeSubDomains")
 SECURITY_PAIRS = tuple((name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items())
 REQUEST_ID = "X-Request-ID"
 FOUR_EYES = "Boresight-Four-Eyes"
@@ -62,6 +63,7 @@ USABLE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 BODY_LIMIT_BYTES = 1_000_000  # JSON and plain forms, and what a multipart form says around its file
 UPLOADED = ("/telemetry-sets", "/telemetry")  # paths that take a file
 
+HeaderPairs = tuple[tuple[bytes, bytes], ...]
 Observe = Callable[[Scope, int, float], None]
 Refuse = Callable[[Request, Exception], Awaitable[Response]]
 
@@ -85,12 +87,22 @@ class Border:
         Largest telemetry file.
     four_eyes
         Whether a second person is asked for here, at the moment of an answer.
+    https_only
+        Whether browsers are told to ask this server over HTTPS alone.
     """
 
     def __init__(
-        self, app: ASGIApp, observe: Observe, refuse: Refuse, upload_limit_mb: float, four_eyes: Callable[[], bool]
+        self,
+        app: ASGIApp,
+        observe: Observe,
+        refuse: Refuse,
+        upload_limit_mb: float,
+        four_eyes: Callable[[], bool],
+        *,
+        https_only: bool = False,
     ) -> None:
         self.app = app
+        self.pairs = (*SECURITY_PAIRS, STRICT_TRANSPORT) if https_only else SECURITY_PAIRS
         self.four_eyes = four_eyes
         self.observe = observe
         self.refuse = refuse
@@ -101,7 +113,7 @@ class Border:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        answer = _Answer(scope, send, four_eyes=self.four_eyes())
+        answer = _Answer(scope, send, self.pairs, four_eyes=self.four_eyes())
         try:
             await self.app(scope, self._limited(scope, receive), answer.send)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is logged whole and answered without its words
@@ -137,11 +149,12 @@ class Border:
 class _Answer:
     """One answer on its way out."""
 
-    def __init__(self, scope: Scope, send: Send, *, four_eyes: bool) -> None:
+    def __init__(self, scope: Scope, send: Send, pairs: HeaderPairs, *, four_eyes: bool) -> None:
         self.began_s = time.perf_counter()
         self.status = 0
         self._scope = scope
         self._send = send
+        self._pairs = pairs
         self._four_eyes = four_eyes
         self._state: MutableMapping[str, Any] = scope.setdefault("state", {})
         self._state["request_id"] = request_id_of(Headers(scope=scope))
@@ -152,7 +165,7 @@ class _Answer:
             self.status = message["status"]
             given = message["headers"]
             names = {name for name, _ in given}
-            given = [*given, *(pair for pair in SECURITY_PAIRS if pair[0] not in names)]
+            given = [*given, *(pair for pair in self._pairs if pair[0] not in names)]
             message["headers"] = [*given, (b"x-request-id", self._state["request_id"].encode())]
             if not self._four_eyes:
                 _say_alone(MutableHeaders(scope=message))

@@ -102,8 +102,11 @@ def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:
     }
 
 
-def corrected(document: dict[str, Any]) -> dict[str, Any]:
+def corrected(document: dict[str, Any], cookie_name: str) -> dict[str, Any]:
     """Say in an OpenAPI document what the framework cannot know: refusals are problems only, and what success means."""
+    for scheme in document["components"].get("securitySchemes", {}).values():
+        if scheme.get("in") == "cookie":
+            scheme["name"] = cookie_name  # by the settings of the server
     for methods in document["paths"].values():
         for operation in methods.values():
             _describe_headers_and_trials(operation)

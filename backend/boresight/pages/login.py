@@ -10,7 +10,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.credentials import current_actor
 from boresight.api.dependencies import csrf, log_in_person, log_out_person
-from boresight.errors import ForbiddenError, UnauthenticatedError
+from boresight.errors import UnauthenticatedError
 from boresight.pages.attempts import attempt
 from boresight.pages.rendering import redirect, render
 from boresight.store.sessions import Session
@@ -42,8 +42,6 @@ async def log_in(
     next: Annotated[str, Form()] = "/",  # noqa: A002 - the name in the form
 ) -> Response:
     """Check name and password; the answer to a wrong one does not tell which of the two it was."""
-    if request.headers.get("sec-fetch-site") == "cross-site":
-        raise ForbiddenError("This log-in was sent by another site; open Boresight's own log-in page.")
     response = redirect(local_path(next))
     refusal = (await attempt(request, partial(_check, request, response, name, password))).refusal
     if refusal is None:

@@ -161,11 +161,10 @@ def _require_meant(request: Request, upload: Upload) -> None:
     Raises
     ------
     ForbiddenError
-        When the token is missing or another's, or another site sent the form.
+        When the token is missing or another's.
     """
     given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
-    meant = expected is None or hmac.compare_digest(given.encode(), expected.encode())
-    if not meant or request.headers.get("sec-fetch-site") == "cross-site":
+    if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
         raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
 
 

@@ -1,4 +1,7 @@
-"""Is it alive, is it ready, how is it doing: for load balancers and monitoring; no log-in, nothing secret.
+"""Is it alive, is it ready, how is it doing: for load balancers and monitoring.
+
+Whether it is alive and ready is told to anybody. Details and metrics say how the server is built and used: they are told
+on this machine where the server listens to nobody else, and otherwise to who is logged in or sends an API key.
 
 They answer under any load: the first needs no thread, and the others have one of their own, so that a crowd which waits for the
 threads of the endpoints does not look like a server that is dead.
@@ -18,7 +21,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api.answers import json_response
+from boresight.api.credentials import current_actor, prove
 from boresight.api.openapi import refusals
+from boresight.api.origins import is_local
 from boresight.errors import BoresightError
 from boresight.store.sessions import current_revision, head_revision
 
@@ -49,12 +54,16 @@ async def readiness(request: Request) -> Response:
     """Say whether store, files and workers are there: 200, or 503 with what is not.
 
     The store must answer with the right schema, the place of the files must be reached and written, and where workers are
-    expected one must have joined since the server began.
+    expected one must have joined since the server began. `checks` is there for whoever is logged in or sends an API key,
+    and on the server's own machine where it listens to nobody else.
     """
     parts = {"store": _store, "files": _files, "workers": _workers}
     checks = {name: await _apart(look, request) for name, look in parts.items()}
     ready = all(check["ready"] for check in checks.values())
-    return json_response({"status": "ready" if ready else "not ready", "checks": checks}, 200 if ready else 503)
+    body: dict[str, Any] = {"status": "ready" if ready else "not ready"}
+    if is_local(request) or await _apart(prove, request.scope) is not None:
+        body["checks"] = checks
+    return json_response(body, 200 if ready else 503)
 
 
 def _store(request: Request) -> dict[str, Any]:
@@ -89,8 +98,15 @@ def _workers(request: Request) -> dict[str, Any]:
     return {"ready": not expected or (state["connected"] and state["joined"]), "expected": expected, **state}
 
 
-@router.get("/metrics", name="metrics", summary="Prometheus metrics", response_class=Response)
+@router.get(
+    "/metrics", name="metrics", summary="Prometheus metrics", response_class=Response, responses=refusals(401, 403)
+)
 async def metrics(request: Request) -> Response:
-    """Return the series of this server in the Prometheus exposition format."""
+    """Return the series of this server in the Prometheus exposition format.
+
+    Any API key will do, also one without scopes; on the server's own machine none is needed where it listens to nobody else.
+    """
+    if not is_local(request):
+        await _apart(current_actor, request)
     text = await _apart(request.app.state.metrics.text)
     return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
