@@ -44,6 +44,16 @@ def test_the_same_bytes_again_are_the_set_that_is_there(house: House) -> None:
     assert house.upload(house.person("ada"), sensor_id).json()["id"] == set_id
 
 
+def test_an_uploaded_image_is_told_that_centroids_are_read(house: House) -> None:
+    answer = house.upload(
+        house.person("ada"), house.new_sensor()["id"], b"SIMPLE  =    T".ljust(2880), file_name="a.fits"
+    )
+    assert answer.status_code == 422
+    assert "FITS image" in answer.json()["detail"]
+    assert "centroids, not images" in answer.json()["detail"]
+    assert _files_left(house) == []
+
+
 def _with_text(rows: list[list[str]]) -> None:
     rows[3][rows[0].index("row_px")] = "twelve"
 

@@ -65,6 +65,19 @@ def test_a_chosen_file_counts_before_typed_text(house):
         assert "FROM-FILE" in {row.name for row in sensors.list_sensors(session)}
 
 
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "PNG image"), ('{"name": "é"}'.encode("latin-1"), "UTF-8")],
+)
+@pytest.mark.parametrize("page", ["/sensors", "/sensors/1/table-definition"])
+def test_a_chosen_file_that_is_no_text_is_called_what_it_is(house, read, page, content, words):
+    visitor = house.visitor("ada")
+    files = {"file": ("tracker.json", content, "application/json")}
+    answer = visitor.send("POST", page, data={"csrf_token": visitor.csrf_token, "document": ""}, files=files)
+    assert answer.status_code == 422
+    assert words in read(answer.text)
+
+
 def test_a_viewer_sees_who_may_register_and_the_server_refuses_the_form(house, read):
     visitor = house.visitor("victor")
     assert "needs the role analyst or administrator" in read(visitor.get("/sensors"))

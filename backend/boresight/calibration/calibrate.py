@@ -19,6 +19,7 @@ from boresight.calibration.cycles import AnySet, Cycled, filter_set, fit_in_cycl
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.judgement import judge, validate
 from boresight.calibration.listening import Listener, Progress
+from boresight.calibration.match_report import identification_advice
 from boresight.calibration.opening import Workplace, held_out, matchable, opened
 from boresight.calibration.problem import AnyProblem
 from boresight.calibration.settings import CalibrationSettings
@@ -114,7 +115,9 @@ def _calibrated(
     first = sets.at_start()
     clock.lap("arcs")
     if first.problem.arcs.n_exposures == 0:
-        return result.nothing_estimated(first.problem, parameters, settings, sha256s), None
+        document = result.nothing_estimated(first.problem, parameters, settings, sha256s)
+        document["advice"] = [*identification_advice(first.unidentified), *document["advice"]]
+        return document, None
     listener = Listener(first.problem, parameters, settings, sha256s, place.report, sets.prepared)
     run = filter_set if settings.sequential else fit_in_cycles
     ended = run(sets, first, parameters, settings, listener, place.cancelled)
@@ -125,6 +128,7 @@ def _calibrated(
         judged = sets.judged(first, ended.matched)
         judge(document, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
         _say_what_was_judged(document, judged.last.problem)
+        document["advice"] += identification_advice(ended.matched.unidentified)
     clock.lap("judge")
     return document, ended
 

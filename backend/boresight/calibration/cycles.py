@@ -58,6 +58,10 @@ class AnyMatched(Protocol):
     def problem(self) -> AnyProblem:
         """Its arcs."""
 
+    @property
+    def unidentified(self) -> int:
+        """Exposures that want the lost-in-space extra, which is not installed."""
+
 
 class MatchedFrames(Frames, Protocol):
     """Frames that are matched with the state of the filter that takes them; `matching_s` is the processor time that took."""

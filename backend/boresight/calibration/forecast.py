@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from boresight.calibration.advice import too_few
 from boresight.calibration.calibrate import matchable, parameters_of
 from boresight.calibration.estimate import Estimate, Parameters, covariance, run_batch
+from boresight.calibration.match_report import identification_advice
 from boresight.calibration.matched import MatchedSet
 from boresight.calibration.problem import Problem
 from boresight.calibration.remedies import remedies
@@ -88,7 +89,8 @@ def forecast(
     sets = MatchedSet(
         sample.telemetry, sensor, catalogue, parameters, matchable(sample.telemetry, settings), cache_folder
     )
-    problem = sets.at_start().problem
+    start = sets.at_start()
+    problem = start.problem
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     known = {
         "free": names,
@@ -97,7 +99,8 @@ def forecast(
         "frames": sample.frames_in_set,
     }
     if problem.arcs.n_exposures == 0:
-        return {**known, **_nothing(names, too_few(problem, settings.minimum_stars)[0])}
+        why = [*identification_advice(start.unidentified), *too_few(problem, settings.minimum_stars)]
+        return {**known, **_nothing(names, why[0])}
     foreseen = _foreseen(sample, problem, parameters, settings)
     if not np.isfinite(foreseen.A).all():
         sentence = "The camera model cannot be evaluated at the present parameters: check the sensor's initial values."

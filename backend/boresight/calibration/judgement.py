@@ -18,7 +18,7 @@ from boresight.calibration.cycles import Ended
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluate import evaluate_sightings
 from boresight.calibration.frame_observability import frame_observability
-from boresight.calibration.match_report import names_advice
+from boresight.calibration.match_report import identification_advice, names_advice
 from boresight.calibration.matched import Matched, MatchedSet
 from boresight.calibration.matching_view import matching_view
 from boresight.calibration.settings import CalibrationSettings
@@ -76,6 +76,7 @@ def validate(
     held_out = MatchedSet(telemetry, sensor, catalogue, parameters, settings, cache_folder)
     first, last = held_out.at_start(), held_out.at_covariance(estimate.x, estimate.P)
     if last.problem.arcs.n_exposures == 0:
+        document["advice"] += identification_advice(last.unidentified)
         document["advice"].append(
             f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it."
         )

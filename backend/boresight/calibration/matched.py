@@ -66,6 +66,11 @@ class Matched:
     telemetry: Telemetry
     matches: Matches | GivenMatches
 
+    @property
+    def unidentified(self) -> int:
+        """Exposures that want the lost-in-space extra, which is not installed."""
+        return self.matches.unidentified if isinstance(self.matches, Matches) else 0
+
 
 @dataclass(frozen=True)
 class Under:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from boresight.cli.output import check_writable
+from boresight.cli.output import STANDARD_OUTPUT, check_writable, opened_for_writing
 from boresight.cli.refusals import REFUSED
-from boresight.errors import ConflictError, RefusedInputError
+from boresight.errors import ConflictError
 from boresight.settings import read_settings
 
 if TYPE_CHECKING:
@@ -65,18 +65,22 @@ def _require_schema(engine: Engine) -> None:
 
 
 @audit.command()
-@click.option("--out", "file", metavar="FILE", required=True, help="A .zip with the verifier, or the .jsonl alone.")
+@click.option(
+    "--out",
+    "file",
+    metavar="FILE",
+    required=True,
+    help="A .zip with the verifier, or the .jsonl alone; - is standard output, .jsonl.",
+)
 def export(file: str) -> None:
     """Write the whole log to FILE, for others to keep and to verify without Boresight."""
-    check_writable(file)
+    form = "jsonl" if file == STANDARD_OUTPUT or Path(file).suffix.lower() == ".jsonl" else "zip"
+    check_writable(file, "JSON Lines" if form == "jsonl" else "ZIP")
     from boresight.services.audit_export import write_export
     from boresight.store.sessions import opened, reading
 
     settings = read_settings()
-    form = "jsonl" if Path(file).suffix.lower() == ".jsonl" else "zip"
-    try:
-        with opened(settings.database_url) as engine, reading(engine) as session, Path(file).open("wb") as stream:
-            write_export(session, stream, form, settings.policy)
-    except OSError as error:
-        raise RefusedInputError(f"{file} cannot be written: {error.strerror}; choose another place.") from error
-    click.echo(file)
+    with opened(settings.database_url) as engine, reading(engine) as session, opened_for_writing(file) as stream:
+        write_export(session, stream, form, settings.policy)
+    if file != STANDARD_OUTPUT:
+        click.echo(file)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from boresight.cli.output import check_writable
+from boresight.cli.output import check_writable, refuse_standard_output
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.settings import read_settings
 
@@ -20,7 +20,8 @@ def backup(file: str) -> None:
 
     The file holds password hashes: keep it as the data folder is kept.
     """
-    check_writable(file)
+    refuse_standard_output(file, "A backup")
+    check_writable(file, "ZIP")
     if Path(file).exists():
         raise RefusedInputError(f"{file} exists already; name another file, a backup is never written over.")
     from boresight.services import audit

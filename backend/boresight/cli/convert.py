@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned, check_writable, json_option, write_json
+from boresight.cli.output import STANDARD_OUTPUT, aligned, check_one_stream, check_writable, json_option, write_json
 from boresight.errors import RefusedInputError
 
 
@@ -40,6 +40,7 @@ def convert(
     Refused where the other model cannot follow within the misfit allowed. `evaluate` and `match` take the parameter file, with
     the sensor file that --sensor-out writes.
     """
+    check_one_stream(out_file, sensor_out, json_file)
     for place in (out_file, sensor_out, json_file):
         check_writable(place)
         _check_kept(place, parameters, sensor_file)
@@ -48,7 +49,7 @@ def convert(
     if sensor_out is not None:
         write_json(sensor, sensor_out)
     write_json(written, json_file)
-    if "-" not in {out_file, sensor_out, json_file}:
+    if STANDARD_OUTPUT not in {out_file, sensor_out, json_file}:
         click.echo("\n".join(_lines(written)))
         click.echo("\n".join(f"Wrote {place}" for place in (out_file, sensor_out) if place is not None))
 
@@ -56,7 +57,12 @@ def convert(
 def _check_kept(place: str | None, *inputs: Path) -> None:
     """Refuse to write over what is read."""
     for path in inputs:
-        if place not in {None, "-"} and path.exists() and Path(str(place)).exists() and path.samefile(str(place)):
+        if (
+            place not in {None, STANDARD_OUTPUT}
+            and path.exists()
+            and Path(str(place)).exists()
+            and path.samefile(str(place))
+        ):
             raise RefusedInputError(f"{place} is what is converted, and is kept: choose another name.")
 
 

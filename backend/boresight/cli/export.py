@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from boresight.cli.output import check_writable
-from boresight.errors import RefusedInputError
+from boresight.cli.output import check_writable, tell, write_bytes
 from boresight.settings import read_settings
 
 
 @click.command()
 @click.argument("parameter_set")
-@click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write.")
+@click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write; - is standard output.")
 @click.option("--flight-software", help="Version that the spacecraft has; the table is refused for another.")
 @click.option("--table-id", help="Table that the spacecraft has; refused for another.")
 def export(parameter_set: str, file: str, flight_software: str | None, table_id: str | None) -> None:
@@ -22,7 +19,7 @@ def export(parameter_set: str, file: str, flight_software: str | None, table_id:
     The package holds the parameters, the table as the mission defined it, sheets for people, and the way back. Built
     again of the same set it is the same file.
     """
-    check_writable(file)
+    check_writable(file, "ZIP")
     from boresight.services import packages
     from boresight.services.actors import COMMAND_LINE
     from boresight.store.blobs import open_blobs
@@ -42,9 +39,6 @@ def export(parameter_set: str, file: str, flight_software: str | None, table_id:
             policy=settings.policy,
         )
         content = packages.read(session, blobs, package.id)
-    try:
-        Path(file).write_bytes(content)
-    except OSError as error:
-        raise RefusedInputError(f"{file} cannot be written: {error.strerror}; choose another place.") from error
-    click.echo(f"{row.name}: {package.sha256}  {file}")
-    click.echo(f"back to {package.inputs['backout']['name']}; audit head {package.inputs['first_built']['audit_head']}")
+    write_bytes(content, file)
+    tell(f"{row.name}: {package.sha256}  {file}", file)
+    tell(f"back to {package.inputs['backout']['name']}; audit head {package.inputs['first_built']['audit_head']}", file)

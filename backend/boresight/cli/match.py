@@ -8,7 +8,17 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned, check_writable, json_option, write_json
+from boresight.cli.output import (
+    FORMATS,
+    STANDARD_OUTPUT,
+    aligned,
+    check_one_stream,
+    check_writable,
+    json_option,
+    opened_for_writing,
+    tell,
+    write_json,
+)
 from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
 from boresight.estimation.blocks import computing_on
@@ -21,7 +31,12 @@ from boresight.settings import read_settings, use_kernel_folder
 @click.option(
     "--parameters", type=click.Path(path_type=Path), help="Calibration JSON, or names and values, to match with."
 )
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="File to write: .csv, .jsonl or .parquet.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="File to write: .csv, .jsonl or .parquet; - is standard output, CSV.",
+)
 @click.option("--leave-out-doubles", is_flag=True, help="Match no double star and none with unreliable astrometry.")
 @click.option("--flight", is_flag=True, help="Keep only what the simulated check of the flight code accepts.")
 @json_option
@@ -32,18 +47,21 @@ def match(telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path
     why it has none.
     """
     check_writable(choices["json_file"])
+    check_one_stream(out, choices["json_file"])
     _check_out(telemetry, out)
     use_kernel_folder(read_settings())
     with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
         document = _match(telemetry, sensor_file, parameters, out, choices, report)
     write_json(document, choices["json_file"])
-    if choices["json_file"] != "-":
-        click.echo("\n".join(_lines(document)))
+    if choices["json_file"] != STANDARD_OUTPUT:
+        tell("\n".join(_lines(document)), out)
 
 
 def _check_out(telemetry: Path, out: Path) -> None:
     """Refuse a place that cannot be written, the input itself, and a suffix that says no format."""
-    check_writable(str(out))
+    if str(out) == STANDARD_OUTPUT:
+        return
+    check_writable(out, FORMATS.get(out.suffix.lower(), ""))
     if out.suffix.lower() not in {".csv", ".jsonl", ".ndjson", ".parquet"}:
         raise RefusedInputError(f"{out.name} says no format: end the name with .csv, .jsonl or .parquet.")
     if out.exists() and telemetry.exists() and out.samefile(telemetry):
@@ -76,10 +94,9 @@ def _match(
     P = ground_covariance(sensor, settings.initial_sigma_scale) if P is None else P
     matches = rematch(stars, sensor, catalogue, x, P, settings, folder)
     seen = sighting_of(stars, sensor, matches, x, settings) if choices["flight"] else None
-    try:
-        write_with_stars(read_table(telemetry, telemetry.name), matched_stars(matches, seen)[0], out)
-    except OSError as error:
-        raise RefusedInputError(f"{out} cannot be written: {error.strerror}; choose another place.") from error
+    table, found = read_table(telemetry, telemetry.name), matched_stars(matches, seen)[0]
+    with opened_for_writing(out) as stream:
+        write_with_stars(table, found, stream, out.suffix.lower())
     return match_report(stars, sensor, matches, seen)
 
 

@@ -1,10 +1,12 @@
-"""Results: aligned columns for people on standard output, JSON for machines in a file or, with `-`, on standard output."""
+"""Results: aligned columns for people on standard output, files for machines or, with `-`, those on standard output."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import click
 import orjson
@@ -16,21 +18,97 @@ json_option = click.option(
 )
 
 
-def check_writable(json_file: str | None) -> None:
-    """Refuse a file that could not be written, before the work begins.
+#: The name that stands for standard output; a file of that name is written as `./-`.
+STANDARD_OUTPUT = "-"
+#: What a file of this ending is taken for, by people and by programs.
+FORMATS = {
+    ".csv": "CSV",
+    ".docx": "Word",
+    ".fit": "FITS",
+    ".fits": "FITS",
+    ".gz": "gzip",
+    ".h5": "HDF5",
+    ".htm": "HTML",
+    ".html": "HTML",
+    ".jpeg": "JPEG",
+    ".jpg": "JPEG",
+    ".json": "JSON",
+    ".jsonl": "JSON Lines",
+    ".md": "Markdown",
+    ".ndjson": "JSON Lines",
+    ".npy": "NumPy",
+    ".npz": "NumPy",
+    ".parquet": "Parquet",
+    ".pdf": "PDF",
+    ".png": "PNG",
+    ".svg": "SVG",
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".tsv": "TSV",
+    ".xls": "Excel",
+    ".xlsx": "Excel",
+    ".xml": "XML",
+    ".yaml": "YAML",
+    ".yml": "YAML",
+    ".zip": "ZIP",
+}
+
+
+def check_writable(place: str | Path | None, form: str = "JSON") -> None:
+    """Refuse a file that could not be written, or whose name promises another format, before the work begins.
+
+    Parameters
+    ----------
+    place
+        What the option says; None where it was not given, `-` for standard output.
+    form
+        What will be written, as `FORMATS` calls it.
 
     Raises
     ------
     RefusedInputError
-        When its folder does not exist, or it is a folder itself.
+        When its folder does not exist, it is a folder itself, or it ends as a file of another format does.
     """
-    if json_file in (None, "-"):
+    if place is None or str(place) == STANDARD_OUTPUT:
         return
-    path = Path(str(json_file))
+    path = Path(place)
     if path.is_dir():
         raise RefusedInputError(f"{path} is a folder: name the file to write in it.")
     if not path.absolute().parent.is_dir():
         raise RefusedInputError(f"The folder {path.parent} does not exist: make it first, or choose another place.")
+    promised = FORMATS.get(path.suffix.lower(), form)
+    if promised != form:
+        own = " or ".join(ending for ending, name in FORMATS.items() if name == form)
+        raise RefusedInputError(
+            f"{path.name} is named as {promised}, and {form or 'bytes of no such format'} is written: "
+            f"{f'end the name with {own}' if own else 'choose another name'}."
+        )
+
+
+def refuse_standard_output(place: str | Path, what: str) -> None:
+    """Refuse `-` where no stream can hold what is written; `what` says what it is.
+
+    Raises
+    ------
+    RefusedInputError
+        When standard output was asked for.
+    """
+    if str(place) == STANDARD_OUTPUT:
+        raise RefusedInputError(
+            f"{what} cannot go to standard output: name a place for it (./- where it is to be called so)."
+        )
+
+
+def check_one_stream(*places: str | Path | None) -> None:
+    """Refuse to write two results to standard output, where nobody could tell them apart.
+
+    Raises
+    ------
+    RefusedInputError
+        When more than one of the places is `-`.
+    """
+    if sum(str(place) == STANDARD_OUTPUT for place in places) > 1:
+        raise RefusedInputError("Two results cannot share standard output: name a file for one of them.")
 
 
 def write_json(document: Any, json_file: str | None) -> None:
@@ -41,16 +119,46 @@ def write_json(document: Any, json_file: str | None) -> None:
     RefusedInputError
         When the file cannot be written.
     """
-    if json_file is None:
-        return
-    data = orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
-    if json_file == "-":
-        click.echo(data, nl=False)
+    if json_file is not None:
+        write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE), json_file)
+
+
+def write_bytes(content: bytes, place: str | Path) -> None:
+    """Write a result to a file or, where the place is `-`, to standard output.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file cannot be written.
+    """
+    with opened_for_writing(place) as stream:
+        stream.write(content)
+
+
+@contextmanager
+def opened_for_writing(place: str | Path) -> Iterator[IO[bytes]]:
+    """Open a file or, where the place is `-`, standard output.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file cannot be written.
+    """
+    if str(place) == STANDARD_OUTPUT:
+        sys.stdout.flush()
+        yield sys.stdout.buffer
+        sys.stdout.buffer.flush()
         return
     try:
-        Path(json_file).write_bytes(data)
+        with Path(place).open("wb") as file:
+            yield file
     except OSError as error:
-        raise RefusedInputError(f"{json_file} cannot be written: {error.strerror}; choose another place.") from error
+        raise RefusedInputError(f"{place} cannot be written: {error.strerror}; choose another place.") from error
+
+
+def tell(text: str, place: str | Path) -> None:
+    """Say something about a result, on standard error where standard output is the result itself."""
+    click.echo(text, err=str(place) == STANDARD_OUTPUT)
 
 
 def aligned(rows: Iterable[Sequence[str]], left: Iterable[int] = (0,)) -> str:

@@ -8,26 +8,43 @@ from typing import Any
 import click
 import orjson
 
-from boresight.cli.output import check_writable
+from boresight.cli.output import STANDARD_OUTPUT, check_writable, write_bytes
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
 
 
 @click.command()
 @click.argument("source", metavar="RUN|JSON")
-@click.option("--out", "out_file", required=True, metavar="FILE.html", help="The report to write.")
+@click.option(
+    "--out", "out_file", required=True, metavar="FILE.html", help="The report to write; - is standard output."
+)
 def report(source: str, out_file: str) -> None:
     """Write the report of a stored run, by its number, or of a calibration JSON file.
 
     A number is a file only where there is one of that name. Of a stored run the report says when one person may sign alone here.
     """
-    from boresight.figures.report import write_report
+    from boresight.figures.report import render_report
 
-    check_writable(out_file)
+    _check_out(out_file)
     stored = source.isdecimal() and not Path(source).exists()
     document = _stored(int(source)) if stored else _read(source)
-    write_report(document, Path(out_file), four_eyes=not stored or read_settings().policy.four_eyes)
-    click.echo(f"Wrote {out_file}")
+    text = render_report(document, four_eyes=not stored or read_settings().policy.four_eyes)
+    write_bytes(text.encode(), out_file)
+    if out_file != STANDARD_OUTPUT:
+        click.echo(f"Wrote {out_file}")
+
+
+def _check_out(out_file: str) -> None:
+    """Refuse a place that cannot be written, and a name that promises anything but HTML."""
+    ending = Path(out_file).suffix.lower()
+    if ending == ".pdf":
+        raise RefusedInputError(
+            f"{Path(out_file).name}: a report is written as HTML; end the name with .html, open it in a browser and "
+            "print it to PDF there, it is laid out for paper."
+        )
+    if ending not in {"", ".html", ".htm"}:
+        raise RefusedInputError(f"{Path(out_file).name}: a report is HTML, so end the name with .html.")
+    check_writable(out_file, "HTML")
 
 
 def _read(source: str) -> dict[str, Any]:

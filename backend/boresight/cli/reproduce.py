@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned
+from boresight.cli.output import aligned, refuse_standard_output
 from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings, use_kernel_folder
@@ -33,6 +33,7 @@ def reproduce(
     paper: str, quick: bool, out: Path, sensors: str | None, frames: int | None, sets: int | None, processes: int
 ) -> None:
     """Make the tables and figures of PAPER again: report, JSON and CSV, each row judged with its reason."""
+    refuse_standard_output(out, "A folder of files")
     settings = read_settings()
     use_kernel_folder(settings)
     size = (QUICK if quick else FULL)[paper]

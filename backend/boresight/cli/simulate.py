@@ -9,7 +9,7 @@ from typing import Any
 import click
 import orjson
 
-from boresight.cli.output import aligned, write_json
+from boresight.cli.output import aligned, refuse_standard_output, write_json
 from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
@@ -31,6 +31,7 @@ def simulate(scenario: str, folder: Path, frames: int | None, seed: int | None, 
 
     Writes sensor.json, the calibration and the validation set, scenario.json and truth.json.
     """
+    refuse_standard_output(folder, "A folder of files")
     with progress("loading the star catalogue") as report:
         calibration, validation = _scenarios(scenario, frames, seed)
         rows = _write(folder, {"calibration": calibration, "validation": validation}, suffix, report)

@@ -7,9 +7,8 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned, check_writable
+from boresight.cli.output import aligned, check_writable, tell, write_bytes
 from boresight.cli.refusals import REFUSED
-from boresight.errors import RefusedInputError
 
 SENSOR = click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file.")
 DEFINITION = click.option(
@@ -26,10 +25,10 @@ def table() -> None:
 @click.argument("parameters", type=click.Path(path_type=Path))
 @SENSOR
 @DEFINITION
-@click.option("--out", "file", metavar="FILE", required=True, help="The image to write.")
+@click.option("--out", "file", metavar="FILE", required=True, help="The image to write; - is standard output.")
 def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str) -> None:
     """Lay PARAMETERS, a calibration JSON or names and values, into the table."""
-    check_writable(file)
+    check_writable(file, "")
     from boresight.calibration.parameter_file import read_parameters
     from boresight.estimation.cameras import CAMERA_MODELS
     from boresight.telemetry.sensors import read_sensor
@@ -42,12 +41,9 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str
     image = table_definition.encode(definition, values)
     held = table_definition.quantised(definition, values)
     effect = table_definition.quantisation_effect(camera, sensor, values, held)
-    try:
-        Path(file).write_bytes(image)
-    except OSError as error:
-        raise RefusedInputError(f"{file} cannot be written: {error.strerror}; choose another place.") from error
-    click.echo(_shown(definition, image))
-    click.echo(f"rounding moves a star by at most {effect['max_px']:.3g} px, {effect['max_arcsec']:.3g} arcsec")
+    write_bytes(image, file)
+    tell(_shown(definition, image), file)
+    tell(f"rounding moves a star by at most {effect['max_px']:.3g} px, {effect['max_arcsec']:.3g} arcsec", file)
 
 
 @table.command()

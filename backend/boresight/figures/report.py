@@ -7,7 +7,6 @@ Everything that came from outside is escaped: text by the template, data by writ
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -38,28 +37,13 @@ SCHEMA = "boresight.calibration/1"
 MOST_STARS = 25  # in print; the run's CSV has more
 
 
-def write_report(result: Result, path: Path, *, four_eyes: bool = True) -> None:
-    """Write the report of a calibration.
+def render_report(result: Result, *, four_eyes: bool = True) -> str:
+    """Render the report as HTML text.
 
     Parameters
     ----------
     four_eyes
         Whether the installation that it comes from asks for a second person; where it does not the report says so.
-
-    Raises
-    ------
-    RefusedInputError
-        When the document is not a calibration, or the file cannot be written.
-    """
-    text = render_report(result, four_eyes=four_eyes)
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RefusedInputError(f"{path} cannot be written: {error.strerror}; choose another place.") from error
-
-
-def render_report(result: Result, *, four_eyes: bool = True) -> str:
-    """Render the report as HTML text; `four_eyes` as in `write_report`.
 
     Raises
     ------

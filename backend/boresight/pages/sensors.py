@@ -26,6 +26,7 @@ from boresight.services.actors import Actor
 from boresight.services.fleet import SensorTile, Standing
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import Sensor
+from boresight.telemetry.formats import text_of
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -113,12 +114,18 @@ def read_document(text: str) -> dict[str, Any]:
 
 
 async def typed_document(form: FormData) -> str:
-    """Return what the form holds as text: the chosen file where there is one, else what was typed."""
+    """Return what the form holds as text: the chosen file where there is one, else what was typed.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file is no UTF-8 text; names what it is where its first bytes tell, an image say.
+    """
     chosen = form.get("file")
     if isinstance(chosen, UploadFile) and chosen.filename:
         content = await chosen.read()
         await chosen.close()
-        return content.decode("utf-8-sig", errors="replace")
+        return text_of(chosen.filename, content).decode()
     typed = form.get("document")
     return typed if isinstance(typed, str) else ""
 
@@ -221,7 +228,10 @@ def _models() -> Sequence[tuple[str, Sequence[str]]]:
 @router.post("/sensors", response_class=HTMLResponse)
 async def register(request: Request, actor: Who) -> Response:
     """Register a sensor from the form."""
-    text = await typed_document(await request.form())
+    try:
+        text = await typed_document(await request.form())
+    except RefusedInputError as error:
+        return await run_in_threadpool(_page, request, actor, Shown(refusal=Refusal.of(error)))
     outcome = await attempt(request, partial(_register, actor, text))
     if outcome.value is not None:
         sensor = outcome.value

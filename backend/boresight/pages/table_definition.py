@@ -163,7 +163,11 @@ def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | Non
 async def change(request: Request, actor: Who, sensor_id: int) -> Response:
     """Try a definition, or put it into force."""
     form = await request.form()
-    text, reason = await typed_document(form), str(form.get("reason", ""))
+    reason = str(form.get("reason", ""))
+    try:
+        text = await typed_document(form)
+    except RefusedInputError as error:
+        return await run_in_threadpool(_page, request, actor, sensor_id, Shown("", reason, Refusal.of(error)))
     if form.get("action") != "set":
         return await run_in_threadpool(_page, request, actor, sensor_id, Shown(text, reason, tried=True))
     number = str(form.get("number", ""))

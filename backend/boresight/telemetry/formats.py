@@ -8,6 +8,7 @@ from pathlib import Path, PurePath
 from typing import BinaryIO
 
 from boresight.errors import RefusedInputError
+from boresight.telemetry.signatures import refuse_no_json, refuse_other_kinds
 
 _PARQUET_MAGIC = b"PAR1"
 _SUFFIXES = {".csv": "CSV", ".jsonl": "JSON Lines", ".ndjson": "JSON Lines", ".parquet": "Parquet"}
@@ -101,8 +102,9 @@ def format_of(name: str, data: bytes) -> str:
     Raises
     ------
     RefusedInputError
-        When the suffix promises something else than the bytes hold.
+        When the bytes are of another kind, or the suffix promises something else than they hold.
     """
+    refuse_other_kinds(name, data)
     if _is_wide_text(data):
         raise RefusedInputError(f"{name} is UTF-16 or UTF-32 text: save it as UTF-8.")
     found = _sniff(data)
@@ -117,13 +119,14 @@ def format_of(name: str, data: bytes) -> str:
 
 
 def text_of(name: str, data: bytes) -> bytes:
-    """Return the text of a file as UTF-8 with plain line ends, without byte-order mark and closing blank lines.
+    """Return the text of a JSON file as UTF-8 with plain line ends, without byte-order mark and closing blank lines.
 
     Raises
     ------
     RefusedInputError
-        When it is not UTF-8.
+        When it is a file of another kind, or not UTF-8.
     """
+    refuse_no_json(name, data)
     data = data.removeprefix(BYTE_ORDER_MARK)
     if not data.isascii():
         refuse_other_encodings(name, data)
@@ -168,10 +171,6 @@ def _sniff(data: bytes) -> str:
     """Say what the bytes look like."""
     if data.startswith(_PARQUET_MAGIC):
         return "Parquet"
-    if data.startswith(b"PK\x03\x04"):
-        return "a ZIP archive or a spreadsheet"
-    if data.startswith(b"\x1f\x8b"):
-        return "gzip-compressed data"
     if b"\0" in data[:4096]:
         return "binary data"
     start = data[:4096].removeprefix(BYTE_ORDER_MARK).lstrip()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Self
+from typing import IO, Self
 
 import numpy as np
 import orjson
@@ -62,7 +62,7 @@ def write_csv(telemetry: Telemetry, path: Path) -> None:
     arrow_csv.write_csv(_with_time_texts(contract_table(telemetry)), path)
 
 
-def write_with_stars(table: pa.Table, star_id: IntArray, path: Path) -> None:
+def write_with_stars(table: pa.Table, star_id: IntArray, stream: IO[bytes], suffix: str) -> None:
     """Write a telemetry file's columns again with other stars, everything else as it stands.
 
     Parameters
@@ -71,30 +71,29 @@ def write_with_stars(table: pa.Table, star_id: IntArray, path: Path) -> None:
         Columns as read, `readers.read_table`.
     star_id
         (n_rows,) Hipparcos numbers, 0 = unmatched, which is written as an absent cell.
-    path
-        The suffix says CSV, JSON Lines or Parquet; anything else is CSV.
+    stream
+        Where they are written.
+    suffix
+        As a file name ends: says CSV, JSON Lines or Parquet; anything else is CSV.
     """
     cells = pa.array(star_id, mask=star_id == UNMATCHED)
     if "star_id" in table.column_names:
         table = table.set_column(table.column_names.index("star_id"), "star_id", cells)
     else:
         table = table.append_column("star_id", cells)
-    match path.suffix.lower():
+    match suffix:
         case ".parquet":
-            arrow_parquet.write_table(table, path, compression="zstd")
+            arrow_parquet.write_table(table, stream, compression="zstd")
         case ".jsonl" | ".ndjson":
-            _write_json_lines(_with_time_texts(table), path)
+            _write_json_lines(_with_time_texts(table), stream)
         case _:
-            arrow_csv.write_csv(_with_time_texts(table), path)
+            arrow_csv.write_csv(_with_time_texts(table), stream)
 
 
-def _write_json_lines(table: pa.Table, path: Path) -> None:
+def _write_json_lines(table: pa.Table, stream: IO[bytes]) -> None:
     """Write one object a row; absent cells are null."""
-    with path.open("wb") as file:
-        for batch in table.to_batches():
-            file.writelines(
-                orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE, default=str) for row in batch.to_pylist()
-            )
+    for batch in table.to_batches():
+        stream.writelines(orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE, default=str) for row in batch.to_pylist())
 
 
 def _with_time_texts(table: pa.Table) -> pa.Table:

@@ -80,11 +80,15 @@ class FrameRange:
 
 @dataclass(frozen=True)
 class MatchedRange:
-    """A range as matched under some state: its arcs, its matches, and its stars after the flight code's check."""
+    """A range as matched under some state: its arcs, its matches, and its stars after the flight code's check.
+
+    `unidentified` of its exposures want the lost-in-space extra, which is not installed.
+    """
 
     of: FrameRange
     ordered: OrderedPiece
     matches: Columns
+    unidentified: int
 
 
 def match_range(how: Matching, of: FrameRange, under: Under, path: str) -> MatchedRange:
@@ -93,7 +97,7 @@ def match_range(how: Matching, of: FrameRange, under: Under, path: str) -> Match
     matched, timeless = matched_range(how, telemetry, under)
     arrays = {name: getattr(matched.matches, name) for name in _MATCHES} | {"kept": matched.telemetry.star_id}
     ordered = write_ordered(matched.problem, begins, Path(f"{path}-arcs"), timeless)
-    return MatchedRange(of, ordered, write_columns(Path(f"{path}-matches"), arrays))
+    return MatchedRange(of, ordered, write_columns(Path(f"{path}-matches"), arrays), matched.unidentified)
 
 
 def matched_range(how: Matching, telemetry: Telemetry, under: Under) -> tuple[Matched, int]:

@@ -42,6 +42,11 @@ class RematchedSetState:
     ranges: tuple[MatchedRange, ...]
     folder: Path
 
+    @property
+    def unidentified(self) -> int:
+        """Exposures that want the lost-in-space extra, which is not installed."""
+        return sum(part.unidentified for part in self.ranges)
+
 
 class RematchedSet:
     """A set in files whose matches follow the estimate.

@@ -132,6 +132,11 @@ class StreamedMatched:
 
     problem: StoredProblem
 
+    @property
+    def unidentified(self) -> int:
+        """No exposure is to be identified where the given matches stand."""
+        return 0
+
 
 class StreamedSet:
     """A set in files whose given matches stand.

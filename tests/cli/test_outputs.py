@@ -1,0 +1,141 @@
+"""Where a command writes: `-` is standard output or refused, and a name that promises another format is refused."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import sys
+
+import pytest
+
+from boresight.sky import identification
+
+
+def in_folder(folder, *words):
+    """Run a command as a shell does, in a folder; returns the finished process."""
+    return subprocess.run(
+        [sys.executable, "-m", "boresight", *map(str, words)], cwd=folder, capture_output=True, timeout=120, check=False
+    )
+
+
+def test_a_report_goes_to_standard_output_and_no_file_is_made(calibration, tmp_path):
+    done = in_folder(tmp_path, "report", calibration, "--out", "-")
+
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(b"<!doctype html>")
+    assert done.stdout.rstrip().endswith(b"</html>")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["report.pdf", "report.PDF", "report.docx", "report.json", "report.txt"])
+def test_a_report_is_html_and_no_other_ending_is_written(boresight, calibration, tmp_path, name):
+    done = boresight("report", calibration, "--out", tmp_path / name)
+
+    assert done.exit_code == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert ".html" in done.stderr
+    assert ("print it to PDF" in done.stderr) == name.lower().endswith(".pdf")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_matches_go_to_standard_output_as_csv_and_the_counts_to_standard_error(boresight, simulated):
+    words = ("match", simulated / "calibration.csv", "--sensor", simulated / "sensor.json")
+    done = boresight(*words, "--out", "-")
+
+    assert done.exit_code == 0, done.stderr
+    with (simulated / "calibration.csv").open() as file:
+        given = list(csv.DictReader(file))
+    found = list(csv.DictReader(io.StringIO(done.stdout)))
+    assert [(row["frame"], row["row_px"]) for row in found] == [(row["frame"], row["row_px"]) for row in given]
+    assert "frames valid" in done.stderr
+    both = boresight(*words, "--out", "-", "--json", "-")
+    assert (both.exit_code, both.stdout) == (1, "")
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".jsonl", ".html", ".pdf", ".zip"])
+@pytest.mark.parametrize("command", ["calibrate", "check", "match", "evaluate"])
+def test_json_is_not_written_under_the_name_of_another_format(boresight, simulated, tmp_path, command, ending):
+    words = {"match": ("--out", tmp_path / "out.csv"), "evaluate": ("--parameters", simulated / "truth.json")}
+    done = boresight(
+        command,
+        simulated / "calibration.csv",
+        "--sensor",
+        simulated / "sensor.json",
+        *words.get(command, ()),
+        "--json",
+        tmp_path / f"result{ending}",
+    )
+
+    assert done.exit_code == 1
+    assert "end the name with .json" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("match", "CALIBRATION", "--sensor", "SENSOR", "--out", "out.txt"),
+        ("convert", "SENSOR", "--sensor", "SENSOR", "--to", "pinhole_radial", "--out", "out.csv"),
+        ("audit", "export", "--out", "log.csv"),
+        ("backup", "--out", "all.json"),
+        ("backup", "--out", "-"),
+        ("export", "PS-FM1-0", "--out", "package.json"),
+        ("simulate", "st16-1", "--out", "-"),
+        ("reproduce", "wu", "--quick", "--out", "-"),
+    ],
+)
+def test_a_place_that_cannot_hold_what_is_written_is_refused_in_one_line(
+    store, simulated, tmp_path, monkeypatch, words
+):
+    monkeypatch.chdir(tmp_path)
+    files = {"CALIBRATION": simulated / "calibration.csv", "SENSOR": simulated / "sensor.json"}
+    done = store(*(files.get(word, word) for word in words))
+
+    assert done.exit_code == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "unexpected" not in done.stderr
+    assert not {"-", "out.txt", "out.csv", "log.csv", "all.json", "package.json"} & {
+        path.name for path in tmp_path.iterdir()
+    }
+
+
+@pytest.fixture
+def nameless(simulated, tmp_path):
+    """The small set without names and attitudes, which only lost-in-space identification can match."""
+    with (simulated / "calibration.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    kept = [name for name in rows[0] if name != "star_id" and not name.startswith("q_")]
+    path = tmp_path / "nameless.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, kept, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(row for row in rows if int(row["frame"]) < 10)
+    return path
+
+
+def test_where_the_extra_is_missing_and_needed_every_command_says_how_to_install_it(
+    boresight, simulated, nameless, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
+    how = "pip install 'boresight[lost-in-space]'"
+    sensor = ("--sensor", simulated / "sensor.json")
+
+    calibrated = boresight("calibrate", nameless, *sensor, "--json", tmp_path / "result.json")
+    matched = boresight("match", nameless, *sensor, "--out", tmp_path / "out.csv")
+    evaluated = boresight("evaluate", nameless, *sensor, "--parameters", simulated / "truth.json")
+
+    assert calibrated.exit_code == 1
+    assert how in calibrated.stderr
+    assert how in json.loads((tmp_path / "result.json").read_text())["advice"][0]
+    assert how in matched.stdout
+    assert how in evaluated.stdout
+
+
+def test_nobody_is_told_to_install_what_is_not_needed(boresight, simulated, monkeypatch):
+    monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
+    done = boresight("calibrate", simulated / "calibration.csv", "--sensor", simulated / "sensor.json")
+
+    assert done.exit_code == 0, done.stderr
+    assert "pip install" not in done.stdout + done.stderr
