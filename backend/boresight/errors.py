@@ -53,6 +53,14 @@ class ConflictError(BoresightError):
     """The thing is not in a state that allows this; says what state it is in and who changed it."""
 
 
+class CorruptFileError(ConflictError):
+    """A stored file is not what was stored: its bytes do not have the SHA-256 that it is known by."""
+
+    def __init__(self, sentence: str, sha256: str = "") -> None:
+        super().__init__(sentence)
+        self.sha256 = sha256
+
+
 class StaleError(BoresightError):
     """The caller saw an older version than the one stored."""
 

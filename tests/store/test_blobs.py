@@ -31,7 +31,7 @@ def test_what_is_put_is_read_back_under_its_hash(content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         blobs = BlobStore(Path(folder))
         assert blobs.put(content) == hashlib.sha256(content).hexdigest()
-        assert blobs.read(blobs.put(content), verify=True) == content
+        assert blobs.read(blobs.put(content)) == content
         assert len(_files(blobs)) == 1
 
 
@@ -52,7 +52,7 @@ def test_many_at_once_put_one_file_and_leave_no_scraps(blobs: BlobStore) -> None
     with ThreadPoolExecutor(8) as pool:
         addresses = set(pool.map(blobs.put, contents))
     assert {path.name for path in _files(blobs)} == addresses
-    assert all(blobs.read(address, verify=True) for address in addresses)
+    assert all(blobs.read(address) for address in addresses)
 
 
 def test_putting_again_does_not_touch_the_file(blobs: BlobStore) -> None:
@@ -72,7 +72,7 @@ def test_bytes_altered_on_the_disk_are_found(blobs: BlobStore) -> None:
     sha256 = blobs.put(b"stars")
     blobs.path(sha256).write_bytes(b"spurs")
     with pytest.raises(ConflictError, match="altered"):
-        blobs.read(sha256, verify=True)
+        blobs.read(sha256)
 
 
 def test_missing_bytes_are_told_with_what_to_do(blobs: BlobStore) -> None:

@@ -44,6 +44,7 @@ def success(held):
         "result_bytes": 2,
         "summary": {"status": "converged"},
         "log": ["done"],
+        "corrupt_sha256": None,
     }
 
 

@@ -40,6 +40,7 @@ KINDS: Mapping[type[Exception], Kind] = {
     errors.RefusedInputError: Kind(422, "Refused input"),
     errors.NotFoundError: Kind(404, "Not found"),
     errors.ConflictError: Kind(409, "Conflict"),
+    errors.CorruptFileError: Kind(409, "Corrupt file"),  # no 5xx: to ask again helps nobody before it is restored
     errors.StaleError: Kind(412, "Stale"),
     errors.PreconditionRequiredError: Kind(428, "Precondition required"),
     errors.ForbiddenError: Kind(403, "Forbidden"),

@@ -31,12 +31,15 @@ class TelemetryFile:
         Detections from which it is taken piece by piece; no number of the result depends on it.
     chunk_frames
         Frames of a piece; nor does it on this.
+    sha256
+        Of its bytes, where they are known by it: whoever reads a stretch of it elsewhere holds the file against that.
     """
 
     path: Path
     name: str | None = None
     large_rows: int = LARGE_ROWS
     chunk_frames: int = CHUNK_FRAMES
+    sha256: str | None = None
 
     def about_rows(self) -> int:
         """How many rows it has; a guess from its size where it is text."""
@@ -57,7 +60,7 @@ class TelemetryFile:
 
     def stretches(self) -> list[Stretch]:
         """Cut it into parts that can be read apart; none where it must be read from its start."""
-        return stretches(self.path, self.name or self.path.name, self.chunk_frames)
+        return stretches(self.path, self.name or self.path.name, self.chunk_frames, self.sha256)
 
     def chunks(self) -> Iterator[Telemetry]:
         """Read it piece by piece; refuses as `telemetry.chunks.read_chunks`, at the end."""

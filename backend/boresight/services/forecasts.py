@@ -15,7 +15,7 @@ from typing import Any
 
 from boresight.calibration.forecast import MOST_FRAMES, MOST_STARS, forecast
 from boresight.calibration.settings import CalibrationSettings
-from boresight.errors import BoresightError
+from boresight.errors import BoresightError, CorruptFileError
 from boresight.sky.catalogue import Catalogue
 from boresight.store.blobs import BlobStore
 from boresight.store.documents import sha256_of
@@ -54,7 +54,10 @@ class Sight:
             if key in self._made:
                 self._made.move_to_end(key)
                 return self._made[key]
-        made = self._forecast(table_sha256, sensor_document, settings)
+        try:
+            made = self._forecast(table_sha256, sensor_document, settings)
+        except CorruptFileError as error:  # until it is restored
+            return unseen(str(error).rstrip("."))
         with self._lock:
             self._made[key] = made
             while len(self._made) > KEPT:
@@ -70,6 +73,8 @@ class Sight:
             if (catalogue := self.catalogue()) is None:
                 return unseen("this server has no star catalogue")
             return forecast(sample, parse_sensor(sensor_document), catalogue, settings, self.catalogue_folder)
+        except CorruptFileError:
+            raise
         except BoresightError as error:
             return unseen(str(error).rstrip("."))
 

@@ -21,7 +21,7 @@ from typing import Any
 
 from boresight import gates
 from boresight.calibration.settings import CalibrationSettings
-from boresight.errors import BoresightError, StaleError
+from boresight.errors import BoresightError, CorruptFileError, StaleError
 from boresight.gates.assessment import started_from
 from boresight.gates.held_out import held_out_scores, of_result
 from boresight.services import audit
@@ -115,6 +115,8 @@ def _seen(
         settings = CalibrationSettings.parse(case.settings or {})
         frames = read_telemetry(blobs.path(sha256), f"{name}.parquet")
         return held_out_scores(frames, sensor, catalogue, incumbent, case.candidate, settings, cache_folder), ""
+    except CorruptFileError:
+        raise  # no evidence is made of, or in spite of, a file that was altered
     except BoresightError as refusal:
         return None, f"The held-out set {name} could not be used: {refusal}"
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from boresight import __version__
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, CorruptFileError, NotFoundError, RefusedInputError
 from boresight.services import audit, staleness
 from boresight.services.actors import POLICY, Actor, Policy, require_role, require_scope
 from boresight.services.package_inputs import described, four_eyes
@@ -148,10 +148,10 @@ def _existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any]) ->
 
 
 def _kept(session: Session, blobs: BlobStore, package: Package) -> Package:
-    """Return a package, its bytes laid down again where the folder lost them."""
+    """Return a package, its bytes laid down again where the folder lost or spoiled them."""
     try:
         blobs.path(package.sha256)
-    except NotFoundError:
+    except (NotFoundError, CorruptFileError):
         if blobs.put(rebuild(package.inputs)) != package.sha256:
             raise
         register_blob(session, blobs, package.sha256, MEDIA_TYPE)
@@ -217,7 +217,7 @@ def read(session: Session, blobs: BlobStore, package_id: int) -> bytes:
     NotFoundError, ConflictError
         When there is no such package, or its bytes are missing or were altered on the disk.
     """
-    return blobs.read(get_package(session, package_id).sha256, verify=True)
+    return blobs.read(get_package(session, package_id).sha256)
 
 
 def file_name(session: Session, package: Package) -> str:

@@ -1,7 +1,10 @@
 """A folder of files that are named by the SHA-256 of their bytes: `ab/cd/abcd...`.
 
-The name says what must be inside, so putting the same bytes twice is one file, a reader can check what it reads, and
-nothing is ever overwritten. A file appears under its name complete or not at all: written beside, synced, renamed.
+The name says what must be inside, so putting the same bytes twice is one file, and nothing is ever overwritten but a file
+that is not what its name says. A file appears under its name complete or not at all: written beside, synced, renamed.
+
+Nobody gets a file, its bytes or its document without the file having been held against its address (`boresight.integrity`):
+what does not fit is refused as corrupt, and told to whoever raises alarms. `verify` reads it again whatever is known.
 Bytes that no row refers to are harmless, so bytes are put before the row that names them is committed.
 """
 
@@ -11,7 +14,7 @@ import hashlib
 import io
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,7 +22,8 @@ from typing import Any, BinaryIO
 import orjson
 import sqlalchemy as sa
 
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError, UnavailableError
+from boresight import integrity
+from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError, UnavailableError
 from boresight.store.blob_places import BlobPlace
 from boresight.store.recent import Recent
 from boresight.store.sessions import Session, utc_now
@@ -36,6 +40,7 @@ class BlobStore:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.tell_corrupt: Callable[[str], None] = lambda _sha256: None
         self._parsed: Recent[Any] = Recent(PARSED_BYTES)
 
     def put(self, content: bytes | Path) -> str:
@@ -95,9 +100,9 @@ class BlobStore:
         """Bring files over the network before the transaction that puts them, which holds others up; here there is none."""
 
     def _keep(self, written: Path, sha256: str) -> None:
-        """Give a complete file its address, and make the name itself survive a power cut."""
+        """Give a complete file its address, in the place of a corrupt one too, and make the name itself survive a power cut."""
         place = self._place(sha256)
-        if place.exists():
+        if place.exists() and integrity.is_intact(place, sha256):
             return
         place.parent.mkdir(parents=True, exist_ok=True)
         written.chmod(0o644)
@@ -113,13 +118,19 @@ class BlobStore:
         return self.folder / sha256[:2] / sha256[2:4] / sha256
 
     def path(self, sha256: str) -> Path:
-        """Return the file of an address, to be read only.
+        """Return the file of an address, which has its bytes, to be read only.
 
         Raises
         ------
         NotFoundError
             When the bytes are not in the folder.
+        CorruptFileError
+            When the file there does not have the bytes of the address.
         """
+        return self._checked(self._located(sha256), sha256)
+
+    def _located(self, sha256: str) -> Path:
+        """Return the file of an address, whatever is in it."""
         place = self._place(sha256)
         if not place.is_file():
             raise NotFoundError(
@@ -127,30 +138,48 @@ class BlobStore:
             )
         return place
 
-    def read(self, sha256: str, *, verify: bool = False) -> bytes:
-        """Return the bytes of an address.
+    def _checked(self, place: Path, sha256: str, *, again: bool = False) -> Path:
+        """Return a file that has the bytes of its address."""
+        try:
+            intact = integrity.is_intact(place, sha256, again=again)
+        except OSError as error:
+            raise UnavailableError(
+                f"The stored file {sha256[:12]} in {self.folder} cannot be read ({error.strerror or error}): let the server "
+                "read it, and look at the disk."
+            ) from error
+        if not intact:
+            self.tell_corrupt(sha256)
+            raise CorruptFileError(
+                f"The stored file {sha256[:12]} was altered on the disk, so nothing is made of it; restore it in "
+                f"{self.folder} from a backup.",
+                sha256,
+            )
+        return place
+
+    def verify(self, sha256: str) -> int:
+        """Read the bytes of an address again, whatever this process knows of them; return how many they are.
 
         Raises
         ------
         NotFoundError
-            When the bytes are not in the folder.
-        ConflictError
-            When `verify` is asked and the bytes are not those of the address.
+            When they are not kept.
+        CorruptFileError
+            When they are not those of the address.
         """
-        content = self.path(sha256).read_bytes()
-        if verify and hashlib.sha256(content).hexdigest() != sha256:
-            raise ConflictError(f"The stored file {sha256[:12]} was altered on the disk; restore it from a backup.")
-        return content
+        return self._checked(self._located(sha256), sha256, again=True).stat().st_size
+
+    def size(self, sha256: str) -> int:
+        """Return how many bytes are kept of an address, whatever they are; refuses as `path` what is missing."""
+        return self._located(sha256).stat().st_size
+
+    def read(self, sha256: str) -> bytes:
+        """Return the bytes of an address; refuses as `path`."""
+        return self.path(sha256).read_bytes()
 
     def document(self, sha256: str) -> Any:
         """Return a JSON document, parsed once for all who ask while it is among the recent ones: nobody may change it.
 
-        A file that was altered on the disk is read anew.
-
-        Raises
-        ------
-        NotFoundError
-            When the bytes are not in the folder.
+        Refuses as `path`. A file that was altered on the disk is held against its address anew.
         """
         place = self.path(sha256)
         written = place.stat()
@@ -187,8 +216,7 @@ def register_blob(session: Session, blobs: BlobStore, sha256: str, media_type: s
     """Return the row of stored bytes, made now when there is none; rows that refer to the bytes need it."""
     row = session.scalar(sa.select(Blob).where(Blob.sha256 == sha256))
     if row is None:
-        size = blobs.path(sha256).stat().st_size
-        row = Blob(sha256=sha256, size_bytes=size, media_type=media_type, created_utc=utc_now())
+        row = Blob(sha256=sha256, size_bytes=blobs.size(sha256), media_type=media_type, created_utc=utc_now())
         session.add(row)
         session.flush()
     return row

@@ -3,7 +3,8 @@
 An object is put once and never changed, so what was fetched stays right for ever. A file is fetched once a machine, into
 a folder in the layout of `BlobStore`: written beside while its SHA-256 is taken, and named only when that is the address,
 so it is there complete and right or not at all. What was asked for longest ago is let go when more lies there than
-allowed, but nothing that was asked for within the last hour: it may be about to be opened. Who has it open keeps it.
+allowed, but nothing that was asked for within the last hour: it may be about to be opened. Who has it open keeps it. A
+file here that is not what it was when it was fetched is fetched anew.
 
 The store checks what is put: requests are signed together with the SHA-256 of their body, and the size is asked for
 after. Credentials come from the environment of each process as the store's own programs read them (AWS_ACCESS_KEY_ID,
@@ -26,11 +27,13 @@ import obstore
 from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
 from obstore.store import ObjectStore, from_url
 
-from boresight.errors import ConflictError, ForbiddenError, NotFoundError, UnavailableError
+from boresight import integrity
+from boresight.errors import CorruptFileError, ForbiddenError, NotFoundError, UnavailableError
 from boresight.store.blob_places import BlobPlace
 from boresight.store.blobs import CHUNK_BYTES, BlobStore
 
 KEPT_S = 3600.0  # after it was last asked for
+MARK_S = KEPT_S / 12  # asked for so soon again, a file is not marked again
 LOOK_AFTER = 20  # the folder is measured after a twentieth of what it may hold was added
 ANSWERS_WITHIN, ENDS_WITHIN, TRIED_FOR, LOOKS_FOR = (timedelta(seconds=number) for number in (5, 60, 20, 2))
 LOOKED_FOR = "is-it-there"
@@ -92,7 +95,7 @@ class ObjectBlobStore(BlobStore):
         ------
         NotFoundError
             When the bytes are not in the bucket.
-        ConflictError
+        CorruptFileError
             When the bytes in the bucket are not those of the address.
         UnavailableError
             When the store does not answer.
@@ -101,10 +104,47 @@ class ObjectBlobStore(BlobStore):
         """
         place = self._place(sha256)
         try:
-            os.utime(place, ns=(time.time_ns(), place.stat().st_mtime_ns))
+            if not integrity.is_intact(place, sha256):
+                place.unlink(missing_ok=True)
+            elif time.time() - (found := place.stat()).st_atime > MARK_S:
+                os.utime(place, ns=(time.time_ns(), found.st_mtime_ns))
         except FileNotFoundError:
+            pass
+        if not place.exists():
             self._fetch(sha256)
         return place
+
+    def verify(self, sha256: str) -> int:
+        """Read the bytes of an address in the bucket again; return how many they are."""
+        digest, size = hashlib.sha256(), 0
+        for chunk in self._streamed(sha256):
+            digest.update(chunk)
+            size += len(chunk)
+        self._refuse_other(digest.hexdigest(), sha256)
+        return size
+
+    def size(self, sha256: str) -> int:
+        """Return how many bytes the bucket keeps of an address."""
+        with self._asking(self._missing(sha256)):
+            return obstore.head(self._store, _key(sha256))["size"]
+
+    def _missing(self, sha256: str) -> str:
+        return f"The stored file {sha256[:12]} is missing from {self.address}; bring it back there from a backup."
+
+    def _streamed(self, sha256: str) -> Iterator[bytes]:
+        """Yield the bytes of an object piece by piece."""
+        with self._asking(self._missing(sha256)):
+            for chunk in obstore.get(self._store, _key(sha256)).stream(min_chunk_size=CHUNK_BYTES):
+                yield bytes(chunk)
+
+    def _refuse_other(self, found: str, sha256: str) -> None:
+        """Refuse bytes that are not those of the address."""
+        if found != sha256:
+            self.tell_corrupt(sha256)
+            raise CorruptFileError(
+                f"The stored file {sha256[:12]} was altered in {self.address}; bring its former version back there.",
+                sha256,
+            )
 
     def _fetch(self, sha256: str) -> None:
         """Bring an object here, complete and right or not at all."""
@@ -112,17 +152,11 @@ class ObjectBlobStore(BlobStore):
         digest = hashlib.sha256()
         with tempfile.TemporaryDirectory(prefix=".get-", dir=self.folder) as folder:
             written = Path(folder) / sha256
-            missing = (
-                f"The stored file {sha256[:12]} is missing from {self.address}; bring it back there from a backup."
-            )
-            with self._asking(missing), written.open("wb") as file:
-                for chunk in obstore.get(self._store, _key(sha256)).stream(min_chunk_size=CHUNK_BYTES):
+            with written.open("wb") as file:
+                for chunk in self._streamed(sha256):
                     digest.update(chunk)
                     file.write(chunk)
-            if digest.hexdigest() != sha256:
-                raise ConflictError(
-                    f"The stored file {sha256[:12]} was altered in {self.address}; bring its former version back there."
-                )
+            self._refuse_other(digest.hexdigest(), sha256)
             self._keep_here(written, sha256, written.stat().st_size)
 
     def _keep_here(self, written: Path, sha256: str, size: int) -> None:

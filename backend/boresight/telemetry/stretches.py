@@ -19,6 +19,8 @@ import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 from numpy.typing import NDArray
 
+from boresight import integrity
+from boresight.errors import CorruptFileError
 from boresight.telemetry.chunks import chunks_of
 from boresight.telemetry.formats import format_at
 from boresight.telemetry.parquet import open_parquet, parquet_tables
@@ -38,20 +40,34 @@ class Stretch:
         The file, and what refusals call it.
     begins, ends
         Its rows begins <= k < ends.
+    sha256
+        Of the file's bytes, where they are known by it.
     """
 
     path: Path
     name: str
     begins: int
     ends: int
+    sha256: str | None = None
 
     def chunks(self, frames: int) -> Iterator[Telemetry]:
-        """Read it in parts of so many frames; `first_row` counts in the whole file. Refuses what `chunks.read_chunks` refuses."""
+        """Read it in parts of so many frames; `first_row` counts in the whole file. Refuses what `chunks.read_chunks` refuses.
+
+        Raises
+        ------
+        CorruptFileError
+            When the file does not have the bytes that it is known by.
+        """
+        if self.sha256 is not None and not integrity.is_intact(self.path, self.sha256):
+            raise CorruptFileError(
+                f"The stored file {self.sha256[:12]} was altered on the disk, so nothing is made of it; restore it from a backup.",
+                self.sha256,
+            )
         rows = range(self.begins, self.ends)
         return chunks_of(parquet_tables(self.path, self.name, rows), self.name, frames)
 
 
-def stretches(path: Path, name: str, frames: int) -> list[Stretch]:
+def stretches(path: Path, name: str, frames: int, sha256: str | None = None) -> list[Stretch]:
     """Cut a file into stretches of at least `PARTS * frames` frames.
 
     Returns
@@ -68,7 +84,7 @@ def stretches(path: Path, name: str, frames: int) -> list[Stretch]:
         return []
     with open_parquet(path, name) as file:
         cuts = _cuts(file, PARTS * frames)
-    return [Stretch(path, name, begins, ends) for begins, ends in pairwise(cuts)]
+    return [Stretch(path, name, begins, ends, sha256) for begins, ends in pairwise(cuts)]
 
 
 def _cuts(file: arrow_parquet.ParquetFile, least: int) -> list[int]:

@@ -54,6 +54,8 @@ class Engine:
     broadcast
         Called from the engine's thread with `{"kind": "progress", "run_id", "attempt", "fraction", "message", "elapsed_s",
         "history"}`, and with `{"kind": "run", "run_id", "attempt"}` when a row has changed its state.
+    suspect
+        Called from the engine's thread with the address of a stored file that a worker found corrupt.
     calculation
         `module:function` that the workers call, with the signature of `calibrate`.
     cancel_grace_s
@@ -66,6 +68,7 @@ class Engine:
         settings: Settings,
         broadcast: Callable[[dict[str, Any]], None] | None = None,
         *,
+        suspect: Callable[[str], None] | None = None,
         calculation: str = CALCULATION,
         cancel_grace_s: float = CANCEL_GRACE_S,
     ) -> None:
@@ -73,6 +76,7 @@ class Engine:
         self._settings = settings
         self._rows = Reconciler(database, self.owner, settings.lease_s, settings.max_attempts)
         self._broadcast = broadcast or (lambda _event: None)
+        self._suspect = suspect or (lambda _sha256: None)
         self._calculation = calculation
         self._grace_s = cancel_grace_s
         self._cluster: Cluster | None = None
@@ -204,6 +208,8 @@ class Engine:
         else:
             self._rows.settle(answer)
             self._lookout.note(answer)
+            for sha256 in {outcome.get("corrupt_sha256") for outcome in answer} - {None}:
+                self._suspect(str(sha256))
         return True
 
     def _renew(self) -> None:

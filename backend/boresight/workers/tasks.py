@@ -23,7 +23,7 @@ import orjson
 
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
-from boresight.errors import BoresightError, CancelledError
+from boresight.errors import BoresightError, CancelledError, CorruptFileError
 from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blob_places import BlobPlace
@@ -52,7 +52,7 @@ class Inputs(TypedDict):
 
 
 class Outcome(TypedDict):
-    """How an attempt ended: the terminal state asked for, why, the result's address, and lines for the log."""
+    """How an attempt ended: the terminal state asked for, why, the result's address, lines for the log, a file found corrupt."""
 
     run_id: int
     attempt: int
@@ -62,6 +62,7 @@ class Outcome(TypedDict):
     result_bytes: int
     summary: dict[str, Any] | None
     log: list[str]
+    corrupt_sha256: str | None
 
 
 Work = tuple[int, int, Inputs]  # run id, attempt, inputs
@@ -109,6 +110,8 @@ def execute(
         return _succeeded(inputs, calculation, link, keep)
     except CancelledError as error:
         return _ended(run_id, attempt, "CANCELLED", str(error) or "Stopped on request."), None
+    except CorruptFileError as error:
+        return _ended(run_id, attempt, "FAILED", str(error)) | {"corrupt_sha256": error.sha256 or None}, None
     except BoresightError as error:
         faults = [str(fault) for fault in getattr(error, "faults", ())]
         return _ended(run_id, attempt, "FAILED", str(error), faults), None
@@ -150,8 +153,8 @@ def _json(document: dict[str, Any]) -> bytes:
 def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> dict[str, Any]:
     """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
     validation = inputs["validation_sha256"]
-    source = TelemetryFile(blobs.path(inputs["table_sha256"]))
-    held_out = None if validation is None else TelemetryFile(blobs.path(validation))
+    source = _table(blobs, inputs["table_sha256"])
+    held_out = None if validation is None else _table(blobs, validation)
     large = source.large()
     with ExitStack() as stack:
         folders: dict[str, Any] = {}
@@ -173,6 +176,11 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
         )
 
 
+def _table(blobs: BlobStore, sha256: str) -> TelemetryFile:
+    """Find a table of telemetry, held against its address."""
+    return TelemetryFile(blobs.path(sha256), sha256=sha256)
+
+
 def _ended(run_id: int, attempt: int, state: str, reason: str | None, log: list[str] | None = None) -> Outcome:
     """Describe an end without a result."""
     return Outcome(
@@ -184,6 +192,7 @@ def _ended(run_id: int, attempt: int, state: str, reason: str | None, log: list[
         result_bytes=0,
         summary=None,
         log=log or [],
+        corrupt_sha256=None,
     )
 
 

@@ -35,7 +35,7 @@ CSV: dict[int | str, dict[str, Any]] = {
     name="compare_runs",
     summary="Compare runs",
     response_model=schemas.Document,
-    responses=refusals(404),
+    responses=refusals(404, 409),
 )
 def compare_runs(
     actor: Who,  # noqa: ARG001 - whoever is known may read
@@ -56,7 +56,7 @@ def compare_runs(
     name="compare_runs_data",
     summary="Read a comparison's table",
     response_class=Response,
-    responses={**refusals(404), **CSV},
+    responses={**refusals(404, 409), **CSV},
 )
 def compare_runs_data(
     actor: Who,  # noqa: ARG001 - whoever is known may read
@@ -71,7 +71,10 @@ def compare_runs_data(
 
 
 @router.get(
-    "/compare/figures/radial", name="draw_radial_contrast", summary="Draw radial differences", responses=refusals(404)
+    "/compare/figures/radial",
+    name="draw_radial_contrast",
+    summary="Draw radial differences",
+    responses=refusals(404, 409),
 )
 def draw_radial_contrast(
     actor: Who,  # noqa: ARG001 - whoever is known may read
@@ -98,7 +101,7 @@ def draw_radial_contrast(
     name="get_radial_contrast_data",
     summary="Read radial differences",
     response_class=Response,
-    responses={**refusals(404), **CSV},
+    responses={**refusals(404, 409), **CSV},
 )
 def get_radial_contrast_data(
     actor: Who,  # noqa: ARG001 - whoever is known may read

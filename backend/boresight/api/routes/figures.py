@@ -100,7 +100,7 @@ def list_figures(run_id: Id, actor: Who, session: Reading) -> Response:  # noqa:
     return json_response({"items": items, "next": None})
 
 
-@router.get("/{run_id}/figures/{name}", name="get_figure", summary="Read a figure", responses=refusals(404))
+@router.get("/{run_id}/figures/{name}", name="get_figure", summary="Read a figure", responses=refusals(404, 409))
 def get_figure(
     run_id: Id,
     name: FigureName,
@@ -144,7 +144,10 @@ def _beside_baseline(session: Session, blobs: BlobStore, run: Run) -> dict[str, 
     name="get_figure_data",
     summary="Read a figure's numbers",
     response_class=Response,
-    responses={**refusals(404), 200: {"content": {"text/csv": {}}, "description": "The columns in SI, never thinned."}},
+    responses={
+        **refusals(404, 409),
+        200: {"content": {"text/csv": {}}, "description": "The columns in SI, never thinned."},
+    },
 )
 def get_figure_data(
     run_id: Id,

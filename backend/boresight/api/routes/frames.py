@@ -30,7 +30,7 @@ FrameNumber = Annotated[int, Path(ge=-GREATEST_ID, le=GREATEST_ID, description="
     name="list_frames",
     summary="List the frames",
     response_model=Page[schemas.FrameLine],
-    responses=refusals(404),
+    responses=refusals(404, 409),
 )
 def list_frames(
     run_id: Id,
@@ -52,7 +52,7 @@ def list_frames(
     name="get_frame",
     summary="Read a frame",
     response_model=schemas.RunFrame,
-    responses=refusals(404),
+    responses=refusals(404, 409),
 )
 def get_frame(
     run_id: Id,

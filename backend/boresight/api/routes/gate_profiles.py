@@ -86,7 +86,7 @@ def set_gate_profile(
     name="try_gate_profile",
     summary="Try limits on past runs",
     response_model=schemas.DryRunOfProfile,
-    responses=refusals(404),
+    responses=refusals(404, 409),
 )
 def try_gate_profile(
     sensor_id: Id,

@@ -84,7 +84,7 @@ def _shown(session: Session, row: Any) -> schemas.Document:
     summary="Hold it against its gates",
     status_code=201,
     response_model=schemas.GateReport,
-    responses=refusals(404, 412),
+    responses=refusals(404, 409, 412),
 )
 def assess_parameter_set(
     parameter_set_id: Id, actor: Who, once: Idempotent, examined: Examined, session: Writing

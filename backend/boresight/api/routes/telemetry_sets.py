@@ -138,7 +138,7 @@ def get_telemetry_set(
     name="get_telemetry_file",
     summary="Download the original file",
     response_class=FileResponse,
-    responses=refusals(404),
+    responses=refusals(404, 409),
 )
 def get_telemetry_file(
     telemetry_set_id: Id,

@@ -110,7 +110,7 @@ def get_uplink(uplink_id: Id, actor: Who, session: Reading) -> Response:  # noqa
     name="get_uplink_dump",
     summary="Download the dump",
     response_class=FileResponse,
-    responses=refusals(404),
+    responses=refusals(404, 409),
 )
 def get_uplink_dump(
     uplink_id: Id,

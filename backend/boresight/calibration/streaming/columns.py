@@ -2,11 +2,13 @@
 
 A mapping costs nothing until a page of it is touched, and its pages leave with the last array that stands on it. So a program that
 maps one piece at a time stays as small as one piece, however many there are, and what is read again comes from the machine's cache.
-The layout travels with the address, so that reading asks nothing of the file but its bytes.
+The layout travels with the address, and with both the SHA-256 of the bytes, so that a file which is not what was written is refused
+by every process that maps it, the first time.
 """
 
 from __future__ import annotations
 
+import hashlib
 import mmap
 import os
 import secrets
@@ -17,6 +19,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from boresight import integrity
+from boresight.errors import CorruptFileError
 
 #: Every array begins at a multiple of this, for the processor's widest loads.
 ALIGNMENT = 64
@@ -42,13 +47,27 @@ class Columns:
         Of the file, the same on every machine.
     layout
         Where each array is.
+    sha256
+        Of the bytes.
     """
 
     path: str
     layout: tuple[Column, ...]
+    sha256: str
 
     def read(self) -> dict[str, NDArray[Any]]:
-        """Map the file; what is written into the arrays stays with this process (the compiled loops take writable ones)."""
+        """Map the file; what is written into the arrays stays with this process (the compiled loops take writable ones).
+
+        Raises
+        ------
+        CorruptFileError
+            When the file is not what was written.
+        """
+        if not integrity.is_intact(Path(self.path), self.sha256):
+            raise CorruptFileError(
+                f"The working copy {Path(self.path).name} was altered on the disk while the run computed, so nothing is made of "
+                "it: look at the disk of the data folder, and launch the run again."
+            )
         with Path(self.path).open("rb") as file:
             if not os.fstat(file.fileno()).st_size:
                 return {column.name: np.empty(column.shape, column.dtype) for column in self.layout}
@@ -65,15 +84,20 @@ def _array(mapped: mmap.mmap, column: Column) -> NDArray[Any]:
 def write_columns(path: Path, arrays: Mapping[str, NDArray[Any]]) -> Columns:
     """Write arrays under a temporary name and rename: whoever finds the file finds all of it, however often it is written."""
     layout: list[Column] = []
-    offset = 0
+    digest, offset = hashlib.sha256(), 0
     unfinished = path.with_name(f"{path.name}.{secrets.token_hex(8)}")
     with unfinished.open("wb") as file:
         for name, values in arrays.items():
-            offset += -offset % ALIGNMENT
-            file.seek(offset)
-            file.write(np.ascontiguousarray(values).data if values.dtype.kind != "M" else values.tobytes())
-            layout.append(Column(name, values.dtype.str, values.shape, offset))
-            offset += values.nbytes
-        file.truncate(offset)
+            padding = bytes(-offset % ALIGNMENT)
+            content = (
+                np.ascontiguousarray(values).tobytes()
+                if values.dtype.kind == "M"
+                else np.ascontiguousarray(values).data
+            )
+            for part in (padding, content):
+                digest.update(part)
+                file.write(part)
+            layout.append(Column(name, values.dtype.str, values.shape, offset + len(padding)))
+            offset += len(padding) + values.nbytes
     unfinished.replace(path)
-    return Columns(str(path), tuple(layout))
+    return Columns(str(path), tuple(layout), digest.hexdigest())
