@@ -87,7 +87,7 @@ def test_where_nothing_is_matched_there_are_nulls(field):
 
 
 def test_given_matches_have_no_view(field, catalogue):
-    assert view(field, field.telemetry, given_matches(field.telemetry, catalogue)) is None
+    assert view(field, field.telemetry, given_matches(field.telemetry, field.sensor, catalogue)) is None
 
 
 def test_the_most_frequent_phrase_comes_first():

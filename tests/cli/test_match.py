@@ -53,6 +53,30 @@ def test_the_rows_stay_in_their_order_with_every_other_column_as_it_was(match, h
     assert after.unknown == before.unknown
 
 
+def test_a_row_off_the_detector_keeps_its_place_and_has_no_star(match, half, tmp_path):
+    source, out = half[0], tmp_path / "matched.csv"
+    with source.open() as file:
+        rows = list(csv.DictReader(file))
+    named = [k for k, row in enumerate(rows) if row["star_id"]][7]
+    rows[named]["row_px"] = "-5.5"
+    with source.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(rows)
+
+    done = match(source, out, "--json", tmp_path / "match.json")
+
+    assert done.exit_code == 0, done.stderr
+    with out.open() as file:
+        written = list(csv.DictReader(file))
+    assert [row["note"] for row in written] == [row["note"] for row in rows]
+    assert written[named]["star_id"] == ""
+    document = json.loads((tmp_path / "match.json").read_text())
+    assert [(star["row"], star["off_px"]) for star in document["stars_off_detector"]["rows"]] == [(named + 2, 5.0)]
+    assert document["removed_reasons"]["its centroid is off the detector"] == 1
+    assert "off the detector" in done.stdout
+
+
 def test_the_columns_keep_their_places_and_an_unmatched_star_is_an_empty_cell(match, half, tmp_path):
     match(half[0], tmp_path / "matched.csv")
 

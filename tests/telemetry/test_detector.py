@@ -1,11 +1,16 @@
-"""Telemetry that does not fit its sensor is refused with rows and columns."""
+"""A few stars off the detector are left out and told; telemetry that does not fit its sensor is refused with rows and columns."""
 
 from __future__ import annotations
 
+import dataclasses
+
+import numpy as np
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.detector import check_against_sensor
+from boresight.telemetry.detector import OffDetector, check_against_sensor
+from boresight.telemetry.schema import rows_of
+from tests.telemetry.troubles import calm_telemetry
 
 HEADER = "frame,exposure,row_px,col_px,star_id\n"
 
@@ -37,3 +42,63 @@ def test_without_numbers_given_directions_count_as_matches(read, sensor):
         check_against_sensor(telemetry, sensor)
 
     assert [fault.row for fault in caught.value.faults] == [2]
+
+
+def off_by(telemetry, count, px=5.0):
+    """The set with some rows, evenly spread, so far below the detector of 768 rows."""
+    rows = np.linspace(0, len(telemetry) - 1, count).round().astype(int)
+    row_px = telemetry.row_px.copy()
+    row_px[rows] = 767.5 + px
+    return dataclasses.replace(telemetry, row_px=row_px), rows
+
+
+def test_one_star_5_px_off_the_detector_is_left_out_with_its_row_and_distance(sensor):
+    calm = calm_telemetry()
+    moved, rows = off_by(calm, 1)
+
+    off = check_against_sensor(moved, sensor).document()
+
+    star = {"row": int(rows[0]) + 2, "frame": 0, "exposure": 0, "star_id": int(calm.star_id[0]), "off_px": 5.0}
+    assert off == {"stars": 1, "farthest_px": 5.0, "rows": [star]}
+
+
+@pytest.mark.parametrize("repeats", [1, 4], ids=["of a few", "of many"])
+def test_a_set_is_refused_from_one_star_more_than_are_left_out(sensor, repeats):
+    whole = calm_telemetry()
+    whole = dataclasses.replace(
+        whole,
+        **{
+            name: np.tile(values, (repeats,) + (1,) * (values.ndim - 1))
+            for name, values in vars(whole).items()
+            if isinstance(values, np.ndarray)
+        },
+    )
+    most = max(3, len(whole) // 100)
+
+    assert check_against_sensor(off_by(whole, most)[0], sensor).stars == most
+    moved, rows = off_by(whole, most + 1)
+    with pytest.raises(RefusedInputError) as caught:
+        check_against_sensor(moved, sensor)
+    assert [fault.row for fault in caught.value.faults] == (rows + 2).tolist()
+    assert f"{most + 1} of its {len(whole):,} matched stars" in str(caught.value)
+
+
+@pytest.mark.parametrize("count", [2, 60])
+def test_what_is_left_out_or_refused_does_not_depend_on_the_parts_a_set_comes_in(sensor, count):
+    moved, _ = off_by(calm_telemetry(), count)
+    whole, parts = OffDetector(), OffDetector()
+    whole.look_at(moved, sensor)
+    for first in range(0, len(moved), 36):
+        part = OffDetector()
+        part.look_at(rows_of(moved, slice(first, first + 36)), sensor)
+        parts.absorb(part)
+
+    assert parts.document() == whole.document()
+    assert parts.too_many == whole.too_many == (count == 60)
+    if whole.too_many:
+        said = []
+        for off in (whole, parts):
+            with pytest.raises(RefusedInputError) as caught:
+                off.refuse()
+            said.append((str(caught.value), caught.value.faults))
+        assert said[0] == said[1]

@@ -96,7 +96,21 @@ CASES = [
         [26],
     ),
     ("FRAME_ORDER", "SERIOUS", {"frame": lambda t: np.where(t.frame == 3, 9, t.frame)}, 1, [50]),
-    ("OFF_DETECTOR", "SERIOUS", {"row_px": lambda t: with_rows(t.row_px, {7: 767.6, 8: -0.6, 9: 767.4})}, 2, [9, 10]),
+    ("OFF_DETECTOR", "NORMAL", {"row_px": lambda t: with_rows(t.row_px, {7: 767.6, 8: -0.6, 9: 767.4})}, 2, [9, 10]),
+    (
+        "OFF_DETECTOR",
+        "CAUTION",
+        {"row_px": lambda t: with_rows(t.row_px, dict.fromkeys(range(3), 772.5))},
+        3,
+        [2, 3, 4],
+    ),
+    (
+        "OFF_DETECTOR",
+        "SERIOUS",
+        {"row_px": lambda t: with_rows(t.row_px, dict.fromkeys(range(4), 772.5))},
+        4,
+        [2, 3, 4, 5],
+    ),
     ("REPEATED_STARS", "SERIOUS", SAME_STAR_TWICE, 1, [3]),
     ("REPEATED_CENTROIDS", "SERIOUS", SAME_PLACE_TWICE, 1, [3]),
     ("TIME_MISSING", "SERIOUS", {"time_utc": None}, ROWS, list(range(2, 22))),
@@ -267,7 +281,7 @@ def test_the_worst_finding_comes_first(telemetry, sensor):
     report = quality_report(troubled, sensor, Stars())
 
     assert codes(report) == ["OFF_DETECTOR", "VELOCITY_MISSING", "UNKNOWN_COLUMNS"]
-    assert (report["verdict"], len(report["warnings"])) == ("SERIOUS", 2)
+    assert (report["verdict"], len(report["warnings"])) == ("CAUTION", 2)
 
 
 def test_rows_are_counted_as_in_the_file_they_came_from(telemetry, sensor):

@@ -41,7 +41,7 @@ def troubled():
         time_utc=calm.time_utc + np.where(calm.frame >= 12, 50_000_000, 0),
         magnitude=with_rows(calm.magnitude, {3: 19.0, 200: -1.5, 201: np.nan}),
         star_id=with_rows(calm.star_id, {40: 900, 150: 0, 300: 901}),
-        row_px=with_rows(calm.row_px, {150: 900.0}),
+        row_px=with_rows(calm.row_px, {150: 900.0, 170: 772.5, 290: -7.0}),
         temperature_c=np.linspace(-5.0, 12.0, len(calm)),
     )
 
@@ -65,6 +65,8 @@ def test_the_totals_of_a_set_that_is_not_held_are_of_all_of_it(troubled, sensor,
     assert {name: report[name] for name in counts} == counts
     assert report["unmatched_share"] == whole["unmatched_share"]
     assert finding(report, "GAPS") == finding(whole, "GAPS")
+    assert report["stars_off_detector"] == whole["stars_off_detector"]
+    assert finding(report, "OFF_DETECTOR") == finding(whole, "OFF_DETECTOR")
 
 
 def test_findings_of_a_set_that_is_not_held_name_rows_of_the_file_and_say_what_was_looked_at(sensor, monkeypatch):

@@ -79,19 +79,22 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     Raises
     ------
     RefusedInputError
-        When the free parameters are not the sensor's, matched stars lie off its detector, or directions cannot be had.
+        When the free parameters are not the sensor's, too many matched stars lie off its detector, or directions cannot be had.
     CancelledError
         When `cancelled` said so.
     """
     clock = _Stopwatch()
     parameters = parameters_of(sensor, settings)
     place = Workplace(cancelled or _never, report, cache_folder, scratch_folder, spread)
-    with opened(telemetry, sensor, catalogue, parameters, settings, place) as sets:
+    with opened(telemetry, sensor, catalogue, parameters, settings, place) as (sets, off):
         document, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, place, clock)
+    document["stars_off_detector"] = off.document()
+    document["advice"] += off.sentences()
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
-        judged = held_out(validation, JUDGED_STARS)
+        judged, off = held_out(validation, sensor, JUDGED_STARS)
         chosen = matchable(judged, settings)
         validate(document, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
+        document["advice"] += off.sentences(" in the validation set")
         if isinstance(validation, TelemetryFile) and validation.large():
             frames = len(np.unique(judged.frame))
             document["advice"].append(

@@ -25,7 +25,8 @@ from boresight.calibration.matched import Matched
 from boresight.calibration.rematch import Matches
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.doubles import phrases
-from boresight.sky.matching import EXPOSURE_REASONS, ROW_REASONS, STARTS
+from boresight.sky.matching import EXPOSURE_REASONS, OFF_DETECTOR, ROW_REASONS, STARTS
+from boresight.telemetry.detector import on_detector
 from boresight.telemetry.sensors import Sensor
 
 FloatArray = NDArray[np.float64]
@@ -73,13 +74,14 @@ def frame_stars(found: MatchedFrame, sensor: Sensor, catalogue: Catalogue, minim
     matched = _matched_rows(new)
     star_id = np.where(matched, new.matches.star_id, 0)[rows]
     s_i = np.where(matched[:, None], new.matches.s_i, given_s)[rows]
-    off = ~_on_detector(telemetry.row_px[rows], telemetry.col_px[rows], sensor)
+    off = ~on_detector(telemetry, sensor)[rows]
     used = np.isin(np.arange(rows.start, rows.stop), new.problem.arcs.source_row)
     matched = matched[rows]
-    fate = np.select([used, matched, given[rows] > 0], [USED, LEFT_OUT, REJECTED], UNMATCHED).tolist()
+    off &= matched | (given[rows] > 0)
+    fate = np.select([used, matched | off, given[rows] > 0], [USED, LEFT_OUT, REJECTED], UNMATCHED).tolist()
     few = f"its exposure has fewer than {minimum_stars} usable stars, or all of them on one line"
     reasons = [
-        None if used[k] else ("its centroid is off the detector" if off[k] else few) if matched[k] else why
+        None if used[k] else ROW_REASONS[OFF_DETECTOR] if off[k] else few if matched[k] else why
         for k, why in enumerate(_why_unmatched(new, given)[rows])
     ]
     return FrameStars(
@@ -107,14 +109,6 @@ def _magnitudes(catalogue: Catalogue, star_id: IntArray) -> FloatArray:
     """Catalogue magnitudes of stars by number, Hp, NaN where unknown."""
     index = catalogue.index_of(star_id)
     return np.where(index >= 0, catalogue.magnitude[index], np.nan)
-
-
-def _on_detector(row_px: FloatArray, col_px: FloatArray, sensor: Sensor) -> BoolArray:
-    """As `problem` draws the edge."""
-    middle_row, middle_col = (sensor.rows - 1) / 2, (sensor.columns - 1) / 2
-    return np.asarray(
-        (np.abs(row_px - middle_row) <= sensor.rows / 2) & (np.abs(col_px - middle_col) <= sensor.columns / 2)
-    )
 
 
 def _why_unmatched(seen: Matched, given: IntArray) -> NDArray[np.object_]:

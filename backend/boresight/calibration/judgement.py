@@ -26,7 +26,6 @@ from boresight.calibration.shadow import shadow_view
 from boresight.calibration.sighting import sighting_of
 from boresight.calibration.trust import trust_advice, trust_view
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.detector import check_against_sensor
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
@@ -72,7 +71,6 @@ def validate(
     cache_folder: Path | None,
 ) -> None:
     """Judge an estimate on a set that took no part; adds its sentence to the advice."""
-    check_against_sensor(telemetry, sensor)
     held_out = MatchedSet(telemetry, sensor, catalogue, parameters, settings, cache_folder)
     first, last = held_out.at_start(), held_out.at_covariance(estimate.x, estimate.P)
     if last.problem.arcs.n_exposures == 0:

@@ -153,7 +153,7 @@ class MatchedSet:
         if settings.match == "rematch":
             self.matcher = Rematcher(telemetry, sensor, catalogue, settings, cache_folder)
         else:
-            given = given_matches(telemetry, catalogue)
+            given = given_matches(telemetry, sensor, catalogue)
             problem = problem_from(telemetry, sensor, given.s_i, settings.minimum_stars)
             self._standing = Matched(problem, telemetry, given)
 

@@ -17,7 +17,7 @@ from boresight.calibration.spread import InThisProcess, Spread
 from boresight.calibration.streaming.rematched_set import RematchedSet
 from boresight.calibration.streaming.streamed_set import PREPARED, StreamedSet, copied
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.detector import check_against_sensor
+from boresight.telemetry.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
 
@@ -66,27 +66,29 @@ def opened(
     parameters: Parameters,
     settings: CalibrationSettings,
     workplace: Workplace,
-) -> Iterator[MatchedSet | StreamedSet | RematchedSet]:
-    """Make a set ready; while the context lasts it can be matched and computed on.
+) -> Iterator[tuple[MatchedSet | StreamedSet | RematchedSet, OffDetector]]:
+    """Make a set ready, and say which stars of it lie off the detector; while the context lasts it can be matched and computed on.
 
     Raises
     ------
     RefusedInputError
-        When the file cannot be used, matched stars lie off the sensor's detector, or directions cannot be had.
+        When the file cannot be used, too many matched stars lie off the sensor's detector, or directions cannot be had.
     CancelledError
         When `workplace.cancelled` says so.
     """
     if not (isinstance(telemetry, TelemetryFile) and telemetry.large()):
         inside = telemetry.read() if isinstance(telemetry, TelemetryFile) else telemetry
-        check_against_sensor(inside, sensor)
-        yield MatchedSet(inside, sensor, catalogue, parameters, matchable(inside, settings), workplace.cache_folder)
+        off = check_against_sensor(inside, sensor)
+        chosen = matchable(inside, settings)
+        yield MatchedSet(inside, sensor, catalogue, parameters, chosen, workplace.cache_folder), off
         return
     spread = workplace.spread or InThisProcess(workplace.cancelled)
     with workplace.folder() as folder:
         copy = copied(telemetry, sensor, folder, spread, workplace.tell, workplace.cancelled)
         chosen = matchable(copy.pieces[0].read(), settings)
         taken = RematchedSet if chosen.match == "rematch" else StreamedSet
-        yield taken(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
+        sets = taken(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
+        yield sets, copy.off_detector
 
 
 def matchable(telemetry: Telemetry, settings: CalibrationSettings) -> CalibrationSettings:
@@ -96,17 +98,24 @@ def matchable(telemetry: Telemetry, settings: CalibrationSettings) -> Calibratio
     return settings
 
 
-def held_out(telemetry: Telemetry | TelemetryFile, most_rows: int) -> Telemetry:
-    """Read a validation set, of a large one parts that are evenly spread over it."""
-    if not isinstance(telemetry, TelemetryFile):
-        return telemetry
-    if not telemetry.large():
-        return telemetry.read()
+def held_out(telemetry: Telemetry | TelemetryFile, sensor: Sensor, most_rows: int) -> tuple[Telemetry, OffDetector]:
+    """Read a validation set, of a large one parts that are evenly spread over it, and say which stars of all are off the detector.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file cannot be used, or too many matched stars lie off the sensor's detector.
+    """
+    if not (isinstance(telemetry, TelemetryFile) and telemetry.large()):
+        inside = telemetry.read() if isinstance(telemetry, TelemetryFile) else telemetry
+        return inside, check_against_sensor(inside, sensor)
     kept: list[Telemetry] = []
-    every = 1
+    every, off = 1, OffDetector()
     for number, chunk in enumerate(telemetry.chunks()):
+        off.look_at(chunk, sensor)
         if number % every == 0:
             kept.append(chunk)
         if sum(map(len, kept)) > most_rows and len(kept) > 1:
             kept, every = kept[::2], 2 * every
-    return joined(kept)
+    off.refuse()
+    return joined(kept), off

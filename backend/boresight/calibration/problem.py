@@ -19,6 +19,7 @@ from boresight.estimation.arcs import Arcs, ArcSet
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
+from boresight.telemetry.detector import matched_rows, on_detector
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
@@ -189,16 +190,13 @@ def problem_of(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_st
 
 def _usable_rows(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray) -> tuple[IntArray, list[LeftOut]]:
     """Rows on the detector with a direction, and the counts of the others."""
-    row, col = telemetry.row_px, telemetry.col_px
-    on_detector = (np.abs(row - (sensor.rows - 1) / 2) <= sensor.rows / 2) & (
-        np.abs(col - (sensor.columns - 1) / 2) <= sensor.columns / 2
-    )
-    seen = np.isfinite(s_i[:, 0])
+    on = on_detector(telemetry, sensor)
+    seen, off = np.isfinite(s_i[:, 0]), ~on & matched_rows(telemetry)
     unmatched = np.zeros(len(telemetry), bool) if telemetry.star_id is None else telemetry.star_id <= 0
-    groups = (unmatched, ~seen & ~unmatched, ~on_detector & seen)
+    groups = (unmatched, ~seen & ~unmatched & ~off, off)
     counted = zip(groups, STAR_REASONS, strict=True)
     left_out = [LeftOut("stars", int(np.sum(rows)), reason) for rows, reason in counted]
-    return np.flatnonzero(on_detector & seen), left_out
+    return np.flatnonzero(on & seen), left_out
 
 
 def _exposure_starts(frame: IntArray, exposure: IntArray) -> IntArray:

@@ -25,6 +25,7 @@ from boresight.sky.catalogue import Catalogue
 from boresight.sky.detections import Detections
 from boresight.sky.doubles import FAINTER_MAG, star_flags
 from boresight.sky.guide_stars import GuideStars, guide_stars, observer_motion
+from boresight.telemetry.detector import on_detector
 from boresight.telemetry.exposures import exposures_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -164,6 +165,11 @@ class Rematcher:
         if sky is None:
             limit = prepared.magnitude_limit(telemetry, sensor, catalogue, self._given)
             sky = matching_sky(catalogue, limit, blend_rad(sensor))
+        # A detection off the detector is no star's image: it has no direction, and names none.
+        self._off = ~on_detector(telemetry, sensor)
+        self._given = np.where(self._off, 0, self._given)
+        self._given_s = np.where(self._off[:, None], np.nan, self._given_s)
+        self._own &= ~self._off
         self._stars, self._flagged, self._flags = sky.guides, sky.flagged, sky.flags
 
     @property
@@ -183,6 +189,7 @@ class Rematcher:
         e0, e1 = int(self._frame_start[k0]), int(self._frame_start[k1])
         rows, exposures = self.rows(frames), slice(e0, e1)
         s, G, sigma = prepared.measured_directions(self._telemetry, rows, self._sensor, x, P)
+        s[self._off[rows]] = np.nan
         detections = Detections(
             frame_start=self._frame_start[k0 : k1 + 1] - e0,
             row_start=self._row_start[e0 : e1 + 1] - rows.start,
@@ -202,7 +209,7 @@ class Rematcher:
         )  # fmt: skip
         if identify is None and not identification.available():
             answer.reason[self._identifiable(answer, detections)] = matching.NOT_INSTALLED
-        return self._matches(answer, detections, exposures)
+        return self._matches(answer, detections, exposures, self._off[rows])
 
     def _identifier(self, detections: Detections, x: FloatArray, rows: slice) -> matching.Identify | None:
         """Lost-in-space identification of one exposure of these detections, which are in the triad already.
@@ -232,7 +239,9 @@ class Rematcher:
         enough = np.diff(detections.row_start) >= identification.FEWEST_STARS
         return np.asarray((answer.reason == matching.NOTHING_TO_START_FROM) & ~of_solved_frame & enough)
 
-    def _matches(self, answer: matching.Association, detections: Detections, exposures: slice) -> Matches:
+    def _matches(
+        self, answer: matching.Association, detections: Detections, exposures: slice, off: NDArray[np.bool_]
+    ) -> Matches:
         """Flag the matched stars, leave out the flagged ones where asked, and name exposures and frames."""
         index = self._flagged.index_of(answer.star_id)
         flags = np.where((answer.star_id > 0) & (index >= 0), self._flags[index], 0).astype(np.int8)
@@ -241,7 +250,9 @@ class Rematcher:
         return Matches(
             star_id=np.where(left_out, 0, answer.star_id),
             s_i=np.where(left_out[:, None], np.nan, answer.s_i),
-            row_reason=np.where(left_out, matching.LEFT_OUT, answer.row_reason).astype(np.int8),
+            row_reason=np.select([off, left_out], [matching.OFF_DETECTOR, matching.LEFT_OUT], answer.row_reason).astype(
+                np.int8
+            ),
             tolerance_rad=answer.tolerance_rad,
             exposure_start=detections.row_start,
             frame=self._exposures.frame[exposures],

@@ -20,6 +20,7 @@ from boresight.calibration.settings import CalibrationSettings
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
 from boresight.sky.matching import EXPOSURE_REASONS
+from boresight.telemetry.detector import on_detector
 from boresight.telemetry.exposures import exposures_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -109,7 +110,7 @@ def sightings(
         When rows that name stars can be given no direction at all, see `sky.directions`.
     """
     if settings.match == "given" or (telemetry.star_id is None and telemetry.ra_rad is not None):
-        given = given_matches(telemetry, catalogue)
+        given = given_matches(telemetry, sensor, catalogue)
         return [sighting_of(telemetry, sensor, given, x, settings) for x, _ in states]
     matcher = Rematcher(telemetry, sensor, catalogue, settings, cache_folder)
     ground = ground_covariance(sensor, settings.initial_sigma_scale)
@@ -125,12 +126,16 @@ def sighting_of(
     return Sighting(x, matches, view, tolerance)
 
 
-def given_matches(telemetry: Telemetry, catalogue: Catalogue) -> GivenMatches:
-    """Take the matches of a file as they are; a row with a direction but no star number counts as matched, with number 0."""
+def given_matches(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue) -> GivenMatches:
+    """Take the matches of a file as they are, but for stars off the detector.
+
+    A row with a direction but no star number counts as matched, with number 0.
+    """
     exposures = exposures_of(telemetry)
     s_i = star_directions(
         telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
     )
+    s_i = np.where(on_detector(telemetry, sensor)[:, None], s_i, np.nan)
     named = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else telemetry.star_id
     return GivenMatches(
         star_id=np.where(np.isfinite(s_i[:, 0]), named, 0),

@@ -80,14 +80,15 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
         read_parameters(choices["parameters"], sensor),
     ]
     stars = read_telemetry(telemetry)
-    check_against_sensor(stars, sensor)
+    off = check_against_sensor(stars, sensor)
     report("loading the star catalogue")
     catalogue = load_catalogue(folder)
     report("matching the stars under both parameter sets")
     initial, final = sightings(stars, sensor, catalogue, states, settings, folder)
     rng = np.random.default_rng(bootstrap.SEED)
     document = evaluate_sightings(stars, sensor, initial, final, settings, rng)
-    return {**document, "sensor": sensor.name} | ({"shadow": shadow_view(stars, initial, final)} if shadow else {})
+    document |= {"sensor": sensor.name, "stars_off_detector": off.document(), "advice": off.sentences()}
+    return document | ({"shadow": shadow_view(stars, initial, final)} if shadow else {})
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
@@ -105,6 +106,8 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
         yield aligned(
             [("frames not available", "initial", "final"), *((p, *c) for p, c in zip(phrases, counts, strict=True))]
         )
+    for sentence in document["advice"]:
+        yield f"\n- {sentence}"
     if "shadow" in document:
         yield from _shadow_lines(document["shadow"])
 

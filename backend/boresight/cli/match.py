@@ -87,7 +87,7 @@ def _match(
     sensor, folder = read_sensor(sensor_file), read_settings().catalogue_folder
     x, P = (sensor.initial, None) if parameters is None else read_parameters(parameters, sensor)
     stars = read_telemetry(telemetry)
-    check_against_sensor(stars, sensor)
+    off = check_against_sensor(stars, sensor)
     report("loading the star catalogue")
     catalogue = load_catalogue(folder)
     report("matching the stars")
@@ -97,7 +97,8 @@ def _match(
     table, found = read_table(telemetry, telemetry.name), matched_stars(matches, seen)[0]
     with opened_for_writing(out) as stream:
         write_with_stars(table, found, stream, out.suffix.lower())
-    return match_report(stars, sensor, matches, seen)
+    document = match_report(stars, sensor, matches, seen)
+    return document | {"advice": document["advice"] + off.sentences(), "stars_off_detector": off.document()}
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:

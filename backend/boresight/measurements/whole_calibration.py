@@ -127,12 +127,12 @@ def _given(path: Path, sensor: Sensor, catalogue: Catalogue) -> dict[str, Any]:
     found = _whole(path, sensor, catalogue, settings, repeats=REPEATS)
     found["one_thread_s"] = _whole(path, sensor, catalogue, settings, repeats=1, threads=1)["total_s"]
     telemetry = read_telemetry(path)
-    matches = given_matches(telemetry, catalogue)
+    matches = given_matches(telemetry, sensor, catalogue)
     problem = problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars)
     x, scale = sensor.initial, sensor.typical_sigma
     with computing_on(read_settings().computing_threads):
         found["of_which_s"] = {
-            "sky": fastest(lambda: given_matches(telemetry, catalogue), repeats=REPEATS),
+            "sky": fastest(lambda: given_matches(telemetry, sensor, catalogue), repeats=REPEATS),
             "ordering": fastest(
                 lambda: problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars), repeats=REPEATS
             ),
@@ -165,7 +165,7 @@ def _beside_c(
 def _evaluations(path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings) -> tuple[int, int]:
     """Count the evaluations of A and b in the two fits of a calibration, those of refused steps too."""
     telemetry = read_telemetry(path)
-    matches, parameters = given_matches(telemetry, catalogue), parameters_of(sensor, settings)
+    matches, parameters = given_matches(telemetry, sensor, catalogue), parameters_of(sensor, settings)
     problem = problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars)
     x, counts = sensor.initial, list[int]()
     for _ in range(2):

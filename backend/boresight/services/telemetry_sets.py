@@ -26,7 +26,6 @@ from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import TelemetrySet
 from boresight.telemetry.chunks import read_chunks
-from boresight.telemetry.detector import detector_faults, find_off_detector
 from boresight.telemetry.quality_parts import QualityParts
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry
@@ -106,14 +105,12 @@ def prepared(
 
 def _checked(path: Path, name: str, sensor: Sensor, catalogue: Catalogue | None, table: Path) -> dict[str, Any]:
     """Read a file in chunks into the table that is worked on; returns its quality report. A large file is never whole in memory."""
-    misplaced, quality = detector_faults(), QualityParts(sensor, catalogue)
+    quality = QualityParts(sensor, catalogue)
     with ParquetParts(table) as parts:
         for chunk in read_chunks(path, name):
-            find_off_detector(chunk, sensor, misplaced)
-            if not misplaced.count:
-                parts.write(chunk)
-                quality.add(chunk)
-    misplaced.refuse()
+            parts.write(chunk)
+            quality.add(chunk)
+    quality.off_detector.refuse()
     return quality.report()
 
 

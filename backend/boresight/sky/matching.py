@@ -62,6 +62,7 @@ ROW_REASONS = (
     "no attitude to start from",
     "too few other stars of its exposure were matched",
     "left out as a double or for its unreliable astrometry",
+    "its centroid is off the detector",
 )
 STARTS = (
     "none",
@@ -80,6 +81,7 @@ EXPOSURE_REASONS = (
 )
 NOTHING_TO_START_FROM, NO_TIME, NOT_INSTALLED = 1, 3, 4
 LEFT_OUT = ROW_REASONS.index("left out as a double or for its unreliable astrometry")
+OFF_DETECTOR = ROW_REASONS.index("its centroid is off the detector")
 OTHER_EXPOSURE, QUATERNION, NEIGHBOUR, LOST = (
     STARTS.index(name) for name in ("other exposure", "quaternion", "neighbouring frame", "lost in space")
 )

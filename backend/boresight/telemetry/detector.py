@@ -1,28 +1,35 @@
 """Telemetry on the detector it is said to come from: rows off it, and how well the rest covers it.
 
-The detector's edge lies half a pixel beyond the centres of its outermost pixels. A matched star beyond it, by more than the
-pixel or two that the centroid of a cut star may run past it, cannot have been measured there: rows and columns are
-exchanged, the pixel origin is another, or the sensor is. Such a set is refused before use (`check_against_sensor`). An
-unmatched detection beyond it is only junk: it is reported.
+The detector's edge lies half a pixel beyond the centres of its outermost pixels. A matched star beyond it was not measured
+there and is left out of use, which the quality report and every result tell (`OffDetector`). The centroid of a star that
+the edge cuts runs a pixel or two past it; stars farther out are single faults (a flipped bit, a wrong window) while they are
+few. Where they are many, rows and columns are exchanged, the pixel origin is another, or the sensor is: such a set is refused
+before use (`check_against_sensor`). An unmatched detection beyond the edge is only junk: it is reported.
 """
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.telemetry.refusals import Faults
+from boresight.telemetry.refusals import MOST_FAULTS, Faults
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
-#: How far past the edge the centroid of a star cut by it may be fitted, pixels; such a row is left out, not refused.
+#: How far past the edge the centroid of a star cut by it may be fitted, pixels.
 _CUT_STAR_PX = 2.0
+#: Share of a set's matched stars that may lie farther out, and how many may in a small set, but never more than every second.
+#: Rows and columns exchanged put tens of per cent off a detector that is not square; faults of single rows are rarer than 1 %.
+MOST_OFF_SHARE, MOST_OFF_OF_FEW = 0.01, 3
 _GRID_ROWS = 8
+_ROWS_IN_SENTENCE = 5
 _RADIAL_BINS = 20
 
 
@@ -42,42 +49,136 @@ def on_detector(telemetry: Telemetry, sensor: Sensor) -> BoolArray:
     return on_rows & (col_px >= -0.5) & (col_px <= sensor.columns - 0.5)
 
 
-def check_against_sensor(telemetry: Telemetry, sensor: Sensor) -> None:
-    """Refuse telemetry whose matched stars lie off the sensor's detector.
+@dataclass(frozen=True)
+class StarOff:
+    """A matched star off the detector: its row as an editor counts, its numbers, and how far it lies past the edge, pixels."""
+
+    row: int
+    frame: int
+    exposure: int
+    star_id: int | None
+    off_px: float
+
+
+class OffDetector:
+    """The matched stars of a set that lie off its detector, of all its parts one after the other."""
+
+    def __init__(self) -> None:
+        self.matched = 0
+        self.stars = 0
+        self.farthest_px = 0.0
+        self.first: list[StarOff] = []
+        self.beyond_cut = 0  # farther out than an image that the edge cuts
+        self._faults = Faults("The telemetry does not fit the sensor")
+
+    @property
+    def most(self) -> int:
+        """How many stars may lie farther out than a star that the edge cuts, before the set is refused."""
+        return min(max(int(MOST_OFF_SHARE * self.matched), MOST_OFF_OF_FEW), self.matched // 2)
+
+    @property
+    def too_many(self) -> bool:
+        """Whether the set is to be refused."""
+        return self.beyond_cut > self.most
+
+    def look_at(self, telemetry: Telemetry, sensor: Sensor, rows: IntArray | None = None) -> None:
+        """Take the next part; `rows` (n_rows,) are its row numbers where they do not follow on from its `first_row`."""
+        matched = matched_rows(telemetry)
+        off_px = _past_the_edge(telemetry, sensor)
+        entries = np.flatnonzero(matched & (off_px > 0.0))
+        self.matched += int(np.count_nonzero(matched))
+        if not len(entries):
+            return
+        self.stars += len(entries)
+        self.farthest_px = max(self.farthest_px, float(off_px[entries].max()))
+        beyond = matched & (off_px > _CUT_STAR_PX)
+        self.beyond_cut += int(np.count_nonzero(beyond))
+        number = telemetry.first_row + np.arange(len(telemetry)) if rows is None else rows
+        for entry in entries[: MOST_FAULTS - len(self.first)].tolist():
+            star = None if telemetry.star_id is None else int(telemetry.star_id[entry])
+            frame, exposure = int(telemetry.frame[entry]), int(telemetry.exposure[entry])
+            self.first.append(StarOff(int(number[entry]), frame, exposure, star, float(off_px[entry])))
+        for column, values, size in (
+            ("row_px", telemetry.row_px, sensor.rows),
+            ("col_px", telemetry.col_px, sensor.columns),
+        ):
+            off = beyond & ((values < -0.5 - _CUT_STAR_PX) | (values > size - 0.5 + _CUT_STAR_PX))
+            for entry in np.flatnonzero(off)[:MOST_FAULTS].tolist():
+                detail = (
+                    f"{values[entry]:g} is off the detector (-0.5 to {size - 0.5:g}): choose the right sensor, exchange rows "
+                    "and columns, or delete the row"
+                )
+                self._faults.add(detail, column=column, row=int(number[entry]))
+            self._faults.count += max(int(np.count_nonzero(off)) - MOST_FAULTS, 0)
+
+    def absorb(self, later: OffDetector) -> None:
+        """Take over what was found in a later part."""
+        self.matched += later.matched
+        self.stars += later.stars
+        self.farthest_px = max(self.farthest_px, later.farthest_px)
+        self.first = (self.first + later.first)[:MOST_FAULTS]
+        self.beyond_cut += later.beyond_cut
+        self._faults.absorb(later._faults)
+
+    def refuse(self) -> None:
+        """Raise when too many stars lie off the detector.
+
+        Raises
+        ------
+        RefusedInputError
+            Names the first twenty rows, and how many would have been left out.
+        """
+        if self.too_many:
+            self._faults.subject = (
+                f"The telemetry does not fit the sensor, {self.beyond_cut:,} of its {self.matched:,} matched stars lie off the "
+                f"detector where at most {self.most:,} may be left out"
+            )
+            self._faults.refuse()
+
+    def document(self) -> dict[str, Any]:
+        """Return what was left out for a JSON document: how many stars, by how much at most, and the first twenty."""
+        return {
+            "stars": self.stars,
+            "farthest_px": self.farthest_px if self.stars else None,
+            "rows": [asdict(star) for star in self.first],
+        }
+
+    def sentences(self, subject: str = "") -> list[str]:
+        """Say in a sentence that a result lacks stars; none where all that is left out are images that the edge cuts."""
+        return [self.sentence(subject)] if self.beyond_cut else []
+
+    def sentence(self, subject: str = "") -> str:
+        """Say what was left out, of at least one star."""
+        listed = ", ".join(f"{star.row} by {star.off_px:.3g} px" for star in self.first[:_ROWS_IN_SENTENCE])
+        more = ", ..." if self.stars > _ROWS_IN_SENTENCE else ""
+        what, rows = ("star lies", "the row") if self.stars == 1 else ("stars lie", "these rows")
+        is_ = "is" if self.stars == 1 else "are"
+        told = f"{self.stars:,} matched {what} off the detector and {is_} left out of use{subject} (row {listed}{more})"
+        if not self.beyond_cut:
+            return f"{told}: the edge cuts such an image, and its centroid with it."
+        return f"{told}: correct or delete {rows}, and check the pixel origin where they lie off one edge."
+
+
+def check_against_sensor(telemetry: Telemetry, sensor: Sensor) -> OffDetector:
+    """Return which matched stars lie off the sensor's detector and are left out of use.
 
     Raises
     ------
     RefusedInputError
-        Names the first twenty rows.
+        When they are too many; names the first twenty rows.
     """
-    faults = detector_faults()
-    find_off_detector(telemetry, sensor, faults)
-    faults.refuse()
+    off = OffDetector()
+    off.look_at(telemetry, sensor)
+    off.refuse()
+    return off
 
 
-def detector_faults() -> Faults:
-    """Return an empty collection of what `check_against_sensor` refuses, for a set that comes in parts."""
-    return Faults("The telemetry does not fit the sensor")
-
-
-def find_off_detector(telemetry: Telemetry, sensor: Sensor, faults: Faults) -> None:
-    """Collect what `check_against_sensor` refuses, of a set or of its parts one after the other."""
-    faults.first_row = telemetry.first_row
-    _check_axis("row_px", telemetry.row_px, sensor.rows, telemetry, faults)
-    _check_axis("col_px", telemetry.col_px, sensor.columns, telemetry, faults)
-
-
-def _check_axis(column: str, values: FloatArray, size: int, telemetry: Telemetry, faults: Faults) -> None:
-    """Find matched stars beyond the edges of one axis of `size` pixels."""
-    off = matched_rows(telemetry) & ((values < -0.5 - _CUT_STAR_PX) | (values > size - 0.5 + _CUT_STAR_PX))
-    faults.add_entries(
-        off,
-        column,
-        lambda entry: (
-            f"{values[entry]:g} is off the detector (-0.5 to {size - 0.5:g}): choose the right sensor, exchange rows and "
-            "columns, or delete the row"
-        ),
-    )
+def _past_the_edge(telemetry: Telemetry, sensor: Sensor) -> FloatArray:
+    """How far each centroid lies past the edge of the detector, (n_rows,) pixels, at most 0 on it."""
+    row, col = telemetry.row_px, telemetry.col_px
+    by_row = np.maximum(-0.5 - row, row - (sensor.rows - 0.5))
+    by_col = np.maximum(-0.5 - col, col - (sensor.columns - 0.5))
+    return np.asarray(np.maximum(by_row, by_col))
 
 
 def detector_coverage(telemetry: Telemetry, sensor: Sensor, rows: BoolArray) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.telemetry.detector import matched_rows, on_detector
+from boresight.telemetry.detector import OffDetector, matched_rows, on_detector
 from boresight.telemetry.exposures import Exposures, exposures_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -70,6 +70,13 @@ class Evidence:
     def on_detector(self) -> BoolArray:
         """(n_rows,) whether the centroid lies on the detector."""
         return on_detector(self.telemetry, self.sensor)
+
+    @cached_property
+    def off_detector(self) -> OffDetector:
+        """The matched stars off the detector."""
+        off = OffDetector()
+        off.look_at(self.telemetry, self.sensor, self.rows)
+        return off
 
     @cached_property
     def directed(self) -> BoolArray:

@@ -20,6 +20,8 @@
     repeats             {stars, centroids} rows that repeat one of their exposure
     out_of_order        rows at which the frame number descends
     off_detector        rows
+    stars_off_detector  {stars, farthest_px, rows [{row, frame, exposure, star_id, off_px}]} matched stars that are left out for
+                        it; rows are the first 20
     temperature_c       {smallest, largest} or null
     unknown_columns     names
 """
@@ -31,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.telemetry.detector import detector_coverage, radial_coverage
+from boresight.telemetry.detector import OffDetector, detector_coverage, radial_coverage
 from boresight.telemetry.evidence import MINIMUM_STARS, Evidence, StarNumbers
 from boresight.telemetry.findings import FINDINGS, SEVERITIES, Finding
 from boresight.telemetry.sampling import Intervals, sampling_of
@@ -62,11 +64,16 @@ def quality_report(telemetry: Telemetry, sensor: Sensor, catalogue: StarNumbers 
     The document of the module docstring.
     """
     evidence = Evidence(telemetry, sensor, catalogue)
-    return document_of(findings_of(evidence), totals_of(evidence), _time(evidence), _unknown_ids(evidence))
+    off = evidence.off_detector
+    return document_of(findings_of(evidence), totals_of(evidence), _time(evidence), _unknown_ids(evidence), off)
 
 
 def document_of(
-    findings: list[Finding], totals: dict[str, Any], time: dict[str, Any] | None, unknown_ids: dict[str, Any] | None
+    findings: list[Finding],
+    totals: dict[str, Any],
+    time: dict[str, Any] | None,
+    unknown_ids: dict[str, Any] | None,
+    off: OffDetector,
 ) -> dict[str, Any]:
     """Put a report together from its parts, see the module docstring."""
     by_code = {finding.code: finding.count for finding in findings}
@@ -80,6 +87,7 @@ def document_of(
         "unknown_ids": unknown_ids,
         "repeats": {"stars": by_code.get("REPEATED_STARS", 0), "centroids": by_code.get("REPEATED_CENTROIDS", 0)},
         "out_of_order": by_code.get("FRAME_ORDER", 0),
+        "stars_off_detector": off.document(),
     }
 
 

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.telemetry.detector import OffDetector
 from boresight.telemetry.evidence import Evidence, StarNumbers
 from boresight.telemetry.findings import Finding
+from boresight.telemetry.findings.centroids import off_detector_finding
 from boresight.telemetry.findings.times import gaps_finding
 from boresight.telemetry.quality import (
     MAGNITUDE_STEP,
@@ -56,6 +58,7 @@ class QualityParts:
         self._totals: dict[str, Any] | None = None
         self._unknown_ids = np.empty(0, np.int64)
         self._frames = _FrameTimes()
+        self._off = OffDetector()
 
     def add(self, part: Telemetry) -> None:
         """Take the next whole frames."""
@@ -64,12 +67,18 @@ class QualityParts:
         self._seen += 1
         evidence = Evidence(part, self._sensor, self._catalogue)
         self._frames.add(evidence)
+        self._off.absorb(evidence.off_detector)
         totals = totals_of(evidence)
         self._totals = totals if self._totals is None else _added(self._totals, totals)
         if evidence.index is not None and part.star_id is not None:
             self._unknown_ids = np.union1d(self._unknown_ids, part.star_id[evidence.unknown])
         while sum(map(len, self._kept)) > MOST_ROWS and len(self._kept) > 1:
             self._kept, self._stride = self._kept[::2], 2 * self._stride
+
+    @property
+    def off_detector(self) -> OffDetector:
+        """The matched stars off the detector, of all parts."""
+        return self._off
 
     def report(self) -> dict[str, Any]:
         """Return the document of `quality_report`, of at least one part."""
@@ -78,12 +87,12 @@ class QualityParts:
             return quality_report(telemetry, self._sensor, self._catalogue)
         rows = np.concatenate([part.first_row + np.arange(len(part)) for part in self._kept])
         evidence = Evidence(telemetry, self._sensor, self._catalogue, rows)
-        found = [finding for finding in findings_of(evidence) if finding.code != "GAPS"]
-        gaps = self._frames.gaps()
-        found += [self._of_a_part(telemetry), *([] if gaps is None else [gaps])]
+        found = [finding for finding in findings_of(evidence) if finding.code not in {"GAPS", "OFF_DETECTOR"}]
+        of_all = (self._frames.gaps(), off_detector_finding(self._off, self._sensor))
+        found += [self._of_a_part(telemetry), *(finding for finding in of_all if finding is not None)]
         ids = self._unknown_ids
         unknown = {"count": len(ids), "ids": ids[:MOST_LISTED].tolist()} if evidence.index is not None else None
-        return document_of(worst_first(found), self._totals, self._frames.document(), unknown)
+        return document_of(worst_first(found), self._totals, self._frames.document(), unknown, self._off)
 
     def _of_a_part(self, looked_at: Telemetry) -> Finding:
         """Say of how much of the set the findings are."""

@@ -20,6 +20,7 @@ from boresight.calibration.streaming.stored_problem import StoredProblem
 from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece, copy_stretch, write_pieces
 from boresight.errors import CancelledError
 from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.detector import OffDetector
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
@@ -51,6 +52,14 @@ class WorkingCopy:
     def n_frames(self) -> int:
         """Frames of the set."""
         return sum(piece.frames for piece in self.pieces)
+
+    @property
+    def off_detector(self) -> OffDetector:
+        """The matched stars of the set that lie off the detector."""
+        off = OffDetector()
+        for piece in self.pieces:
+            off.absorb(piece.off_detector)
+        return off
 
     @property
     def epoch(self) -> np.datetime64 | None:
@@ -87,8 +96,10 @@ def copied(
     CancelledError
         When `cancelled` says so.
     """
-    pieces = _copied_apart(file, sensor, folder, spread, told)
-    return WorkingCopy(pieces or _copied_in_turn(file, sensor, folder, told, cancelled), folder, spread)
+    pieces = _copied_apart(file, sensor, folder, spread, told) or _copied_in_turn(file, sensor, folder, told, cancelled)
+    copy = WorkingCopy(pieces, folder, spread)
+    copy.off_detector.refuse()
+    return copy
 
 
 def _copied_apart(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from boresight.calibration.streaming.columns import Columns, write_columns
 from boresight.errors import RefusedInputError
-from boresight.telemetry.detector import detector_faults, find_off_detector
+from boresight.telemetry.detector import OffDetector
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 from boresight.telemetry.stretches import Stretch
@@ -39,6 +39,8 @@ class TelemetryPiece:
         How many frames they are of.
     epoch
         The first time at which one of these begins; NaT where none is known.
+    off_detector
+        Its matched stars off the detector.
     """
 
     columns: Columns
@@ -47,6 +49,7 @@ class TelemetryPiece:
     first_row: int
     frames: int
     epoch: np.datetime64
+    off_detector: OffDetector
 
     def read(self) -> Telemetry:
         """Map it."""
@@ -67,22 +70,16 @@ def write_pieces(chunks: Iterable[Telemetry], sensor: Sensor, path: Path, begins
         To which a number is added for each piece.
     begins
         Rows of the set before.
-
-    Raises
-    ------
-    RefusedInputError
-        When matched stars lie off the sensor's detector; all chunks are looked at first, so it names those that come first.
     """
-    faults = detector_faults()
     for number, chunk in enumerate(chunks):
-        find_off_detector(chunk, sensor, faults)
+        off = OffDetector()
+        off.look_at(chunk, sensor)
         arrays = {name: getattr(chunk, name) for name in KEPT}
         there = {name: np.asarray(values) for name, values in arrays.items() if values is not None}
         columns = write_columns(path.with_name(f"{path.name}-{number:06d}"), there)
         first = np.unique(chunk.frame, return_index=True)[1]
-        yield TelemetryPiece(columns, len(chunk), begins, chunk.first_row, len(first), _epoch(chunk, first))
+        yield TelemetryPiece(columns, len(chunk), begins, chunk.first_row, len(first), _epoch(chunk, first), off)
         begins += len(chunk)
-    faults.refuse()
 
 
 def copy_stretch(stretch: Stretch, frames: int, sensor: Sensor, path: str) -> tuple[TelemetryPiece, ...] | None:

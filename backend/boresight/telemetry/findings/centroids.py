@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.telemetry.detector import detector_coverage, radial_coverage
+from boresight.telemetry.detector import OffDetector, detector_coverage, radial_coverage
 from boresight.telemetry.evidence import Evidence
 from boresight.telemetry.exposures import repeats_within
 from boresight.telemetry.findings.finding import Finding, counted, row_numbers
+from boresight.telemetry.sensors import Sensor
 
 BoolArray = NDArray[np.bool_]
 
@@ -21,15 +22,22 @@ _POOR_RADIUS = 0.8
 
 def stars_off_detector(evidence: Evidence) -> Finding | None:
     """Find matched stars off the detector."""
-    off = evidence.matched & ~evidence.on_detector
-    if not off.any():
+    return off_detector_finding(evidence.off_detector, evidence.sensor)
+
+
+def off_detector_finding(off: OffDetector, sensor: Sensor) -> Finding | None:
+    """The finding of matched stars off the detector: left out while they are few, SERIOUS where the set is refused for them."""
+    if not off.stars:
         return None
-    what = counted(int(off.sum()), "matched star lies", "matched stars lie")
+    rows = tuple(star.row for star in off.first)
+    if not off.too_many:
+        return Finding("OFF_DETECTOR", "CAUTION" if off.beyond_cut else "NORMAL", off.sentence(), off.stars, rows)
     sentence = (
-        f"{what} off the detector of {evidence.sensor.name}: choose the right sensor, exchange rows and columns, or "
-        "delete the rows."
+        f"{counted(off.stars, 'matched star lies', 'matched stars lie')} off the detector of {sensor.name} by up to "
+        f"{off.farthest_px:.3g} px, where at most {off.most:,} may be left out, so that no calibration takes the set: choose the "
+        "right sensor, exchange rows and columns, or delete the rows."
     )
-    return Finding("OFF_DETECTOR", "SERIOUS", sentence, int(off.sum()), row_numbers(evidence, off))
+    return Finding("OFF_DETECTOR", "SERIOUS", sentence, off.stars, rows)
 
 
 def detections_off_detector(evidence: Evidence) -> Finding | None:
