@@ -49,6 +49,7 @@ from boresight.api.problems import problem_of, problem_response
 from boresight.api.ready import Answering, Proof, Ready
 from boresight.api.upkeep import Upkeep
 from boresight.api.watched import Watched
+from boresight.api.wellformed import WellFormed
 from boresight.errors import BoresightError
 from boresight.pages.fleet import FleetMemory
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
@@ -92,7 +93,8 @@ def create_app(settings: Settings) -> FastAPI:
     _furnish(app, settings)
     for kind in (BoresightError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, _refuse)
-    app.add_middleware(Keeping, ready=app.state.ready)  # what is added later is further out
+    app.add_middleware(WellFormed, refuse=_refuse)  # what is added later is further out
+    app.add_middleware(Keeping, ready=app.state.ready)
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
     app.add_middleware(Gate, refuse=_turn_away)
     app.add_middleware(Answering, ready=app.state.ready)

@@ -120,15 +120,18 @@ def _without_passwords(content: bytes) -> bytes:
 IdempotencyKey = Annotated[
     str | None,
     Header(
-        max_length=LONGEST_KEY, description="Send the same key again to get the same answer without a second effect."
+        min_length=1,
+        max_length=LONGEST_KEY,
+        description="Send the same key again to get the same answer without a second effect.",
     ),
 ]
 
 
 async def once(request: Request, asked: OnlyAsked, idempotency_key: IdempotencyKey = None) -> Once:
     """Read the key, and digest the request if there is one."""
-    content = _without_passwords(await request.body()) if idempotency_key else b""
-    return Once(idempotency_key, digest(request, content) if idempotency_key else "", asked)
+    if idempotency_key is None:
+        return Once(None, "", asked)
+    return Once(idempotency_key, digest(request, _without_passwords(await request.body())), asked)
 
 
 Idempotent = Annotated[Once, Depends(once)]

@@ -21,6 +21,7 @@ from starlette.responses import Response
 from boresight.api.cookies import LogIn
 from boresight.api.credentials import bearer, current_actor
 from boresight.api.origins import SAFE_METHODS
+from boresight.api.numbers import row_number
 from boresight.errors import (
     ForbiddenError,
     PreconditionRequiredError,
@@ -162,9 +163,10 @@ async def seen_version(given: SeenTag) -> int:
         When it cannot be the tag of any version.
     """
     digits = given.removeprefix('"v').removesuffix('"')
-    if given != f'"v{digits}"' or not digits.isdecimal():
-        raise StaleError(f"No version has the tag {given}; read it again and send its ETag in If-Match.")
-    return int(digits)
+    version = row_number(digits)
+    if given != f'"v{digits}"' or version is None:
+        raise StaleError(f"No version has the tag {given[:40]}; read it again and send its ETag in If-Match.")
+    return version
 
 
 def etag(version: int) -> str:

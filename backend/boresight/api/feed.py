@@ -18,6 +18,7 @@ from typing import Any
 
 import orjson
 
+from boresight.api.numbers import row_number
 from boresight.services import audit
 from boresight.store import run_events
 from boresight.store.sessions import Session
@@ -46,10 +47,8 @@ class Place:
     @classmethod
     def parse(cls, text: str) -> Place | None:
         """Read an event id; None when it is none of ours."""
-        numbers = text.split(".")
-        if len(numbers) not in {2, 3} or not all(number.isdecimal() for number in numbers):
-            return None
-        return cls(*map(int, numbers))
+        numbers = [number for part in text.split(".") if (number := row_number(part)) is not None]
+        return cls(*numbers) if len(numbers) in {2, 3} and len(numbers) == text.count(".") + 1 else None
 
     @classmethod
     def now(cls, session: Session, progress: int = 0) -> Place:

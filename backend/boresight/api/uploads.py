@@ -23,6 +23,7 @@ from starlette.requests import Request
 from boresight.api.answers import IdempotencyKey, Once, digest
 from boresight.api.credentials import current_actor
 from boresight.api.dependencies import OnlyAsked
+from boresight.api.numbers import row_number
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
 
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 HOW = "Send multipart/form-data with the fields sensor_id, purpose and file."
 LONGEST_FIELD_BYTES = 4096
-LONGEST_NUMBER = 18  # digits that always fit a key of the store
 MOST_PARTS = 20
 
 
@@ -65,9 +65,10 @@ class Upload:
             When it is missing or none.
         """
         text = self.fields.get(name, "")
-        if not text.isdecimal() or len(text) > LONGEST_NUMBER:
-            raise RefusedInputError(f"The field {name} must be a number, not {text!r}. {HOW}")
-        return int(text)
+        number = row_number(text)
+        if number is None:
+            raise RefusedInputError(f"The field {name} must be a number, not {text[:40]!r}. {HOW}")
+        return number
 
 
 class _Form:
@@ -190,7 +191,7 @@ async def once_uploaded(
     request: Request, upload: Uploaded, asked: OnlyAsked, idempotency_key: IdempotencyKey = None
 ) -> Once:
     """Read the key, and digest fields and file if there is one."""
-    if not idempotency_key:
+    if idempotency_key is None:
         return Once(None, "", asked)
     content = repr(sorted(upload.fields.items())).encode() + await run_in_threadpool(_digest, upload.file())
     return Once(idempotency_key, digest(request, content), asked)

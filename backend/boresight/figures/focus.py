@@ -36,11 +36,20 @@ def focus(figure: go.Figure, start: float, end: float) -> go.Figure:
     """
     if not start < end:
         raise RefusedInputError("The window of a figure must begin before it ends: give x_from below x_to.")
-    curves = [drawn for drawn in figure.data if drawn.type == "scatter" and _length(drawn) > 2]
+    curves = [drawn for drawn in figure.data if drawn.type == "scatter" and _length(drawn) > 2 and _is_measured(drawn)]
     limit = max(POINT_BUDGET // max(len(curves), 1), FEWEST)
     for drawn in curves:
         _take(drawn, _chosen(drawn, start, end, limit))
     return figure
+
+
+def _is_measured(drawn: Any) -> bool:
+    """Whether both axes are numbers: along one of names there is no window."""
+    try:
+        np.asarray(drawn.x, dtype=np.float64), np.asarray(drawn.y, dtype=np.float64)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _length(drawn: Any) -> int:

@@ -15,7 +15,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
-from boresight.api.numbers import GREATEST_ID
+from boresight.api.numbers import row_number
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures.evidence import LEVELS
 from boresight.pages.attempts import Refusal, attempt
@@ -46,7 +46,7 @@ DONE = {
 def _sought(state: str = "", sensor: str = "", sensor_name: str = "", kind: str = "") -> alarms.Sought:
     """Read the filters; one that does not exist is none."""
     return alarms.Sought(
-        sensor_id=int(sensor) if sensor.isdecimal() and int(sensor) <= GREATEST_ID else None,
+        sensor_id=row_number(sensor),
         sensor_name=sensor_name.strip()[:LONGEST_FILTER] if is_text(sensor_name) else "",
         kind=kind if kind in ALARM_KINDS else None,
         state=state if state in alarms.STATES else None,
@@ -65,7 +65,7 @@ Seeking = Annotated[alarms.Sought, Depends(_sought)]
 @router.get("/alarms", response_class=HTMLResponse)
 def alarms_page(request: Request, session: Reading, actor: Who, sought: Seeking, before: str = "") -> HTMLResponse:
     """Show the alarms that are open, those to be acknowledged first; or those sought."""
-    before_id = int(before) if before.isdecimal() else None
+    before_id = row_number(before)
     found = alarms.list_alarms(session, sought, before_id=before_id, limit=A_PAGE + 1)
     return render(
         request,
@@ -167,6 +167,7 @@ def _person(number: str) -> int | None:
     """Read who is asked; nothing is nobody in particular."""
     if not number:
         return None
-    if not number.isdecimal():
+    person = row_number(number)
+    if person is None:
         raise RefusedInputError("Choose a person from the list.")
-    return int(number)
+    return person

@@ -146,10 +146,9 @@ def audit_csv(request: Request, session: Reading, actor: Who) -> Response:  # no
 
 def _csv_row(record: AuditRecord) -> dict[str, Any]:
     """Lay out a record for a program."""
-    return {name: getattr(record, name) for names in CSV_FIELDS.values() for name in names} | {
-        "roles": ", ".join(record.roles or ()),
-        "changed": line_of(record).gist,
-    }
+    told = {"roles": ", ".join(record.roles or ()), "changed": line_of(record).gist}
+    names = (name for names in CSV_FIELDS.values() for name in names if name not in told)
+    return {name: getattr(record, name) for name in names} | told
 
 
 @router.get("/audit/{record_id}", response_class=HTMLResponse)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.errors import CorruptFileError, NotFoundError
+from boresight.errors import ConflictError, NotFoundError
 from boresight.figures.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
 from boresight.services import runs
 from boresight.store.blobs import BlobStore
@@ -60,10 +60,7 @@ def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAf
     for run in sorted(finished, key=lambda run: run.validation_set_id is None):  # stable: newest first in each half
         try:
             result = runs.result(session, blobs, run.id)
-        except (
-            NotFoundError,
-            CorruptFileError,
-        ):  # its file is gone, or is no more what it was; an older run may still have one
+        except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one
             continue
         if result is not None and (judged := judged_on(result)) is not None:
             whose, evaluation = judged

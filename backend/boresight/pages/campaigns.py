@@ -12,6 +12,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.numbers import row_number
 from boresight.figures.evidence import LEVELS
 from boresight.pages.attempts import attempt
 from boresight.pages.forms import read_texts
@@ -34,7 +35,7 @@ CSV_FIELDS = (
 @router.get("/campaigns", response_class=HTMLResponse)
 def campaigns_page(request: Request, session: Reading, actor: Who, before: str = "") -> HTMLResponse:  # noqa: ARG001 - whoever is known may read
     """List campaigns with how far each is, newest first."""
-    before_id = int(before) if before.isdecimal() else None
+    before_id = row_number(before)
     found = campaigns.list_campaigns(session, before_id=before_id, limit=CAMPAIGNS_A_PAGE + 1)
     shown = found[:CAMPAIGNS_A_PAGE]
     return render(

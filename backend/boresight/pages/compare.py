@@ -17,6 +17,7 @@ from fastapi.responses import HTMLResponse
 
 from boresight.api.credentials import current_actor
 from boresight.api.dependencies import Reading
+from boresight.api.numbers import row_number
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE, radial_contrast
@@ -74,7 +75,7 @@ class View:
 
 def read_view(run_ids: Sequence[int], reference: str, everything: str, align: str, overlay: str) -> View:
     """Read the view from the address; what is no choice is as by default."""
-    chosen = int(reference) if reference.isdecimal() and int(reference) in run_ids else run_ids[0]
+    chosen = named if (named := row_number(reference)) is not None and named in run_ids else run_ids[0]
     return View(
         run_ids,
         chosen,

@@ -10,6 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import Response
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.numbers import row_number
 from boresight.errors import NotFoundError
 from boresight.pages.approval import Words, addresses_of, request_page
 from boresight.pages.attempts import attempt
@@ -56,7 +57,7 @@ async def assign(request: Request, session: Reading, actor: Who, approval_id: in
     form = await read_texts(request)
 
     def change(session: Session) -> Approval:
-        user_id = int(form["person"]) if form.get("person", "").isdecimal() else None
+        user_id = row_number(form.get("person", ""))
         policy = request.app.state.policy
         return approvals.assign(session, actor, approval_id, user_id, seen_version(form), policy=policy)
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from fastapi import Request
 from starlette.datastructures import FormData
 
+from boresight.api.numbers import row_number
 from boresight.errors import RefusedInputError
 
 
@@ -28,6 +29,7 @@ def seen_version(form: Mapping[str, str]) -> int:
     RefusedInputError
         When the form does not carry it.
     """
-    if not form.get("version", "").isdecimal():
+    version = row_number(form.get("version", ""))
+    if version is None:
         raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
-    return int(form["version"])
+    return version

@@ -17,6 +17,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Who, csrf
+from boresight.api.numbers import row_number
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.gates import GATES, Gate
 from boresight.gates.profile import THRESHOLDS
@@ -197,7 +198,7 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
 
 def _set(actor: Actor, sensor_id: int, typed: Mapping[str, str], session: Session) -> GateProfile:
     """Put what was typed into force."""
-    seen = int(typed["number"]) if typed.get("number", "").isdecimal() else None
+    seen = row_number(typed.get("number", ""))
     document = document_of(typed)
     return gate_profiles.set_profile(session, actor, sensor_id, document, typed.get("reason", ""), seen)
 

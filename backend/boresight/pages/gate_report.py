@@ -12,6 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Who, csrf
+from boresight.api.numbers import row_number
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.forms import read_texts, seen_version
@@ -92,8 +93,11 @@ async def waive(request: Request, actor: Who, set_id: int) -> Response:
 
 def _waived(actor: Actor, set_id: int, typed: Typed, given: dict[str, str], session: Session) -> Waiver:
     """Waive as the form says."""
-    if not typed.days.strip().isdecimal():
-        raise RefusedInputError(f"{typed.days.strip()!r} is not a number of days; type one, such as 7.")
-    expires_utc = utc_after(int(typed.days) * waivers.DAY_S - 1.0)  # a waiver of the longest time is within it
+    days = row_number(typed.days)
+    if days is None or days > waivers.LONGEST_DAYS:
+        raise RefusedInputError(
+            f"{typed.days.strip()[:20]!r} is not a number of days up to {waivers.LONGEST_DAYS}; type one, such as 7."
+        )
+    expires_utc = utc_after(days * waivers.DAY_S - 1.0)  # a waiver of the longest time is within it
     password, version = given.get("password", ""), seen_version(given)
     return waivers.waive(session, actor, set_id, typed.gate, typed.code, typed.reason, expires_utc, password, version)

@@ -19,6 +19,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData
 
 from boresight.api.dependencies import Reading, Sighted, Who, csrf
+from boresight.api.numbers import row_number
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.pages.attempts import Outcome, Refusal, attempt
@@ -146,7 +147,7 @@ def _answer(
     form: FormData,
 ) -> HTMLResponse:
     """Render the form that was sent."""
-    sensor_id = int(typed.sensor_id) if typed.sensor_id.isdecimal() else None
+    sensor_id = row_number(typed.sensor_id)
     offered = offer(session, origin.find, sensor_id, [typed.telemetry_set_id, typed.validation_set_id])
     return _page(request, session, actor, typed, origin, offered, outcome=outcome, form=form)
 
@@ -200,7 +201,8 @@ def _page(
 
 def _changes(session: Session, typed: Typed, origin: Origin) -> list[Difference] | None:
     """Say what differs from the run that is cloned, or from the preset; None where the form began from neither."""
-    if (origin.clone is None and origin.preset is None) or not typed.sensor_id.isdecimal():
+    sensor_id = row_number(typed.sensor_id)
+    if (origin.clone is None and origin.preset is None) or sensor_id is None:
         return None
     try:
         now = CalibrationSettings.parse(typed.settings()).document()
@@ -209,7 +211,7 @@ def _changes(session: Session, typed: Typed, origin: Origin) -> list[Difference]
     before = dict(origin.preset.settings) if origin.preset else {}
     if origin.clone is not None:
         before = runs.get_run(session, origin.clone).settings
-    sensor = sensors.get_sensor(session, int(typed.sensor_id))
+    sensor = sensors.get_sensor(session, sensor_id)
     return differences({**before, "free": before.get("free") or free_of(sensor)}, _in_order(now, before, sensor))
 
 

@@ -12,6 +12,7 @@ from urllib.parse import urlencode
 
 from starlette.datastructures import FormData, QueryParams
 
+from boresight.api.numbers import row_number
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import IN_EITHER_FORM
@@ -77,8 +78,8 @@ class Typed:
     def under(self, settings: Mapping[str, Any]) -> Typed:
         """Return the form with other settings, data and label as typed; free parameters too where the settings name none."""
         free = dict(self.free)
-        if settings.get("free") and self.sensor_id.isdecimal():
-            free[int(self.sensor_id)] = list(settings["free"])
+        if settings.get("free") and (sensor_id := row_number(self.sensor_id)) is not None:
+            free[sensor_id] = list(settings["free"])
         return replace(self, **typed_settings(settings), free=free)
 
     def amended(self, address: QueryParams) -> Typed:
@@ -178,9 +179,10 @@ class Typed:
 
 def whole(text: str, name: str) -> int:
     """Read a whole number."""
-    if not text.strip().isdecimal():
-        raise RefusedInputError(f"The {name} {text.strip()!r} is not a whole number; type one, such as 6.")
-    return int(text)
+    number = row_number(text)
+    if number is None:
+        raise RefusedInputError(f"The {name} {text.strip()[:20]!r} is not a whole number; type one, such as 6.")
+    return number
 
 
 def decimal(text: str, name: str) -> float:
@@ -196,5 +198,6 @@ def typed_form(form: FormData) -> Typed:
     text = texts_of(form)
     named = {name: text.get(name, "") for name in Typed.__dataclass_fields__ if name != "free"}
     ticked = {name: name.removeprefix("free-") for name in form if name.startswith("free-")}
-    free = {int(number): list(map(str, form.getlist(name))) for name, number in ticked.items() if number.isdecimal()}
+    numbered = {name: row_number(number) for name, number in ticked.items()}
+    free = {number: list(map(str, form.getlist(name))) for name, number in numbered.items() if number is not None}
     return Typed(**{**DEFAULTS, **{name: value for name, value in named.items() if value}}, free=free)

@@ -105,7 +105,7 @@ def _asked_frame(text: str | None) -> str | None:
     """Read which frame is asked for, None where none is; a refusal of what is no number."""
     if not text:
         return None
-    if not text.lstrip("-").isdecimal() or len(text) > 18:
+    if not text.removeprefix("-").isdecimal() or len(text) > 18:
         raise RefusedInputError(f"{text[:20]!r} is no frame number; write the number that the telemetry gives it.")
     return text
 

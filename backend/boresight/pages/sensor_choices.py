@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from boresight.api.numbers import row_number
 from boresight.pages.tables import View
 from boresight.services import sensors
 from boresight.services.sensors import Choices
@@ -12,5 +13,5 @@ from boresight.store.sessions import Session
 
 def choices_of(session: Session, view: View, *, find: str = "", keep: Iterable[int] = ()) -> Choices:
     """Return what the filter by sensor of a list offers, the one that the view is narrowed to among it."""
-    narrowed = view.where.get("sensor")
-    return sensors.choices(session, find=find, keep=[*keep, *([int(narrowed)] if narrowed else [])])
+    narrowed = row_number(view.where.get("sensor", ""))
+    return sensors.choices(session, find=find, keep=[*keep, *([narrowed] if narrowed else [])])

@@ -17,6 +17,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Who, csrf
+from boresight.api.numbers import row_number
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.pages.attempts import Refusal, attempt
@@ -171,7 +172,7 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
     if form.get("action") != "set":
         return await run_in_threadpool(_page, request, actor, sensor_id, Shown(text, reason, tried=True))
     number = str(form.get("number", ""))
-    seen = int(number) if number.isdecimal() and len(number) < 19 else None
+    seen = row_number(number)
     outcome = await attempt(request, partial(_set, actor, sensor_id, text, reason, seen))
     if outcome.value is not None:
         flash = f"Version {outcome.value.number} is in force; undecided requests of the sensor are stale."

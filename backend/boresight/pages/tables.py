@@ -18,6 +18,7 @@ from urllib.parse import urlencode
 from fastapi import Request
 from fastapi.responses import Response
 
+from boresight.api.numbers import row_number
 from boresight.services import lists
 from boresight.store.sessions import Session
 
@@ -83,7 +84,7 @@ class Table:
 
 def is_number(text: str) -> bool:
     """Accept a row's number."""
-    return text.isdecimal()
+    return row_number(text) is not None
 
 
 def is_text(text: str) -> bool:
@@ -168,8 +169,8 @@ def read_view(request: Request, table: Table) -> View:
         {name: text for name, text in given.items() if text and table.filters[name](text)},
         sort if sort.removeprefix("-") in orders else table.sort,
         _columns(table, _several(request, "columns")),
-        int(before) if before.isdecimal() else None,
-        tuple(int(text) for text in _several(request, table.chosen) if text.isdecimal())[:MOST_CHOSEN],
+        row_number(before),
+        tuple(number for text in _several(request, table.chosen) if (number := row_number(text)))[:MOST_CHOSEN],
     )
 
 

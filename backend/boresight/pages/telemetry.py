@@ -19,6 +19,7 @@ from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import CSRF_FIELD, Reading, Who
+from boresight.api.numbers import row_number
 from boresight.api.uploads import Upload, Uploaded
 from boresight.errors import BoresightError, ForbiddenError, RefusedInputError
 from boresight.pages.attempts import Outcome, Refusal, attempt
@@ -108,7 +109,7 @@ def telemetry_page(request: Request, session: Reading, actor: Who) -> HTMLRespon
     view = read_view(request, SETS)
     sensor = view.where.get("sensor")
     find = request.query_params.get("find", "")
-    return _page(request, session, actor, view, Shown(int(sensor) if sensor else None, find))
+    return _page(request, session, actor, view, Shown(row_number(sensor or ""), find))
 
 
 @router.get("/telemetry.csv")
@@ -181,7 +182,7 @@ async def _attempt(request: Request, actor: Actor, upload: Upload) -> Outcome[Te
 def _prepared(request: Request, actor: Actor, upload: Upload) -> Iterator[Prepared]:
     """Read and check the file without the database."""
     require_role(actor, "analyst")
-    if not upload.fields.get("sensor_id", "").isdecimal():
+    if row_number(upload.fields.get("sensor_id", "")) is None:
         raise RefusedInputError("Choose the sensor that the telemetry is of.")
     if upload.path is None or not upload.file_name:
         raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file.")
@@ -204,6 +205,6 @@ def _again(request: Request, actor: Actor, upload: Upload, refusal: Refusal | No
     """Render the page after a refusal, with what was chosen."""
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
     known = purpose if purpose in PURPOSES else PURPOSES[0]
-    shown = Shown(int(sensor) if sensor.isdecimal() else None, purpose=known, refusal=refusal)
+    shown = Shown(row_number(sensor), purpose=known, refusal=refusal)
     with reading(request.app.state.engine) as session:
         return _page(request, session, actor, read_view(request, SETS), shown)

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.api.dependencies import Reading, Who
+from boresight.api.numbers import row_number
 from boresight.errors import RefusedInputError
 from boresight.pages.rendering import render
 from boresight.pages.runs import read_names
@@ -28,7 +29,7 @@ def timeline_page(
     """Show what held at a time, now where none is asked for, and the events."""
     sensor = sensors.get_sensor(session, sensor_id)
     answer, refusal = _answer(session, sensor_id, at.strip())
-    before_id = int(before) if before.isdecimal() else None
+    before_id = row_number(before)
     found = timeline.events(session, sensor_id, before_id=before_id, limit=EVENTS_A_PAGE + 1)
     events = found[:EVENTS_A_PAGE]
     return render(

@@ -17,6 +17,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
 from boresight.api.dependencies import Who, csrf
+from boresight.api.numbers import row_number
 from boresight.errors import BoresightError
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.climb import Member, climb_of, exported_of, members_of, steps_of
@@ -161,7 +162,7 @@ async def record(request: Request, actor: Who, set_id: int) -> Response:
 
     def change(session: Session) -> Uplink:
         state, source = typed.get("onboard_state", ""), typed.get("source", "")
-        package_id = int(package) if package.isdecimal() else None
+        package_id = row_number(package)
         happened = typed.get("happened_utc")
         return uplinks.record(
             session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened

@@ -12,6 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.numbers import row_number
 from boresight.errors import RefusedInputError
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
@@ -181,9 +182,10 @@ async def create_key(
 
 def _make_key(actor: Actor, label: str, days: str, scopes: list[str], session: Session) -> str:
     """Return the secret of a new key."""
-    if not days.strip().isdecimal():
-        raise RefusedInputError(f"{days.strip()!r} is not a number of days; type one, such as 90.")
-    _, secret = api_keys.create_key(session, actor, label=label, scopes=scopes, expires_days=int(days))
+    expires_days = row_number(days)
+    if expires_days is None:
+        raise RefusedInputError(f"{days.strip()[:20]!r} is not a number of days; type one, such as 90.")
+    _, secret = api_keys.create_key(session, actor, label=label, scopes=scopes, expires_days=expires_days)
     return secret
 
 

@@ -12,6 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.numbers import row_number
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
 from boresight.services import webhooks
@@ -77,7 +78,7 @@ async def create(
 @router.get("/webhooks/{webhook_id:int}", response_class=HTMLResponse)
 def webhook_page(request: Request, session: Reading, actor: Who, webhook_id: int, before: str = "") -> HTMLResponse:
     """Show a webhook with its messages, newest first."""
-    before_id = int(before) if before.isdecimal() else None
+    before_id = row_number(before)
     found = webhooks.list_deliveries(session, actor, webhook_id, before_id=before_id, limit=ROWS_A_PAGE + 1)
     return render(
         request,

@@ -14,7 +14,6 @@ What raises an alarm and returns it to normal is in `watch`; here is what people
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Any
 
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
@@ -24,8 +23,9 @@ from boresight.services.transitions import require_seen, subject_of
 from boresight.services.words import refuse_control_characters
 from boresight.store import alarms as rows
 from boresight.store.alarms import Sought
-from boresight.store.sessions import Session, utc_after, utc_now, utc_text
+from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import Alarm, AlarmEvent, User
+from boresight.store.times import read_time
 
 __all__ = [
     "STATES",
@@ -127,10 +127,7 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
 
 def _end_of_shelf(until: str) -> str:
     """Read until when an alarm is shelved."""
-    try:
-        until_utc = utc_text(datetime.fromisoformat(until.strip()))
-    except (ValueError, OverflowError) as error:
-        raise RefusedInputError(f"{until!r} is no time; write it like 2026-11-21T03:04:05Z.") from error
+    until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
         raise RefusedInputError(f"An alarm is shelved until a time to come, {MOST_DAYS:.0f} days from now at most.")
     return until_utc

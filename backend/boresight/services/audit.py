@@ -11,16 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
-from boresight.errors import NotFoundError, RefusedInputError
+from boresight.errors import NotFoundError
 from boresight.services.actors import Actor
 from boresight.store import audit as rows
 from boresight.store import chain, verification
 from boresight.store.audit import Sought
-from boresight.store.sessions import Session, utc_text
+from boresight.store.sessions import Session
 from boresight.store.tables import AuditRecord
+from boresight.store.times import read_time
 from boresight.store.verification import Findings
 
 FIRST_HASH = chain.FIRST_HASH
@@ -160,12 +160,7 @@ def sought(
 
 def _time(text: str | None) -> str | None:
     """Read a time as the store writes it."""
-    if text is None:
-        return None
-    try:
-        return utc_text(datetime.fromisoformat(text))
-    except ValueError as error:
-        raise RefusedInputError(f"{text!r} is no time; write it like 2026-11-21T03:04:05Z.") from error
+    return None if text is None else read_time(text)
 
 
 def verify(session: Session, expected_head: str | None = None) -> ChainReport:

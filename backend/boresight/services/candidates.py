@@ -5,7 +5,6 @@ A set is immutable and identified by the SHA-256 of its canonical JSON; its name
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -14,6 +13,7 @@ from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
+from boresight.services.calibration_document import read_result
 from boresight.services.promotions import record_promotion
 from boresight.services.transitions import subject_of
 from boresight.store import parameter_sets as rows
@@ -79,7 +79,7 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
     run = _succeeded_run(session, run_id)
     if (existing := rows.set_of_run(session, run_id)) is not None:
         return existing
-    result = json.loads(blobs.read(str(run.result_sha256)))
+    result = read_result(blobs, str(run.result_sha256), run.id)
     _refuse_unusable(run_id, result)
     sensor = session.get_one(Sensor, run.sensor_id)
     document = {key: result.get(key) for key in (*MEANING, *EVIDENCE)}

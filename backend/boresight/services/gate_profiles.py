@@ -7,7 +7,6 @@ sensor's undecided requests stale. A profile can be tried first on what was meas
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +18,7 @@ from boresight.gates.assessment import ground_set
 from boresight.gates.held_out import of_result
 from boresight.services import audit, staleness
 from boresight.services.actors import Actor, require_role, require_scope
+from boresight.services.calibration_document import read_result
 from boresight.services.words import refuse_control_characters
 from boresight.store import gates as rows
 from boresight.store import parameter_sets as set_rows
@@ -240,7 +240,7 @@ def _tried(
 def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
     """Measure a run by its own result, against the parameters that it started from."""
     try:
-        result = json.loads(blobs.read(str(run.result_sha256)))
+        result = read_result(blobs, str(run.result_sha256), run.id)
         sensor = parse_sensor(run.sensor_document)
         evidence = gates.Evidence(
             sensor=sensor,

@@ -13,7 +13,6 @@ are no part of a report: they are laid over it whenever it is read, so one that 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from boresight.gates.assessment import started_from
 from boresight.gates.held_out import held_out_scores, of_result
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
+from boresight.services.calibration_document import read_result
 from boresight.services.gate_evidence import Case, bound_now, gather
 from boresight.services.gate_profiles import ensure_profile
 from boresight.services.transitions import get_parameter_set, whose_baseline
@@ -75,7 +75,7 @@ def examine(case: Case, blobs: BlobStore, catalogue: Catalogue | None, cache_fol
         Where lost-in-space identification keeps its tables.
     """
     sensor = parse_sensor(case.sensor_document)
-    result = None if case.result_sha256 is None else json.loads(blobs.read(case.result_sha256))
+    result = None if case.result_sha256 is None else read_result(blobs, case.result_sha256)
     held_out, why = _seen(case, blobs, sensor, result, catalogue, cache_folder)
     evidence = gates.Evidence(
         sensor=sensor,

@@ -248,7 +248,9 @@ def set_named(session: Session, name: str) -> ParameterSet:
     RefusedInputError
         When there is none.
     """
-    row = rows.set_named(session, name) or (session.get(ParameterSet, int(name)) if name.isdecimal() else None)
+    row = rows.set_named(session, name) or (
+        session.get(ParameterSet, int(name)) if name.isdecimal() and len(name) < 19 else None
+    )
     if row is None:
         raise RefusedInputError(f"There is no parameter set {name}: give its name, PS-<sensor>-<n>, or its number.")
     return row

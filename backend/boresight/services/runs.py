@@ -12,6 +12,7 @@ from typing import Any
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
+from boresight.services.calibration_document import read_result
 from boresight.services.dry_runs import dry_run
 from boresight.services.forecasts import Sight
 from boresight.services.orders import ordered
@@ -155,11 +156,13 @@ def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | 
     ------
     NotFoundError
         When there is no such run, or its file is missing.
+    ConflictError
+        When its file is no calibration.
     """
     run = get_run(session, run_id)
     document: dict[str, Any] | None = (run.progress or {}).get("partial")
     if run.result_sha256 is not None:
-        document = blobs.document(run.result_sha256)
+        document = read_result(blobs, run.result_sha256, run_id)
     if document is None:
         return None
     truth = session.get_one(Sensor, run.sensor_id).truth

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
 from boresight.errors import RefusedInputError
 from boresight.services.history import Event, Reader
@@ -25,7 +24,7 @@ from boresight.store import approvals as approval_rows
 from boresight.store import sensors as sensor_rows
 from boresight.store import timeline as rows
 from boresight.store import uplinks as uplink_rows
-from boresight.store.sessions import Session, utc_now, utc_text
+from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import (
     Approval,
     GateProfile,
@@ -36,6 +35,7 @@ from boresight.store.tables import (
     TableDefinition,
     Uplink,
 )
+from boresight.store.times import read_time
 
 Records = Sequence[tuple[ParameterSet, Uplink]]
 
@@ -201,20 +201,6 @@ def _key(session: Session, sensor_id: int, event_id: int) -> rows.Key:
     if (key := rows.key_of(session, sensor_id, kind, row_id)) is None:
         raise RefusedInputError("This sensor has no event to go on from; begin again without a cursor.")
     return key
-
-
-def read_time(time: str) -> str:
-    """Read a time as the store writes it.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is no time.
-    """
-    try:
-        return utc_text(datetime.fromisoformat(time.strip()))
-    except (ValueError, OverflowError) as error:
-        raise RefusedInputError(f"{time!r} is no time; write it like 2026-11-21T03:04:05Z.") from error
 
 
 def happened_on(time: str | None) -> dict[str, str]:

@@ -24,7 +24,7 @@ from boresight.services import users
 from boresight.services.actors import Actor, require_person
 from boresight.services.onboard import Basis, add_entry, refuse_shown_mismatch, set_for_entry, shown_mismatch
 from boresight.services.table_definitions import definition_in_force
-from boresight.services.timeline import happened_on, read_time
+from boresight.services.timeline import happened_on
 from boresight.services.transitions import require_seen
 from boresight.services.words import refuse_control_characters
 from boresight.store import parameter_sets as set_rows
@@ -32,6 +32,7 @@ from boresight.store import uplinks as rows
 from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session
 from boresight.store.tables import Package, ParameterSet, Promotion, Uplink
+from boresight.store.times import read_time
 
 NEXT: dict[str, tuple[str, ...]] = {
     "NOT SENT": ("SENT",),

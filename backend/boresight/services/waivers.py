@@ -8,7 +8,6 @@ becomes STALE, and the next one needs one approval more.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError
@@ -19,8 +18,9 @@ from boresight.services.gates import latest_report, with_waivers
 from boresight.services.transitions import get_parameter_set, require_seen
 from boresight.services.words import refuse_control_characters
 from boresight.store import gates as rows
-from boresight.store.sessions import Session, utc_after, utc_now, utc_text
+from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import GateReport, Waiver
+from boresight.store.times import read_time
 
 CODES = {
     "known-cause": "The cause is known and does no harm",
@@ -104,12 +104,7 @@ def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
         raise RefusedInputError(f"There is no reason code {code!r}; choose from {', '.join(CODES)}.")
     if len(reason.strip()) < LEAST_LETTERS:
         raise RefusedInputError(f"Give the reason in at least {LEAST_LETTERS} letters: the approvers must judge it.")
-    try:
-        until = utc_text(datetime.fromisoformat(expires_utc.strip()))
-    except (ValueError, OverflowError) as error:
-        raise RefusedInputError(
-            f"{expires_utc!r} is no time; write it as {utc_text(datetime.now(UTC))[:16]}Z."
-        ) from error
+    until = read_time(expires_utc)
     if not utc_now() < until <= utc_after(LONGEST_DAYS * DAY_S):
         raise RefusedInputError(f"The waiver must expire in the future and within {LONGEST_DAYS} days, not at {until}.")
     return until

@@ -38,6 +38,10 @@ CONNECT = {
 GONE = (
     "The database does not answer: check that PostgreSQL runs and that BORESIGHT_DATABASE_URL names it, and try again."
 )
+NUMBER_OUT_OF_RANGE, UNTRANSLATABLE = "22003", "22021"  # states of SQL
+NO_SUCH_NUMBER = "There is nothing of this number; choose one of the list."
+TOO_LARGE = "A number is larger than the store can hold, 64 bits; send a smaller one."
+UNWRITABLE = "A text holds a character that cannot be stored: NUL, or half of a surrogate pair; remove it."
 BUSY = "The database is held by another writer for longer than usual; try again in a moment."
 
 
@@ -75,6 +79,7 @@ def _open_sqlite(address: sa.URL) -> Engine:
     sa.event.listen(engine, "connect", _on_sqlite_connect)
     sa.event.listen(engine, "begin", _on_sqlite_begin)
     sa.event.listen(engine, "handle_error", _say_that_it_is_locked)
+    sa.event.listen(engine, "handle_error", _say_what_cannot_be_held)
     return engine
 
 
@@ -96,6 +101,17 @@ def _say_that_it_is_locked(context: sa.engine.ExceptionContext) -> UnavailableEr
     return UnavailableError(BUSY) if locked else None
 
 
+def _say_what_cannot_be_held(context: sa.engine.ExceptionContext) -> NotFoundError | RefusedInputError | None:
+    """Put a value into words that no column can hold: a number beyond 64 bits, half a character, a NUL on PostgreSQL."""
+    error = context.original_exception
+    state = getattr(error, "sqlstate", None)
+    if isinstance(error, OverflowError) or state == NUMBER_OUT_OF_RANGE:
+        asked = (context.statement or "").startswith("SELECT")
+        return NotFoundError(NO_SUCH_NUMBER) if asked else RefusedInputError(TOO_LARGE)
+    unwritable = isinstance(error, UnicodeEncodeError) or "NUL (0x00)" in str(error) or state == UNTRANSLATABLE
+    return RefusedInputError(UNWRITABLE) if unwritable else None
+
+
 def _open_postgresql(address: sa.URL) -> Engine:
     """Open a PostgreSQL database through psycopg."""
     try:
@@ -109,16 +125,15 @@ def _open_postgresql(address: sa.URL) -> Engine:
     except ImportError as error:
         raise RefusedInputError("PostgreSQL needs its driver: pip install 'boresight[postgresql]'.") from error
     sa.event.listen(engine, "handle_error", _say_what_postgresql_lacks)
+    sa.event.listen(engine, "handle_error", _say_what_cannot_be_held)
     return engine
 
 
-def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> UnavailableError | NotFoundError | None:
+def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> UnavailableError | None:
     """Put a lost or refused connection, and a wait in vain, into words; states are those of SQL (class 08, 57, 53)."""
     state = getattr(context.original_exception, "sqlstate", None)
     if state == "55P03":  # lock not available
         return UnavailableError(BUSY)
-    if state == "22003" and (context.statement or "").startswith("SELECT"):  # greater than a key can be
-        return NotFoundError("There is nothing of this number; choose one of the list.")
     unconnected = context.connection is None and isinstance(context.sqlalchemy_exception, sa.exc.OperationalError)
     gone = context.is_disconnect or unconnected or (state or "").startswith(("08", "57P", "53"))
     return UnavailableError(GONE) if gone else None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
+from boresight.errors import RefusedInputError
+
 
 def utc_now() -> str:
     """Return the time as the store writes it, `2026-11-21T03:04:05.123456Z`; sorts as time."""
@@ -18,4 +20,18 @@ def utc_after(seconds: float) -> str:
 def utc_text(moment: datetime) -> str:
     """Return a moment as the store writes it; one without a zone is UTC already."""
     moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
-    return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    return f"{moment.replace(tzinfo=None).isoformat(timespec='microseconds')}Z"  # strftime writes the year 33 with two digits
+
+
+def read_time(text: str) -> str:
+    """Read a time that was given, ISO 8601 and UTC where it names no zone, as the store writes it.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is no time, or its zone takes it out of the calendar of the years 1 to 9999.
+    """
+    try:
+        return utc_text(datetime.fromisoformat(text.strip()))
+    except (ValueError, OverflowError) as error:
+        raise RefusedInputError(f"{text[:40]!r} is no time; write it like 2026-11-21T03:04:05Z.") from error

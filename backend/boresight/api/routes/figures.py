@@ -173,10 +173,9 @@ def _figure(name: str) -> Figure:
 
 def _others(text: str, run_id: Id) -> list[int]:
     """Read the numbers of the runs to compare a run with, each once."""
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    if len(words) >= MOST_OVERLAID or not all(word.isdecimal() for word in words):
+    if text.count(",") >= MOST_OVERLAID:
         raise RefusedInputError(f"Write the runs to compare as 2,3 and so on, {MOST_OVERLAID - 1} at most.")
-    return [number for number in dict.fromkeys(map(int, words)) if number != run_id]
+    return [number for number in comparisons.read_run_ids([text]) if number != run_id]
 
 
 def label_of(session: Session, run: Run) -> str:

@@ -74,7 +74,7 @@ Came = Annotated[ReadBack, Depends(read_form)]
 def once_read(request: Request, came: Came, asked: OnlyAsked, idempotency_key: IdempotencyKey = None) -> Once:
     """Read the key, and digest what came: a form's text differs from one sending to the next, its content does not."""
     content = repr((came.source, came.crc, came.happened)).encode() + hashlib.sha256(came.dump or b"").digest()
-    return Once(idempotency_key, digest(request, content) if idempotency_key else "", asked)
+    return Once(idempotency_key, "" if idempotency_key is None else digest(request, content), asked)
 
 
 @router.post(

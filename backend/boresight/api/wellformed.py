@@ -1,0 +1,131 @@
+"""What a request may be made of, before any endpoint reads it: text that is Unicode, JSON that is JSON.
+
+The framework reads JSON by Python's reader, which takes more than RFC 8259 allows: `NaN`, numbers beyond a double, half of a
+surrogate pair, integers of any length. None of it can be stored, hashed or sent back, so each would fail somewhere further in.
+Here a JSON body is read strictly once, and what is passed on is what was read, written anew: nothing behind can read it
+differently. A form's text is UTF-8; another `charset` could spell half a character too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from email.message import Message as Headed
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import unquote_to_bytes
+
+import orjson
+from fastapi.exceptions import RequestValidationError
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+DEEPEST = 32
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+CHARSETS = ("utf-8", "utf8", "us-ascii")
+NUL = "\0"
+Refuse = Callable[[Request, Exception], Awaitable[Response]]
+
+
+class WellFormed:
+    """The layer that turns away what is no text and no JSON.
+
+    Parameters
+    ----------
+    refuse
+        Makes the answer to an error.
+    """
+
+    def __init__(self, app: ASGIApp, refuse: Refuse) -> None:
+        self.app = app
+        self._refuse = refuse
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request in."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        try:
+            received = await _checked(scope, receive)
+        except (RequestValidationError, HTTPException) as error:
+            response = await self._refuse(Request(scope), error)
+            await response(scope, receive, send)
+        else:
+            await self.app(scope, received, send)
+
+
+async def _checked(scope: Scope, receive: Receive) -> Receive:
+    """Return what the request's body is received by; refuse a request that cannot be read."""
+    if NUL in scope["path"]:
+        raise HTTPException(HTTPStatus.NOT_FOUND)
+    if b"\0" in unquote_to_bytes(scope["query_string"]):
+        raise _malformed("query", "A parameter holds a NUL character; leave it out")
+    told = Headed()
+    told["content-type"] = Headers(scope=scope).get("content-type", "")
+    if str(told.get_param("charset", CHARSETS[0])).lower() not in CHARSETS:
+        raise HTTPException(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "Send text as UTF-8; no other charset is read here.")
+    is_json = told.get_content_maintype() == "application" and told.get_content_subtype().endswith("json")
+    return await _strict(receive) if is_json and scope["method"] not in {"GET", "HEAD", "OPTIONS"} else receive
+
+
+async def _strict(receive: Receive) -> Receive:
+    """Read a JSON body whole, and give it again as it was understood."""
+    pieces: list[bytes] = []
+    while True:
+        message = await receive()
+        if message["type"] != "http.request":
+            return _giving(message, receive)  # whoever sent it has left
+        pieces.append(message.get("body", b""))
+        if not message.get("more_body", False):
+            break
+    body = b"".join(pieces)
+    understood = orjson.dumps(read_json(body)) if body.strip() else b""
+    return _giving({"type": "http.request", "body": understood, "more_body": False}, receive)
+
+
+def _giving(first: Message, receive: Receive) -> Receive:
+    """Receive one message that is there already, then what comes."""
+    waiting = [first]
+
+    async def given() -> Message:
+        return waiting.pop() if waiting else await receive()
+
+    return given
+
+
+def read_json(body: bytes) -> Any:
+    """Read JSON as RFC 8259 has it.
+
+    Raises
+    ------
+    RequestValidationError
+        When it is none, is nested too deeply, or holds a number or a character that cannot be kept.
+    """
+    try:
+        document = orjson.loads(body.removeprefix(BYTE_ORDER_MARK))
+    except orjson.JSONDecodeError as error:
+        raise _malformed("body", f"It is no JSON: {error}") from error
+    _refuse_unkeepable(document)
+    return document
+
+
+def _refuse_unkeepable(document: Any) -> None:
+    """Refuse NUL in any text, and nesting that a reader further in could not follow."""
+    level, depth = [document], 0
+    while level:
+        if depth > DEEPEST:
+            raise _malformed("body", f"It is nested more than {DEEPEST} deep; nothing here is")
+        texts = [one for one in level if isinstance(one, str)]
+        keys = [key for one in level if isinstance(one, dict) for key in one]
+        if any(NUL in text for text in (*texts, *keys)):
+            raise _malformed("body", "A text holds a NUL character; leave it out")
+        objects = [value for one in level if isinstance(one, dict) for value in one.values()]
+        level = [*objects, *(value for one in level if isinstance(one, list) for value in one)]
+        depth += 1
+
+
+def _malformed(where: str, sentence: str) -> RequestValidationError:
+    """Return a refusal in the form of the framework's own."""
+    return RequestValidationError([{"loc": (where,), "msg": sentence, "type": "malformed"}])
