@@ -16,6 +16,8 @@ from boresight.store.blobs import register_blob
 from boresight.store.sessions import utc_now, writing
 from boresight.store.tables import Run, Sensor, TelemetrySet
 
+from .conftest import _result
+
 
 @pytest.fixture
 def session(engine, people):  # noqa: ARG001 - people are made in a transaction of their own, before this one begins
@@ -196,9 +198,9 @@ def test_the_result_is_what_there_is_so_far_and_then_the_stored_file(session, bl
     rows.claim(session, "owner", 30.0, 1)
     rows.record_progress(session, run.id, 1, {"fraction": 0.5, "message": "", "partial": {"status": "running"}})
     assert runs.result(session, blobs, run.id) == {"status": "running"}
-    content = orjson.dumps({"status": "converged"})
+    content = orjson.dumps(_result())
     rows.finish(session, run.id, 1, "SUCCEEDED", None, blobs.put(content), {"status": "converged"}, len(content))
-    assert runs.result(session, blobs, run.id) == {"status": "converged"}
+    assert runs.result(session, blobs, run.id) == _result()
     assert session.get_one(Run, run.id).summary == {"status": "converged"}
 
 

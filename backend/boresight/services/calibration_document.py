@@ -18,7 +18,7 @@ Document = dict[str, Any]
 Values = dict[str, float | None]
 Series = list[float | None]
 Matrix = list[Series]
-FINAL = ("sensor", "method", "camera_model", "initial", "parameters", "sigma", "covariance", "inputs", "rms_arc_rad")
+FINAL = ("sensor", "method", "camera_model", "parameters", "sigma", "covariance", "rms_arc_rad")
 MOST_REMEMBERED = 4096
 
 #: What was found of a result, by its address: the bytes of an address never change.
@@ -114,9 +114,9 @@ class LeftOut(_Part):
 class Inputs(_Part):
     """What the result follows from."""
 
-    sha256s: dict[str, str]
-    versions: dict[str, str]
-    settings: Document
+    sha256s: dict[str, str] = Field(default_factory=dict)
+    versions: dict[str, str] = Field(default_factory=dict)
+    settings: Document = Field(default_factory=dict)
 
 
 class Calibration(_Part):
