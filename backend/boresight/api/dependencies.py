@@ -20,8 +20,8 @@ from starlette.responses import Response
 
 from boresight.api.cookies import LogIn
 from boresight.api.credentials import bearer, current_actor
-from boresight.api.origins import SAFE_METHODS
 from boresight.api.numbers import row_number
+from boresight.api.origins import SAFE_METHODS
 from boresight.errors import (
     ForbiddenError,
     PreconditionRequiredError,

@@ -79,7 +79,6 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
     run = _succeeded_run(session, run_id)
     if (existing := rows.set_of_run(session, run_id)) is not None:
         return existing
-    blobs.read(str(run.result_sha256), verify=True)
     result = read_result(blobs, str(run.result_sha256), run.id)
     _refuse_unusable(run_id, result)
     sensor = session.get_one(Sensor, run.sensor_id)
