@@ -30,21 +30,23 @@ import boresight
 from boresight import pages
 from boresight.api import routes as api_routes
 from boresight.api import static_files
+from boresight.api.bodies import Pace
 from boresight.api.broadcast import Broadcast
 from boresight.api.changes import Changes
 from boresight.api.codings import Codings
+from boresight.api.connections import Connections, open_file_limit
 from boresight.api.cookies import LogInCookie
-from boresight.api.credentials import prove
+from boresight.api.credentials import carries_credentials, identify, prove
 from boresight.api.deliveries import Deliveries
 from boresight.api.drawn import Drawn
-from boresight.api.gate import Gate
+from boresight.api.gate import Gate, Limits
 from boresight.api.heads import Heads
 from boresight.api.heartbeat import Heartbeat
 from boresight.api.keeping import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, Keeping
 from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
-from boresight.api.origins import OwnPages
+from boresight.api.origins import SAFE_METHODS, OwnPages
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.ready import Answering, Proof, Ready
 from boresight.api.upkeep import Upkeep
@@ -75,8 +77,16 @@ pages.join(ROUTES)
 THREADS = 8  # of requests: more of them only take the interpreter from each other (ADR 0041)
 
 
-def create_app(settings: Settings) -> FastAPI:
-    """Build the server of these settings; nothing runs before its lifespan begins."""
+def create_app(settings: Settings, *, limits: Limits | None = None, pace: Pace | None = None) -> FastAPI:
+    """Build the server of these settings; nothing runs before its lifespan begins.
+
+    Parameters
+    ----------
+    limits
+        How many requests may be under way.
+    pace
+        How fast a body must come.
+    """
     app = FastAPI(
         title="Boresight",
         version=boresight.__version__,
@@ -96,7 +106,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(WellFormed, refuse=_refuse)  # what is added later is further out
     app.add_middleware(Keeping, ready=app.state.ready)
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
-    app.add_middleware(Gate, refuse=_turn_away)
+    app.add_middleware(Gate, refuse=_turn_away, identify=_identify, limits=limits)
     app.add_middleware(Answering, ready=app.state.ready)
     app.add_middleware(Heads)
     app.add_middleware(Codings)
@@ -108,6 +118,7 @@ def create_app(settings: Settings) -> FastAPI:
         refuse=_refuse,
         upload_limit_mb=limit_mb,
         four_eyes=lambda: app.state.policy.four_eyes,
+        pace=pace,
         https_only=bool(settings.secure_cookies),
     )
     return app
@@ -191,6 +202,21 @@ def _warm(catalogue: Callable[[], Catalogue]) -> None:
         log.exception("The star catalogue could not be loaded; the first upload tries again")
 
 
+async def _identify(scope: Scope) -> int | None:
+    """Return the number of the person whose credentials a request carries; None where they do not hold.
+
+    What was found holds for a request that is answered at once. Others are asked about once more when their body has come.
+    """
+    state = scope["app"].state
+    if not carries_credentials(scope, state.log_in_cookie.name):
+        return None
+    on_the_spot = state.engine.dialect.name == "sqlite"
+    actor = identify(scope) if on_the_spot else await run_in_threadpool(identify, scope)
+    if scope["method"] not in SAFE_METHODS:
+        scope["state"].pop("actor", None)
+    return None if actor is None else actor.user_id
+
+
 async def _prove(scope: Scope) -> Proof | None:
     """Look up the credentials of a request: one read, so short on SQLite that a thread would take longer."""
     if scope["app"].state.engine.dialect.name == "sqlite":
@@ -238,12 +264,14 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def configured(app: FastAPI, settings: Settings) -> uvicorn.Config:
-    """Return how an application is served over HTTP."""
+def configured(app: FastAPI, settings: Settings, connections: Connections | None = None) -> uvicorn.Config:
+    """Return how an application is served over HTTP, with connections that have their deadlines."""
     return uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
+        http=(connections or Connections()).protocol(),
+        ws="none",
         log_level="warning",
         server_header=False,
         forwarded_allow_ips=settings.trusted_proxies,
@@ -253,4 +281,5 @@ def configured(app: FastAPI, settings: Settings) -> uvicorn.Config:
 
 def serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
     """Serve until told to stop by SIGINT or SIGTERM; `on_open` is called once connections are accepted."""
-    _Server(configured(create_app(settings), settings), on_open).run()
+    connections = Connections(open_file_limit())
+    _Server(configured(create_app(settings), settings, connections), on_open).run()

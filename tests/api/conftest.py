@@ -20,6 +20,7 @@ import numpy as np
 import orjson
 import pytest
 
+from boresight.api.connections import Connections
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
 from boresight.server import _Server, configured, create_app
@@ -57,11 +58,13 @@ def settings_in(folder: Path, **given: str) -> Settings:
 
 
 @contextmanager
-def serving(settings: Settings, catalogue: Catalogue | None = None) -> Iterator[tuple[str, Any]]:
+def serving(
+    settings: Settings, catalogue: Catalogue | None = None, connections: Connections | None = None, **given: Any
+) -> Iterator[tuple[str, Any]]:
     """Serve on a free port; yields the address and the application."""
-    app = create_app(settings)
+    app = create_app(settings, **given)
     app.state.catalogue = lambda: catalogue
-    server = _Server(configured(app, dataclasses.replace(settings, host="127.0.0.1", port=0)))
+    server = _Server(configured(app, dataclasses.replace(settings, host="127.0.0.1", port=0), connections))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     while not server.started:

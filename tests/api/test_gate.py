@@ -27,7 +27,7 @@ def test_who_comes_when_too_many_are_under_way_is_told_when_to_come_back(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     client = house.person("ada")
-    monkeypatch.setattr(gate_of(house.app), "_most", 0)
+    monkeypatch.setattr(gate_of(house.app).known, "most", 0)
     answer = client.get("/api/v1/presets")
     assert (answer.status_code, answer.headers["retry-after"]) == (503, str(COME_BACK_S))
     assert answer.headers["content-type"] == "application/problem+json"
@@ -40,7 +40,7 @@ def test_who_comes_when_too_many_are_under_way_is_told_when_to_come_back(
 def test_those_who_watch_and_the_files_of_pages_are_always_let_in(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gate_of(house.app), "_most", 0)
+    monkeypatch.setattr(gate_of(house.app).known, "most", 0)
     for path in ("/healthz", "/readyz", "/metrics", "/static/style.css"):
         assert house.anybody().get(path).status_code == 200, path
 
@@ -50,7 +50,7 @@ def test_what_stands_ready_is_given_though_too_many_are_under_way(
 ) -> None:
     client = house.person("ada")
     assert client.get("/api/v1/runs").status_code == 200
-    monkeypatch.setattr(gate_of(house.app), "_most", 0)
+    monkeypatch.setattr(gate_of(house.app).known, "most", 0)
     assert client.get("/api/v1/runs").status_code == 200
 
 
@@ -76,6 +76,6 @@ def test_whoever_was_let_in_is_counted_out_again(house: House) -> None:
     for path in ("/api/v1/presets", "/api/v1/sensors/999999", "/nowhere"):
         client.get(path)
     deadline_s = time.monotonic() + 5
-    while gate_of(house.app).under_way and time.monotonic() < deadline_s:
+    while gate_of(house.app).known.taken and time.monotonic() < deadline_s:
         time.sleep(0.01)
-    assert gate_of(house.app).under_way == 0
+    assert gate_of(house.app).known.taken == 0

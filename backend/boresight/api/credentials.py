@@ -14,7 +14,7 @@ from starlette.types import Scope
 
 from boresight.api.cookies import LogInCookie
 from boresight.api.ready import Proof
-from boresight.errors import BoresightError, UnauthenticatedError
+from boresight.errors import BoresightError, PasswordDueError, UnauthenticatedError
 from boresight.services import api_keys, users
 from boresight.services.actors import Actor
 from boresight.store.sessions import reading
@@ -82,6 +82,20 @@ def proof_of(scope: Scope) -> Proof | None:
     """Return the proof of a request's credentials, if they were looked up and hold for every address."""
     proof: Proof | None = scope["state"].get("proof")
     return proof
+
+
+def carries_credentials(scope: Scope, cookie_name: str) -> bool:
+    """Whether a request carries anything that could be a credential."""
+    cookie = cookie_name.encode() + b"="
+    return any(name == b"authorization" or (name == b"cookie" and cookie in value) for name, value in scope["headers"])
+
+
+def identify(scope: Scope) -> Actor | None:
+    """Return who acts; None where the credentials are absent, forged, ended or of somebody whose password is due."""
+    try:
+        return current_actor(Request(scope))
+    except (UnauthenticatedError, PasswordDueError):
+        return None
 
 
 def prove(scope: Scope) -> Proof | None:

@@ -16,14 +16,14 @@ import re
 import time
 import uuid
 from collections.abc import Awaitable, Callable, MutableMapping
-from http import HTTPStatus
 from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from boresight.api.bodies import Body, Pace
 
 log = logging.getLogger(__name__)
 
@@ -87,6 +87,8 @@ class Border:
         Largest telemetry file.
     four_eyes
         Whether a second person is asked for here, at the moment of an answer.
+    pace
+        How fast a body must come.
     https_only
         Whether browsers are told to ask this server over HTTPS alone.
     """
@@ -99,10 +101,12 @@ class Border:
         upload_limit_mb: float,
         four_eyes: Callable[[], bool],
         *,
+        pace: Pace | None = None,
         https_only: bool = False,
     ) -> None:
         self.app = app
         self.pairs = (*SECURITY_PAIRS, STRICT_TRANSPORT) if https_only else SECURITY_PAIRS
+        self.pace = pace or Pace()
         self.four_eyes = four_eyes
         self.observe = observe
         self.refuse = refuse
@@ -122,7 +126,7 @@ class Border:
             self.observe(scope, answer.status, time.perf_counter() - answer.began_s)
 
     def _limited(self, scope: Scope, receive: Receive) -> Receive:
-        """Count what is received and refuse what is over the limit, whether or not its length was announced."""
+        """Refuse a body that is over the limit, whether or not its length was announced, or too slow."""
         headers = Headers(scope=scope)
         limit, sentence = BODY_LIMIT_BYTES, f"The request is over {BODY_LIMIT_BYTES:,} bytes; send less at once."
         multipart = headers.get("content-type", "").startswith("multipart/form-data")
@@ -132,18 +136,7 @@ class Border:
                 f"The file is over the limit of {self.upload_limit_mb:g} MB; split it by frames, or ask to raise it."
             )
         announced = headers.get("content-length", "0")
-        received = int(announced) if announced.isdecimal() and int(announced) > limit else 0
-
-        async def counted() -> Message:
-            nonlocal received
-            message = await receive()
-            received += len(message.get("body", b""))
-            if received > limit:
-                # in the framework's words: it takes any other exception of a body for a body it cannot parse
-                raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, sentence)
-            return message
-
-        return counted
+        return Body(receive, self.pace, limit, sentence, int(announced) if announced.isdecimal() else 0).receive
 
 
 class _Answer:

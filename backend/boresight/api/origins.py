@@ -114,6 +114,18 @@ def is_loopback(host: str | None) -> bool:
         return False
 
 
+def network_of(address: str) -> str:
+    """Return what an address counts as: itself, or for IPv6 its /64, of which one subscriber has every address."""
+    try:
+        number = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    if isinstance(number, ipaddress.IPv4Address):
+        return address
+    mapped = number.ipv4_mapped
+    return str(mapped or ipaddress.ip_network((int(number), 64), strict=False))
+
+
 def is_local(request: Request) -> bool:
     """Whether a request was made on this machine to a server that only this machine reaches.
 
