@@ -5,9 +5,11 @@ A setting `lease_s` is given by the environment variable `BORESIGHT_LEASE_S`.
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -15,6 +17,10 @@ from urllib.parse import urlsplit
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Policy
 from boresight.store.blob_places import BlobPlace, parse_address
+
+log = logging.getLogger(__name__)
+
+OTHERS = 0o077  # everybody but the owner
 
 
 @dataclass(frozen=True)
@@ -53,12 +59,19 @@ SETTINGS = (
         "public_url", "", "URL", "Where people find the server, if a proxy hides it; empty = what Host says.", _site
     ),
     Setting("mode", "OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.", str),
-    Setting("scheduler", "", "address", "Dask scheduler, tcp://host:port; empty = our own worker processes.", str),
+    Setting("scheduler", "", "address", "Dask scheduler, tls://host:port; empty = our own worker processes.", str),
     Setting(
         "tls_authority", "", "path", "Authority (PEM) that signed every machine's certificate, for tls:// links.", str
     ),
     Setting(
         "tls_certificate", "", "path", "This machine's certificate and key in one PEM file, for tls:// links.", str
+    ),
+    Setting(
+        "cluster_network_closed",
+        "0",
+        "0 or 1",
+        "1 = plain tcp:// links may leave this machine: nobody else is on their network.",
+        int,
     ),
     Setting("workers", "2", "processes", "Worker processes started when no scheduler is given; 0 = none here.", int),
     Setting(
@@ -95,6 +108,7 @@ class Settings:
     scheduler: str
     tls_authority: str
     tls_certificate: str
+    cluster_network_closed: int
     workers: int
     threads: int
     lease_s: float
@@ -196,3 +210,26 @@ def use_kernel_folder(settings: Settings) -> None:
     except OSError:
         return  # a read-only home: Numba falls back to its own cache folder
     os.environ["NUMBA_CACHE_DIR"] = str(settings.kernel_folder)
+
+
+@contextmanager
+def private_files(settings: Settings) -> Iterator[None]:
+    """Keep what a service writes, and the folders it writes to, from every other user of the machine."""
+    before = os.umask(OTHERS)
+    try:
+        _shut(settings.data_folder)
+        if settings.blob_place.is_folder:
+            _shut(Path(settings.blob_place.address))
+        yield
+    finally:
+        os.umask(before)
+
+
+def _shut(folder: Path) -> None:
+    """Take the rights of others from a folder that is there; say so where it is not ours to shut."""
+    if not folder.is_dir() or not folder.stat().st_mode & OTHERS:
+        return
+    try:
+        folder.chmod(folder.stat().st_mode & ~OTHERS)
+    except OSError:
+        log.warning("Other users can enter %s, which holds secrets: let its owner run chmod 700 on it.", folder)

@@ -98,6 +98,21 @@ def test_workers_reach_an_object_store_outside_by_a_network_that_nobody_else_is_
     assert [name for name, service in COMPOSE["services"].items() if way_out in service["networks"]] == ["worker"]
 
 
+def test_every_link_between_services_is_encrypted_and_asks_both_ends_who_they_are():
+    for name in OURS:
+        given = COMPOSE["services"][name]["environment"]
+        assert given.keys() >= {"BORESIGHT_TLS_AUTHORITY", "BORESIGHT_TLS_CERTIFICATE"}
+        assert given.get("BORESIGHT_SCHEDULER", "tls://scheduler:8786") == "tls://scheduler:8786"
+    assert "BORESIGHT_CLUSTER_NETWORK_CLOSED" not in str(COMPOSE)
+    assert set(re.findall(r"BORESIGHT_SCHEDULER=(\w+)://", PAGE)) == {"tls"}
+
+
+def test_no_service_takes_all_memory_or_all_processes():
+    for service in COMPOSE["services"].values():
+        assert re.fullmatch(r"\$\{[A-Z]+_MEMORY:-\d+g\}", service["mem_limit"])
+        assert 0 < service["pids_limit"] <= 512
+
+
 def test_every_service_is_looked_after_and_has_as_long_to_end_as_its_unit():
     (seconds,) = re.findall(r"^TimeoutStopSec=(\d+)$", PAGE, re.MULTILINE)
 

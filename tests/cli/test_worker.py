@@ -52,6 +52,50 @@ def test_a_worker_on_an_encrypted_link_without_certificates_is_refused(boresight
     assert "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE" in done.stderr
 
 
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "10.1.2.3"])  # noqa: S104 - what is to be refused
+def test_a_plain_scheduler_that_others_would_reach_is_refused_unless_its_network_is_closed(
+    boresight, monkeypatch, host
+):
+    done = boresight("scheduler", "--host", host, "--port", free_port())
+
+    assert done.exit_code == 1
+    assert "BORESIGHT_TLS_AUTHORITY" in done.stderr
+    assert "BORESIGHT_CLUSTER_NETWORK_CLOSED=1" in done.stderr
+
+    async def listen(*_):
+        raise OSError(98, "it would have listened")
+
+    monkeypatch.setenv("BORESIGHT_CLUSTER_NETWORK_CLOSED", "1")
+    monkeypatch.setattr("boresight.workers.service._scheduler", listen)
+    assert "it would have listened" in boresight("scheduler", "--host", host, "--port", free_port()).stderr
+
+
+@pytest.mark.parametrize("words", [("worker",), ("serve", "--port", "1")])
+def test_a_plain_scheduler_beyond_this_machine_is_refused_by_all_who_use_one(boresight, monkeypatch, words):
+    monkeypatch.setenv("BORESIGHT_SCHEDULER", "tcp://10.1.2.3:8786")
+    words = (*words[:-1], free_port()) if words[0] == "serve" else words
+    done = boresight(*words)
+
+    assert done.exit_code == 1
+    assert "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 is a plain link beyond this machine" in done.stderr
+    assert "BORESIGHT_CLUSTER_NETWORK_CLOSED=1" in done.stderr
+
+
+def test_certificates_are_made_for_their_owner_only_and_never_replaced(boresight, tmp_path):
+    done = boresight("certificates", tmp_path / "made")
+    files = {path.name: path.read_text() for path in (tmp_path / "made").iterdir()}
+
+    assert done.exit_code == 0
+    assert set(files) == {"authority.pem", "boresight.pem"}
+    assert all(path.stat().st_mode & 0o077 == 0 for path in (tmp_path / "made", *(tmp_path / "made").iterdir()))
+    assert "PRIVATE KEY" in files["boresight.pem"]
+    assert "PRIVATE KEY" not in files["authority.pem"] + done.output
+    again = boresight("certificates", tmp_path / "made")
+    assert again.exit_code == 1
+    assert "is there already" in again.stderr
+    assert {path.name: path.read_text() for path in (tmp_path / "made").iterdir()} == files
+
+
 def test_a_scheduler_on_a_port_in_use_is_refused():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -1,19 +1,23 @@
-"""What the cluster does beside tasks: little, and nothing for pages that are not there."""
+"""What the cluster does beside tasks: little, and nothing for pages that are not there; and who may speak to it."""
 
 import os
+import time
 
+import dask
 import pytest
-from distributed import Nanny
+from cryptography import x509
+from distributed import Client, get_worker
 
 from boresight.workers.cluster import Cluster
+from boresight.workers.nodes import Nanny
 
 SELDOM_MS = {"tick": 1000.0, "monitor": 5000.0}  # at the least between two
 
 
 @pytest.fixture(scope="module")
 def cluster(make_store):
-    """Open a cluster of one worker."""
-    opened = Cluster.open(make_store(workers="1").settings, lambda _report: None)
+    """Open a cluster of two workers."""
+    opened = Cluster.open(make_store(workers="2").settings, lambda _report: None)
     yield opened
     opened.close(())
 
@@ -24,7 +28,7 @@ def every_ms(server):
 
 
 def test_a_worker_does_not_look_at_its_computing_thread(cluster):
-    (done,) = cluster._client.run(
+    done, _ = cluster._client.run(
         lambda dask_worker: {name: each.callback_time for name, each in dask_worker.periodic_callbacks.items()}
     ).values()
     assert not {name for name in done if name.startswith("profile")}
@@ -33,14 +37,50 @@ def test_a_worker_does_not_look_at_its_computing_thread(cluster):
 
 
 def test_a_worker_keeps_the_memory_that_it_will_need_again(cluster):
-    (threshold,) = cluster._client.run(os.environ.get, "MALLOC_TRIM_THRESHOLD_").values()
-    assert threshold is None, "every array of 64 kB would be given back and come again in pages that fault"
+    thresholds = cluster._client.run(os.environ.get, "MALLOC_TRIM_THRESHOLD_").values()
+    assert set(thresholds) == {None}, "every array of 64 kB would be given back and come again in pages that fault"
 
 
 def test_the_scheduler_and_the_nannies_leave_the_server_its_processor(cluster):
     nannies = list(cluster._local.workers.values())
-    assert [type(nanny) for nanny in nannies] == [Nanny]
+    assert [type(nanny) for nanny in nannies] == [Nanny, Nanny]
     for server in (cluster._local.scheduler, *nannies):
         assert all(every_ms(server)[name] >= least for name, least in SELDOM_MS.items())
     assert "stealing" not in every_ms(cluster._local.scheduler)
     assert not cluster._local.scheduler.extensions["amm"].running
+
+
+def test_every_link_of_our_own_workers_is_encrypted_and_asks_both_ends_who_they_are(cluster):
+    servers = [cluster._local.scheduler, *cluster._local.workers.values()]
+    assert all(server.address.startswith("tls://127.0.0.1:") for server in servers)
+    assert all(address.startswith("tls://127.0.0.1:") for address in cluster.workers())
+    assert not any(server.services for server in servers)  # no port beside the link
+
+
+def test_a_worker_fetches_what_another_has_over_their_own_link(cluster):
+    one, two = sorted(cluster.workers())
+    held = cluster._client.submit(bytes, 1000, workers=[one], pure=False)
+    told = cluster._client.submit(lambda it: (len(it), get_worker().address), held, workers=[two], pure=False)
+    assert told.result(60) == (1000, two)
+
+
+def test_the_key_of_the_workers_is_in_no_configuration_no_log_and_no_description(cluster):
+    client = cluster._client
+    texts = [str(dask.config.config), repr(cluster._local.security), str(client.scheduler_info())]
+    texts += map(str, client.run(lambda: (str(dask.config.config), dict(os.environ))).values())
+    texts += map(str, [client.get_worker_logs(), client.get_scheduler_logs(), client.get_events()])
+    assert not [text for text in texts if "PRIVATE KEY" in text]
+
+
+def test_the_certificate_of_the_workers_outlasts_every_server_and_each_server_has_its_own(cluster, make_store):
+    security = cluster._local.security
+    for pem in (security.tls_ca_file, security.tls_worker_cert):
+        certificate = x509.load_pem_x509_certificate(pem.encode())
+        assert certificate.not_valid_before_utc.timestamp() < time.time() - 20 * 365 * 86_400  # whatever the clock says
+        assert certificate.not_valid_after_utc.year == 9999
+    other = Cluster.open(make_store(workers="1").settings, lambda _report: None)
+    try:
+        with pytest.raises(OSError, match=r"TLS|in time|closed|Timed"):
+            Client(cluster._local.scheduler.address, security=other._local.security, timeout=2, set_as_default=False)
+    finally:
+        other.close(())

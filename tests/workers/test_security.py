@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import re
 import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -11,6 +15,7 @@ from distributed import Security
 
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
+from boresight.workers.certificates import issue
 from boresight.workers.connection import Connection
 from boresight.workers.security import security_of
 from services import Services, free_port, loops
@@ -23,7 +28,8 @@ MADE, EXPORTS = re.findall(r"^```sh certificates\n(.*?)^```$", PAGE, re.MULTILIN
 def certificates(tmp_path_factory):
     """Make an authority and a certificate by the commands of the page; returns the settings that name them."""
     folder = tmp_path_factory.mktemp("certificates")
-    subprocess.run(["sh", "-ec", MADE], check=True, cwd=folder, capture_output=True)
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    subprocess.run(["sh", "-ec", MADE], check=True, cwd=folder, capture_output=True, env=os.environ | {"PATH": path})
     named = dict(re.findall(r"^export BORESIGHT_(\w+)=(\S+)$", EXPORTS, re.MULTILINE))
     files = {name: str(folder / value) for name, value in named.items() if name.startswith("TLS")}
     return {name.lower(): value for name, value in files.items()}
@@ -73,3 +79,52 @@ def test_links_without_certificates_are_plain():
 def test_half_of_what_it_takes_is_refused_in_a_sentence(given, sentence):
     with pytest.raises(RefusedInputError, match=sentence):
         security_of(settings(**given))
+
+
+@pytest.mark.parametrize("address", ["tcp://10.1.2.3:8786", "tcp://scheduler:8786", "tcp://[fd00::1]:8786"])
+def test_a_plain_link_off_this_machine_is_refused_unless_its_network_is_closed(address):
+    with pytest.raises(RefusedInputError, match=r"BORESIGHT_TLS_AUTHORITY.*BORESIGHT_CLUSTER_NETWORK_CLOSED=1"):
+        security_of(settings(scheduler=address))
+    assert security_of(settings(scheduler=address, cluster_network_closed="1")) is None
+
+
+@pytest.mark.parametrize("address", ["tcp://127.9.8.7:8786", "tcp://localhost:8786", "tcp://[::1]:8786"])
+def test_a_plain_link_within_this_machine_is_not_refused(address):
+    assert security_of(settings(scheduler=address)) is None
+
+
+def changed(certificates, folder, *, ends=None, mode=0o600, drop=""):
+    """Return settings of a certificate that is not as it should be."""
+    made = issue() if ends is None else issue(ends=ends)
+    (folder / "machine.pem").write_text({"key": made.certificate, "": made.certificate + made.key}[drop])
+    (folder / "machine.pem").chmod(mode)
+    given = certificates | {"tls_certificate": str(folder / "machine.pem")}
+    return settings(scheduler="tls://127.0.0.1:1", **given)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"ends": datetime(2020, 1, 1, tzinfo=UTC)}, "has expired on 2020-01-01"),
+        ({"mode": 0o644}, "can be read by every user"),
+        ({"drop": "key"}, "does not hold a certificate and its key"),
+    ],
+)
+def test_a_certificate_that_cannot_serve_is_refused_at_the_start(certificates, tmp_path, wrong, sentence):
+    with pytest.raises(RefusedInputError, match=sentence):
+        security_of(changed(certificates, tmp_path, **wrong))
+
+
+def test_a_certificate_that_will_soon_expire_is_told(certificates, tmp_path, caplog):
+    caplog.set_level(logging.WARNING)
+    assert security_of(changed(certificates, tmp_path, ends=datetime.now(UTC) + timedelta(days=20))) is not None
+    assert "expires on" in caplog.text
+    caplog.clear()
+    assert security_of(settings(scheduler="tls://127.0.0.1:1", **certificates)) is not None
+    assert not caplog.text  # those of the command
+
+
+def test_an_authority_that_is_none_is_refused(certificates):
+    given = certificates | {"tls_authority": __file__}
+    with pytest.raises(RefusedInputError, match=r"BORESIGHT_TLS_AUTHORITY=.* holds no certificate"):
+        security_of(settings(scheduler="tls://127.0.0.1:1", **given))

@@ -14,6 +14,7 @@ from boresight.cli.audit import audit
 from boresight.cli.backup import backup, restore
 from boresight.cli.bench import bench
 from boresight.cli.calibrate import calibrate
+from boresight.cli.certificates import certificates
 from boresight.cli.check import check
 from boresight.cli.convert import convert
 from boresight.cli.evaluate import evaluate
@@ -58,6 +59,7 @@ for command in (
     demo,
     worker,
     scheduler,
+    certificates,
     warm,
     migrate,
     backup,

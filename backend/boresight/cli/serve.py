@@ -14,7 +14,7 @@ from pathlib import Path
 import click
 
 from boresight.errors import RefusedInputError
-from boresight.settings import Settings, read_settings, use_kernel_folder
+from boresight.settings import Settings, private_files, read_settings, use_kernel_folder
 
 DEMO_FOLDER = ".demo"
 POLL_S = 0.1
@@ -88,15 +88,16 @@ def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> Non
     from boresight.store.sessions import opened
     from boresight.workers.security import security_of
 
-    security_of(settings)  # refuse now what the engine would only log
-    with opened(settings.database_url):
-        pass  # likewise what the server's start would only log
-    if settings.blob_place.is_folder:  # an object store may come back while the server waits
-        open_blobs(settings.blob_place).refuse_unusable()
-    try:
-        run(settings, on_open)
-    except KeyboardInterrupt:
-        click.echo("boresight: stopped.", err=True)
+    with private_files(settings):
+        security_of(settings)  # refuse now what the engine would only log
+        with opened(settings.database_url):
+            pass  # likewise what the server's start would only log
+        if settings.blob_place.is_folder:  # an object store may come back while the server waits
+            open_blobs(settings.blob_place).refuse_unusable()
+        try:
+            run(settings, on_open)
+        except KeyboardInterrupt:
+            click.echo("boresight: stopped.", err=True)
 
 
 def _populate(settings: Settings) -> None:

@@ -9,14 +9,14 @@ import click
 
 from boresight.cli.serve import data_option
 from boresight.errors import RefusedInputError
-from boresight.settings import Settings, read_settings, use_kernel_folder
+from boresight.settings import Settings, private_files, read_settings, use_kernel_folder
 
 GB = 1_000_000_000
 
 
 @click.command()
 @click.option(
-    "--scheduler", help="Address of the scheduler, instead of the setting: tcp://host:port or tls://host:port."
+    "--scheduler", help="Address of the scheduler, instead of the setting: tls://host:port or tcp://host:port."
 )
 @click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="Worker processes, one a core.")
 @click.option(
@@ -35,7 +35,8 @@ def worker(scheduler: str | None, processes: int, memory_gb: float | None, data:
     use_kernel_folder(settings)
     from boresight.workers.service import run_workers
 
-    run_workers(settings, processes, None if memory_gb is None else int(memory_gb * GB), _say)
+    with private_files(settings):
+        run_workers(settings, processes, None if memory_gb is None else int(memory_gb * GB), _say)
 
 
 @click.command()
@@ -45,7 +46,8 @@ def scheduler(host: str, port: int) -> None:
     """Bring a server and its workers together, until Ctrl-C or SIGTERM.
 
     With certificates (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE) its address begins with tls://. Without them whoever
-    reaches the port can run programs on the workers. Where BORESIGHT_SCHEDULER is set here too, it must fit that.
+    reaches the port can run programs on the workers and the server, so it listens on this machine only, unless
+    BORESIGHT_CLUSTER_NETWORK_CLOSED=1. Where BORESIGHT_SCHEDULER is set here too, it must fit that.
     """
     settings = read_settings()
     from boresight.workers.service import run_scheduler

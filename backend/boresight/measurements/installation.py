@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import httpx
 import psutil
@@ -154,13 +155,13 @@ def free_port() -> int:
 
 def _place(settings: Settings) -> list[str]:
     """Say where the scheduler of the settings listens."""
-    host, _, port = settings.scheduler.removeprefix("tcp://").rpartition(":")
-    return ["--host", host, "--port", port]
+    parts = urlsplit(settings.scheduler)
+    return ["--host", str(parts.hostname), "--port", str(parts.port)]
 
 
 def environment_of(folder: Path, workers: int, lease_s: float, *, external: bool) -> dict[str, str]:
     """Return the settings of an installation as variables."""
-    address = f"tcp://127.0.0.1:{free_port()}" if external else ""
+    address = f"tls://127.0.0.1:{free_port()}" if external else ""
     given = {
         "DATA_FOLDER": str(folder),
         "PORT": str(free_port()),
@@ -168,4 +169,12 @@ def environment_of(folder: Path, workers: int, lease_s: float, *, external: bool
         "LEASE_S": str(lease_s),
         "SCHEDULER": address,
     }
-    return {f"BORESIGHT_{name}": value for name, value in given.items()}
+    named = {f"BORESIGHT_{name}": value for name, value in given.items()}
+    return named | (certified(folder) if external else {})
+
+
+def certified(folder: Path) -> dict[str, str]:
+    """Make certificates for the links of an installation; returns the settings that name them."""
+    command = [sys.executable, "-m", "boresight", "certificates", str(folder / "certificates")]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout  # noqa: S603 - our own command
+    return dict(line.split("=", 1) for line in said.split())

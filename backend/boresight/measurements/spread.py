@@ -31,12 +31,14 @@ import orjson
 import psutil
 
 from boresight.measurements import Report
-from boresight.measurements.installation import free_port
+from boresight.measurements.installation import certified, free_port
 from boresight.measurements.synthetic_file import write_synthetic
+from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.store.blobs import BlobStore
 from boresight.telemetry.sensors import sensor_document
 from boresight.workers.connection import Connection
+from boresight.workers.security import security_of
 from boresight.workers.tasks import Inputs, execute_group
 
 RATIO_LIMIT = 1.6
@@ -89,6 +91,7 @@ class Site:
         self._blobs = BlobStore(folder / "blobs")
         self._environment = os.environ | {"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_BLOBS": ""}
         self._environment.setdefault("NUMBA_CACHE_DIR", str(folder / "kernels"))
+        self._environment |= certified(folder)
         self._runs = 0
 
     def table(self, frames: int, seed: int) -> str:
@@ -102,11 +105,12 @@ class Site:
     @contextmanager
     def cluster(self, workers: int) -> Iterator[Connection]:
         """Start a scheduler and workers, and connect to them."""
-        address = f"tcp://127.0.0.1:{free_port()}"
+        address = f"tls://127.0.0.1:{free_port()}"
+        security = security_of(read_settings({**self._environment, "BORESIGHT_SCHEDULER": address}))
         services = [self._start("scheduler", "--port", address.rpartition(":")[2])]
         try:
             services += [self._start("worker", "--scheduler", address) for _ in range(workers)]
-            with Connection(address, timeout=JOIN_S, set_as_default=False) as client:
+            with Connection(address, security=security, timeout=JOIN_S, set_as_default=False) as client:
                 client.wait_for_workers(workers, timeout=JOIN_S)
                 yield client
         finally:

@@ -57,7 +57,7 @@ class BlobStore:
             When the folder cannot be written.
         """
         with _opened(content) as source, self._writing():
-            self.folder.mkdir(parents=True, exist_ok=True)
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             digest = hashlib.sha256()
             handle, name = tempfile.mkstemp(prefix=".put-", dir=self.folder)
             try:
@@ -92,7 +92,7 @@ class BlobStore:
             When that cannot be done.
         """
         with self._writing():
-            self.folder.mkdir(parents=True, exist_ok=True)
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=self.folder) as file:
                 file.write(b"Boresight")
 
@@ -105,7 +105,6 @@ class BlobStore:
         if place.exists() and integrity.is_intact(place, sha256):
             return
         place.parent.mkdir(parents=True, exist_ok=True)
-        written.chmod(0o644)
         written.replace(place)
         folder = os.open(place.parent, os.O_RDONLY)
         try:

@@ -1,9 +1,9 @@
 """The dask cluster as the engine uses it: submit, ask to stop, kill, notice its loss.
 
 By default a scheduler in this process with worker processes of one thread each, which end when this process does,
-however it ends; or an external scheduler by address, started by `boresight scheduler` with workers by `boresight worker`. Ours
-allow no failures: the engine counts the workers that a run has cost. A death is no run's fault while a large run's pieces were,
-or had just been, on the same worker: which of them it was nobody knows.
+however it ends, joined by a key that nobody else has; or an external scheduler by address, started by `boresight scheduler` with
+workers by `boresight worker`. Ours allow no failures: the engine counts the workers that a run has cost. A death is no run's fault
+while a large run's pieces were, or had just been, on the same worker: which of them it was nobody knows.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from pathlib import Path
 from typing import Any
 
 import dask
-from distributed import Event, KilledWorker, LocalCluster
+from distributed import Event, KilledWorker, SpecCluster
 from distributed.system import MEMORY_LIMIT
 
 import boresight
 from boresight.settings import Settings
 from boresight.store.runs import Held
-from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE, NOWHERE
+from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE
 from boresight.workers.connection import Connection
 from boresight.workers.fitness import UNFIT_TOPIC, Fitness
 from boresight.workers.link import TOPIC, cancel_event
-from boresight.workers.security import security_of
+from boresight.workers.nodes import Nanny, Scheduler
+from boresight.workers.security import PROTOCOL, own_security, security_of
 from boresight.workers.spread import LENT_TOPIC
 from boresight.workers.tasks import Outcome, Work, execute_group
 from boresight.workers.warm import WarmUp
@@ -184,16 +185,18 @@ def _local_cluster(settings: Settings) -> Any:
     # The cluster looks once more for a lost worker after this time, and ends its nanny, and so the next run on it, if it
     # finds that worker just then restarting for another reason. Our nannies restart their workers themselves.
     dask.config.set({"distributed.deploy.lost-worker-timeout": NEVER})
-    folder = os.environ.get("NUMBA_CACHE_DIR", str(settings.kernel_folder))
-    return LocalCluster(
-        n_workers=settings.workers,
-        threads_per_worker=1,
-        processes=True,
-        host="127.0.0.1",
-        dashboard_address=None,
+    link = {"host": "127.0.0.1", "protocol": PROTOCOL, "security": own_security()}
+    nanny = {
+        **link,
+        "nthreads": 1,
+        "silence_logs": logging.CRITICAL,
+        "memory_limit": int(MEMORY_SHARE * MEMORY_LIMIT / settings.workers),
+        "local_directory": str(settings.data_folder / "scratch"),
+        "env": {"NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR", str(settings.kernel_folder))},
+    }
+    return SpecCluster(
+        scheduler={"cls": Scheduler, "options": {**link, "dashboard": False, "allowed_failures": 0}},
+        workers={number: {"cls": Nanny, "options": nanny} for number in range(settings.workers)},
+        security=link["security"],
         silence_logs=logging.CRITICAL,
-        memory_limit=int(MEMORY_SHARE * MEMORY_LIMIT / settings.workers),
-        scheduler_kwargs={"allowed_failures": 0, "dashboard_address": NOWHERE},  # else it takes port 8787
-        local_directory=str(settings.data_folder / "scratch"),
-        env={"NUMBA_CACHE_DIR": folder},
     )

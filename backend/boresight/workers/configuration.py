@@ -4,8 +4,6 @@ from __future__ import annotations
 
 #: Of a machine, over its worker processes; the rest is the server's and the system's.
 MEMORY_SHARE = 0.8
-#: distributed opens a port for its dashboard in any case: without routes, and for this machine only.
-NOWHERE = "127.0.0.1:0"
 #: Much of what distributed does beside tasks is for its own pages, which nobody opens here; it goes on whether anything is
 #: computed or not, in the server's process for the scheduler and for the nanny of each worker.
 CONFIGURATION = {
@@ -18,9 +16,7 @@ CONFIGURATION = {
     # gives every freed array back to the system at once, and each new one comes in pages that fault: a third of a short run's time
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     "distributed.scheduler.active-memory-manager.start": False,  # drops copies of results; ours are fetched once
-    "distributed.scheduler.http.routes": [],
     "distributed.scheduler.work-stealing": False,  # every task names its worker
-    "distributed.worker.http.routes": [],
     "distributed.worker.memory.monitor-interval": "500ms",  # of 100 ms, by each worker and by its nanny
     "distributed.worker.profile.enabled": False,  # looks at the computing thread a hundred times a second
 }

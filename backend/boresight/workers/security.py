@@ -1,22 +1,38 @@
 """Links between server, scheduler and workers that prove who is at the other end.
 
-Plain `tcp://` links ask nobody who they are: whoever reaches the scheduler's port can run code on every worker, so they belong on a
-network of their own. With `tls://` both ends of each link show a certificate that the site's own authority has signed, and
-everything on the way is encrypted. One certificate with its key in one file serves a machine in all its parts.
+dask runs whatever function it is sent, so whoever a link lets in can do what the server can do: the key of the certificate is the
+authorisation. Both ends of each link show a certificate that one authority has signed, and everything on the way is encrypted.
+
+- Our own workers get a certificate of their server's, made at each start and never written to a file that lasts.
+- With an external scheduler, one certificate with its key in one file serves a machine in all its parts.
+- Plain `tcp://` links ask nobody who they are. Off this machine they are refused, unless a setting says that nobody else is on
+  that network; on this machine they are open to all of its users.
 """
 
 from __future__ import annotations
 
+import ipaddress
+import logging
+import ssl
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.x509 import load_pem_x509_certificates
 from distributed import Security
 
 from boresight.errors import RefusedInputError
 from boresight.settings import Settings
+from boresight.workers.certificates import issue
+
+log = logging.getLogger(__name__)
 
 PROTOCOL = "tls://"
 PROTOCOLS = ("tcp://", PROTOCOL)
+ANYBODY_READS = 0o004
+WARN_BEFORE = timedelta(days=30)
+MAKE_NEW = "make new ones with `boresight certificates`, and start server, scheduler and workers again"
 
 
 def refuse_unless_address(text: str) -> None:
@@ -39,13 +55,52 @@ def refuse_unless_address(text: str) -> None:
         )
 
 
+def own_security() -> Security:
+    """Return TLS for the workers of this process, which get its key through the pipe that starts them."""
+    made = issue()
+    roles = ("client", "scheduler", "worker")
+    return Security(
+        require_encryption=True,
+        tls_min_version=ssl.TLSVersion.TLSv1_3,
+        tls_ca_file=made.authority,
+        **{f"tls_{role}_cert": made.certificate for role in roles},
+        **{f"tls_{role}_key": made.key for role in roles},
+    )
+
+
+def refuse_open_link(settings: Settings, host: str, given: str) -> None:
+    """Refuse a plain link that others than this machine's users could reach.
+
+    Raises
+    ------
+    RefusedInputError
+        When the host is another machine, or an address that others reach, and no setting says that its network is closed.
+    """
+    if settings.cluster_network_closed or _is_loopback(host):
+        return
+    raise RefusedInputError(
+        f"{given} is a plain link beyond this machine, and whoever reaches it can run programs on the server and on every worker: "
+        f"make certificates and use {PROTOCOL} (BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE), or, where nobody else is "
+        "on that network, set BORESIGHT_CLUSTER_NETWORK_CLOSED=1."
+    )
+
+
+def _is_loopback(host: str) -> bool:
+    """Say whether only this machine reaches a host; a name may mean anything, but for the one that means this."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
 def security_of(settings: Settings) -> Security | None:
     """Return what TLS links need, or None where links are plain.
 
     Raises
     ------
     RefusedInputError
-        When the scheduler's address is none, when half of what TLS needs is missing, or a file cannot be read.
+        When the scheduler's address is none, when half of what TLS needs is missing, when a file cannot be read, or when a link
+        would be open to others.
     """
     if settings.scheduler:
         refuse_unless_address(settings.scheduler)
@@ -55,13 +110,47 @@ def security_of(settings: Settings) -> Security | None:
             raise RefusedInputError(
                 f"{settings.scheduler} wants certificates: name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE."
             )
+        if settings.scheduler:
+            host = urlsplit(settings.scheduler).hostname or ""
+            refuse_open_link(settings, host, f"BORESIGHT_SCHEDULER={settings.scheduler}")
         return None
     for variable, path in files.items():
         if not path or not Path(path).is_file():
-            raise RefusedInputError(f"{variable}={path!r} is no file: TLS links need the authority and a certificate.")
+            raise RefusedInputError(
+                f"{variable}={path!r} is no file: TLS links need an authority and a certificate, as "
+                "`boresight certificates` makes them."
+            )
     if settings.scheduler and not settings.scheduler.startswith(PROTOCOL):
         raise RefusedInputError(
             f"There is a certificate, but BORESIGHT_SCHEDULER={settings.scheduler!r} is a plain link: write {PROTOCOL}."
         )
+    _refuse_unusable(settings)
     certificate = {f"tls_{role}_cert": settings.tls_certificate for role in ("client", "scheduler", "worker")}
     return Security(tls_ca_file=settings.tls_authority, require_encryption=True, **certificate)
+
+
+def _refuse_unusable(settings: Settings) -> None:
+    """Refuse files that would make every link fail, and a key that any user of this machine has; tell of an end that is near."""
+    given = f"BORESIGHT_TLS_CERTIFICATE={settings.tls_certificate!r}"
+    try:
+        load_pem_x509_certificates(Path(settings.tls_authority).read_bytes())
+    except (OSError, ValueError) as error:
+        raise RefusedInputError(
+            f"BORESIGHT_TLS_AUTHORITY={settings.tls_authority!r} holds no certificate (PEM) that can be read."
+        ) from error
+    path = Path(settings.tls_certificate)
+    try:
+        pem = path.read_bytes()
+        certificate = load_pem_x509_certificates(pem)[0]
+        load_pem_private_key(pem, password=None)
+    except (OSError, TypeError, ValueError) as error:
+        raise RefusedInputError(f"{given} does not hold a certificate and its key (PEM, no pass phrase).") from error
+    if path.stat().st_mode & ANYBODY_READS:
+        raise RefusedInputError(
+            f"{given} can be read by every user of this machine, and its key lets them run programs here: chmod 600 it."
+        )
+    left = certificate.not_valid_after_utc - datetime.now(UTC)
+    if left < timedelta(0):
+        raise RefusedInputError(f"{given} has expired on {certificate.not_valid_after_utc:%Y-%m-%d}: {MAKE_NEW}.")
+    if left < WARN_BEFORE:
+        log.warning("%s expires on %s: %s before.", given, f"{certificate.not_valid_after_utc:%Y-%m-%d}", MAKE_NEW)

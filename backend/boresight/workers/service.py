@@ -18,13 +18,14 @@ from typing import Any
 
 import dask
 from dask.system import CPU_COUNT
-from distributed import Nanny, Scheduler, Security
+from distributed import Security
 from distributed.core import rpc
 from distributed.system import MEMORY_LIMIT
 
 from boresight.settings import Settings
-from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE, NOWHERE
-from boresight.workers.security import PROTOCOL, security_of
+from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE
+from boresight.workers.nodes import Nanny, Scheduler
+from boresight.workers.security import PROTOCOL, refuse_open_link, security_of
 from boresight.workers.warm import WarmUp
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
@@ -40,11 +41,13 @@ def run_scheduler(settings: Settings, host: str, port: int, say: Say) -> None:
     Raises
     ------
     RefusedInputError
-        When certificates are missing, or the address in the settings is none.
+        When certificates are missing, the address in the settings is none, or links would be open to others.
     OSError
         When the port cannot be listened on.
     """
     security = security_of(settings)
+    if security is None:
+        refuse_open_link(settings, host, f"--host {host}")
     _configure()
     try:
         asyncio.run(_until_stopped(_scheduler(security, host, port, say)))
@@ -62,7 +65,6 @@ async def _scheduler(security: Security | None, host: str, port: int, say: Say) 
         protocol=PROTOCOL if security else "tcp://",
         security=security,
         dashboard=False,
-        dashboard_address=NOWHERE,
         allowed_failures=0,
     )
     async with scheduler:
@@ -121,8 +123,6 @@ class WorkerService:
             nthreads=1,
             memory_limit=self.memory_bytes,
             security=security,
-            dashboard=False,
-            dashboard_address=NOWHERE,
             silence_logs=logging.CRITICAL,
             plugins=(WarmUp(str(self.settings.catalogue_folder), ours=True),),
         )
@@ -143,7 +143,7 @@ def run_workers(settings: Settings, processes: int, memory_bytes: int | None, sa
     Raises
     ------
     RefusedInputError
-        When certificates are missing, or the scheduler's address is none.
+        When certificates are missing, the scheduler's address is none, or links would be open to others.
     """
     security_of(settings)
     _configure()
