@@ -6,7 +6,9 @@ each in one table at its own door.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,25 @@ class PasswordDueError(ForbiddenError):
 
 class UnauthenticatedError(BoresightError):
     """Nobody is logged in, or the log-in has expired."""
+
+
+class SessionEndedError(UnauthenticatedError):
+    """The log-in has ended; `because` is the word that the store keeps, the sentence says it to the person."""
+
+    SENTENCES: ClassVar[Mapping[str, str]] = {
+        "logged_out": "You logged out; log in again.",
+        "ended": "This log-in was ended from the list of your log-ins; log in again.",
+        "ended_by_administrator": "An administrator ended this log-in; log in again.",
+        "password_changed": "Your password was changed, which ends every log-in; log in with the new one.",
+        "roles_changed": "Your roles were changed, which ends every log-in; log in again.",
+        "disabled": "This account is disabled; ask an administrator.",
+        "idle": "Your log-in was not used for long and has ended; log in again.",
+        "expired": "Your log-in has reached its greatest age and has expired; log in again.",
+    }
+
+    def __init__(self, because: str) -> None:
+        super().__init__(self.SENTENCES.get(because, "This log-in has ended; log in again."))
+        self.because = because
 
 
 class TooManyAttemptsError(BoresightError):

@@ -139,7 +139,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.sight = Sight(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
-    state.upkeep = Upkeep(state.engine)
+    state.upkeep = Upkeep(state.engine, settings.session_limits)
     state.deliveries = Deliveries(state.engine, local=bool(settings.webhooks_local))
     marks = Marks(state.engine)
     state.changes, state.fleet = Changes(marks), FleetMemory(state.engine, marks)

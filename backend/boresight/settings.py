@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Policy
+from boresight.services.sessions import SessionLimits
 from boresight.store.blob_places import BlobPlace, parse_address
 
 log = logging.getLogger(__name__)
@@ -81,7 +82,9 @@ SETTINGS = (
     Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
     Setting("upload_limit_mb", "512", "MB", "Largest telemetry file that is accepted.", float),
     Setting("session_hours", "12", "h", "A log-in ends after so long.", float),
-    Setting("session_idle_hours", "0", "h", "A log-in that is not used for so long ends too; 0 = it does not.", float),
+    Setting(
+        "session_idle_minutes", "60", "min", "A log-in that is not used for so long ends too; 0 = it does not.", float
+    ),
     Setting("login_attempts", "5", "per minute", "Failed log-ins a person may make before waiting.", int),
     Setting("webhooks_local", "0", "0 or 1", "1 = webhooks may go to this machine and its link.", int),
     Setting("four_eyes", "1", "0 or 1", "0 = one person works alone here and may sign what they submitted.", int),
@@ -115,7 +118,7 @@ class Settings:
     max_attempts: int
     upload_limit_mb: float
     session_hours: float
-    session_idle_hours: float
+    session_idle_minutes: float
     login_attempts: int
     webhooks_local: int
     four_eyes: int
@@ -134,6 +137,11 @@ class Settings:
             approvals=self.approvals,
             login_attempts=self.login_attempts,
         )
+
+    @property
+    def session_limits(self) -> SessionLimits:
+        """How long log-ins last."""
+        return SessionLimits(self.session_hours * 3600, self.session_idle_minutes * 60)
 
     @property
     def computing_threads(self) -> int:

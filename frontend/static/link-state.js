@@ -6,7 +6,10 @@
 // break the browser asks for what it missed by its last event id. A hidden page closes its stream; when it is shown again,
 // or when the server keeps no more what was missed, boresight:missed says that all should be read again.
 // LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken.
+// LOGGED OUT: the log-in has ended, here or elsewhere; a notice says why, and nothing more is asked of the server.
 // The body carries the same word in data-link, so that styles can grey what is no longer fresh.
+
+import { BACKGROUND, Problem, fetchJson } from "./problem.js";
 
 const KINDS = ["run", "log", "progress", "audit", "missed"];
 const PROBE_MS = 8000;
@@ -18,6 +21,7 @@ let source = null;
 let broken = false;
 let opened = false;
 let heardAt = Date.now();
+let ended = false;
 
 function heard() {
   heardAt = Date.now();
@@ -26,6 +30,7 @@ function heard() {
 }
 
 function show() {
+  if (ended) return;
   const silent = Date.now() - heardAt;
   const state = broken ? "disconnected" : silent > STALE_AFTER_MS ? "stale" : "live";
   const word = state === "stale" ? `STALE ${Math.round(silent / 1000)} s` : state.toUpperCase();
@@ -60,6 +65,7 @@ function open() {
     broken = true;
     show();
   };
+  source.addEventListener("logged-out", askWhetherEnded);
   for (const kind of KINDS) {
     source.addEventListener(kind, (event) => {
       heard();
@@ -73,15 +79,42 @@ function close() {
   source = null;
 }
 
+/** Ask whether the log-in still holds, and if not say why, with the way back in. */
+async function askWhetherEnded() {
+  try {
+    await fetchJson("/api/v1/sessions/current", { headers: BACKGROUND });
+  } catch (problem) {
+    if (problem instanceof Problem && problem.status === 401) sayEnded(problem.message);
+  }
+}
+
+function sayEnded(sentence) {
+  if (ended) return;
+  ended = true;
+  close();
+  light.textContent = "LOGGED OUT";
+  said.textContent = "Link ended: you are logged out";
+  light.dataset.state = document.body.dataset.link = "disconnected";
+  const notice = Object.assign(document.createElement("div"), { className: "notice notice-serious", id: "log-in-ended" });
+  notice.setAttribute("role", "alert");
+  const words = document.createElement("p");
+  const way = Object.assign(document.createElement("a"), { textContent: "Log in again", href: `/login?next=${encodeURIComponent(location.pathname + location.search)}` });
+  words.append(`${sentence} What is shown is the last that arrived. `, way, ".");
+  notice.append(words);
+  document.getElementById("content").prepend(notice);
+  notice.scrollIntoView({ block: "nearest" });
+}
+
 /** An idle stream is silent, so ask the server whether it is there. */
 async function probe() {
-  if (document.hidden) return;
+  if (document.hidden || ended) return;
   try {
     const answer = await fetch("/healthz", { cache: "no-store" });
     if (answer.ok && source?.readyState === EventSource.OPEN) heard();
     if (answer.ok && source?.readyState === EventSource.CLOSED) {
+      await askWhetherEnded();
       close();
-      open();
+      if (!ended) open();
     }
   } catch {
     broken = true;
@@ -91,7 +124,7 @@ async function probe() {
 
 document.addEventListener("visibilitychange", () => {
   close();
-  if (!document.hidden) open();
+  if (!document.hidden && !ended) open();
 });
 addEventListener("pagehide", close);
 open();

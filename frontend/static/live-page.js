@@ -1,5 +1,6 @@
 // Keeps a page's live parts fresh: after an event of the server the page is read again, and they are renewed from it.
 import { renewParts } from "./live-parts.js";
+import { BACKGROUND } from "./problem.js";
 
 const AFTER_MS = { run: 600, audit: 600, missed: 600, progress: 3000 };
 let timer = 0;
@@ -13,8 +14,8 @@ async function refresh() {
   }
   busy = true;
   try {
-    const answer = await fetch(location.href, { headers: { Accept: "text/html" } });
-    if (answer.redirected || !answer.ok) return;
+    const answer = await fetch(location.href, { headers: { Accept: "text/html", ...BACKGROUND } });
+    if (answer.redirected || !answer.ok) return; // link-state.js says so where the log-in has ended
     const all = renewParts(new DOMParser().parseFromString(await answer.text(), "text/html"));
     if (!all) soon(AFTER_MS.progress);
   } catch {

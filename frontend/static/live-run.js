@@ -8,7 +8,7 @@
  */
 import { forget, grow, keep } from "./live-history.js";
 import { renewParts } from "./live-parts.js";
-import { send } from "./problem.js";
+import { BACKGROUND, send } from "./problem.js";
 
 const TERMINAL = new Set(["SUCCEEDED", "FAILED", "CANCELLED", "LOST"]);
 const DRAW_MS = 400;
@@ -198,7 +198,7 @@ class LiveRun extends HTMLElement {
     if (this.busy || document.hidden || TERMINAL.has(this.state)) return;
     this.busy = true; // and for a second after, however many events come
     try {
-      const answer = await send(location.href, { headers: { Accept: "text/html" } });
+      const answer = await send(location.href, { headers: { Accept: "text/html", ...BACKGROUND } });
       const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
       const all = renewParts(fresh);
       this.#hearServer();

@@ -4,7 +4,7 @@
  * An event of the feed about the run asks for the lines after the last one shown. Who is at the end stays at the end; who
  * reads further up is not moved, and told how many lines came. Pause keeps the list as it is until it is pressed again.
  */
-import { send } from "./problem.js";
+import { BACKGROUND, send } from "./problem.js";
 
 const WAIT_MS = 400;
 const AT_END_PX = 24;
@@ -46,7 +46,7 @@ class LogTail extends HTMLElement {
     if (this.paused) return;
     const after = this.list.lastElementChild?.dataset.line ?? 0;
     try {
-      const answer = await send(`${this.getAttribute("src")}&after=${after}`, { headers: { Accept: "text/html" } });
+      const answer = await send(`${this.getAttribute("src")}&after=${after}`, { headers: { Accept: "text/html", ...BACKGROUND } });
       const lines = new DOMParser().parseFromString(await answer.text(), "text/html").querySelectorAll("li");
       this.#add([...lines].filter((line) => Number(line.dataset.line) > Number(this.list.lastElementChild?.dataset.line ?? 0)));
     } catch (error) {

@@ -7,7 +7,7 @@
  * figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
  */
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
-import { fetchJson } from "./problem.js";
+import { BACKGROUND, fetchJson } from "./problem.js";
 import { onTheme, onWhite } from "./plot-theme.js";
 
 const PLOTLY = "/static/plotly.min.js";
@@ -60,7 +60,7 @@ class PlotFigure extends HTMLElement {
     if (!this.canvas) this.#build();
     this.#abort = new AbortController();
     const { signal } = this.#abort;
-    this.addEventListener("figure-refresh", () => this.refresh(), { signal });
+    this.addEventListener("figure-refresh", () => this.refresh(BACKGROUND), { signal });
     document.addEventListener("boresight:theme", () => this.#draw(), { signal });
     this.resizer = new ResizeObserver(() => this.#resize());
     this.resizer.observe(this.canvas);
@@ -102,7 +102,7 @@ class PlotFigure extends HTMLElement {
   }
 
   /** Fetch and draw; a refresh that arrives in the middle of one is done once, afterwards. */
-  async refresh() {
+  async refresh(headers = {}) {
     if (this.#busy) {
       this.#again = true;
       return;
@@ -111,7 +111,7 @@ class PlotFigure extends HTMLElement {
     const slow = setTimeout(() => this.#say("loading", "Still working on this figure."), SLOW_MS);
     if (!this.#figure) this.#say("loading", "Loading the figure.");
     try {
-      const [figure] = await Promise.all([fetchJson(this.#address()), plotly()]);
+      const [figure] = await Promise.all([fetchJson(this.#address(), { headers }), plotly()]);
       this.#figure = figure;
       this.#drawnAt = utcTime();
       await this.#draw();
@@ -123,7 +123,7 @@ class PlotFigure extends HTMLElement {
     }
     if (this.#again && this.isConnected) {
       this.#again = false;
-      this.refresh();
+      this.refresh(headers);
     }
   }
 

@@ -9,6 +9,9 @@ export class Problem extends Error {
   }
 }
 
+/** Headers of a request that a page makes by itself: it is no use of the log-in, so an open page alone does not keep it alive. */
+export const BACKGROUND = { "X-Boresight-Background": "1" };
+
 async function problemOf(response) {
   let body = {};
   try {

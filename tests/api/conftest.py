@@ -104,6 +104,14 @@ class House:
         client.headers["X-CSRF-Token"] = answer.json()["csrf_token"]
         return client
 
+    def new_person(self, *roles: str) -> tuple[str, int]:
+        """Add a person; returns log-in name and number."""
+        name = f"person-{next(_numbers)}"
+        body = {"name": name, "printed_name": name.title(), "password": PASSWORD, "roles": roles}
+        answer = self.person("adele").post("/api/v1/users", json=body)
+        assert answer.status_code == 201, answer.text
+        return name, answer.json()["id"]
+
     def anybody(self, **headers: str) -> httpx.Client:
         """Return a client that nobody knows."""
         client = httpx.Client(base_url=self.address, headers=headers, timeout=30)

@@ -158,6 +158,11 @@ def _key(house: House) -> Made:
     return "ada", {"key_id": client.post("/api/v1/api-keys", json={"label": "x"}).json()["id"]}
 
 
+def _session(house: House) -> Made:
+    listed = house.log_in("victor").get("/api/v1/sessions").json()["items"]
+    return "victor", {"session_id": listed[0]["id"]}
+
+
 def _webhook(house: House, **options: Any) -> Made:
     return "adele", {"webhook_id": house.person("adele").post("/api/v1/webhooks", json=HOOK).json()["id"], **options}
 
@@ -274,6 +279,9 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "redeliver": _delivery,
     "log_in": lambda _: ("victor", {"json": {"name": "victor", "password": PASSWORD}}),
     "get_session": lambda _: ("victor", {}),
+    "list_sessions": lambda _: ("victor", {}),
+    "end_session": _session,
+    "end_other_sessions": lambda _: ("victor", {}),
     "log_out": lambda _: ("victor", {}),
 }
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from boresight.api import ready as standing
 from boresight.services import audit
 from boresight.services.actors import SYSTEM
+from boresight.services.sessions import SessionLimits
 from boresight.store.sessions import open_engine, utc_after, writing
 from boresight.store.tables import ApiKey, Run
 
@@ -180,8 +181,7 @@ def test_a_log_in_that_expires_by_the_clock_is_refused_without_any_commit(
 
 
 def test_what_stands_ready_counts_as_a_use_of_the_log_in(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    cookie = house.app.state.log_in_cookie
-    monkeypatch.setattr(cookie, "_idle_s", 0.6)
+    monkeypatch.setattr(house.app.state.upkeep, "_limits", SessionLimits(age_s=3600.0, idle_s=0.6))
     client = house.log_in("victor")
     for _ in range(4):
         assert client.get(RUNS).status_code == 200

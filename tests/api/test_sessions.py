@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
 import stat
+import time
+from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
+import sqlalchemy as sa
 from fastapi import Response
+from itsdangerous import URLSafeTimedSerializer
 
 from boresight.api.cookies import SESSION_COOKIE, LogInCookie, read_secret
-from boresight.errors import UnauthenticatedError
+from boresight.api.upkeep import Upkeep
+from boresight.errors import SessionEndedError, UnauthenticatedError
+from boresight.services import sessions
+from boresight.settings import Settings
+from boresight.store.marks import Marks
+from boresight.store.sessions import open_engine, reading, utc_after, utc_text, writing
+from boresight.store.tables import LoginSession
 
 from .conftest import PASSWORD, House, add_people, serving, settings_in
 
@@ -25,7 +38,7 @@ def test_the_cookie_is_out_of_reach_of_scripts_and_of_other_sites(house: House) 
 
 def test_secure_cookies_are_sent_over_https_only(tmp_path: Path) -> None:
     response = Response()
-    LogInCookie(settings_in(tmp_path, secure_cookies="1")).open(response, 1, 0)
+    LogInCookie(settings_in(tmp_path, secure_cookies="1")).write(response, "token")
     assert "; Secure" in response.headers["set-cookie"]
 
 
@@ -58,10 +71,222 @@ def test_too_many_failures_are_told_how_long_to_wait(tmp_path: Path) -> None:
     assert "www-authenticate" not in answers[1].headers
 
 
-def test_logging_out_takes_the_cookie_away(house: House) -> None:
+def _copy(house: House, client: httpx.Client) -> httpx.Client:
+    """A client with the same cookie, as a thief has."""
+    thief = house.anybody(**{"X-CSRF-Token": client.headers["X-CSRF-Token"]})
+    thief.cookies.set(SESSION_COOKIE, client.cookies[SESSION_COOKIE])
+    assert thief.get("/api/v1/runs").status_code == 200
+    assert thief.get("/").status_code == 200
+    return thief
+
+
+def _why(client: httpx.Client) -> tuple[int, str, str]:
+    """How a list of the API that stood ready, and a page that did, now refuse."""
+    answer = client.get("/api/v1/runs")
+    page = client.get("/", headers={"accept": "text/html"})
+    ended = page.headers.get("location", "").partition("ended=")[2]
+    return answer.status_code, answer.json().get("type", "").rpartition(":")[2], ended
+
+
+def _administer(house: House, number: int, verb: str, **body: Any) -> httpx.Response:
+    """Do something to a person as an administrator."""
+    root = house.person("adele")
+    tag = root.get(f"/api/v1/users/{number}").headers["etag"]
+    return root.post(f"/api/v1/users/{number}:{verb}", headers={"If-Match": tag}, json=body or None)
+
+
+ENDINGS: dict[str, Callable[[House, httpx.Client, str, int], httpx.Response]] = {
+    "logged_out": lambda _, owner, *__: owner.delete("/api/v1/sessions/current"),
+    "ended": lambda house, _, name, __: house.log_in(name).post("/api/v1/sessions/current:end-others"),
+    "ended_by_administrator": lambda house, _, __, number: _administer(house, number, "end-sessions"),
+    "password_changed": lambda _, owner, __, number: owner.post(
+        f"/api/v1/users/{number}:change-password", json={"password": "known to nobody else", "current": PASSWORD}
+    ),
+    "roles_changed": lambda house, _, __, number: _administer(house, number, "change-roles", roles=["operator"]),
+    "disabled": lambda house, _, __, number: _administer(house, number, "disable"),
+}
+
+
+@pytest.mark.parametrize("because", ENDINGS)
+def test_a_copied_cookie_ends_with_the_next_request(house: House, because: str) -> None:
+    name, number = house.new_person("viewer")
+    owner = house.log_in(name)
+    thief = _copy(house, owner)
+    assert ENDINGS[because](house, owner, name, number).status_code in {200, 204}
+    assert _why(thief) == (401, "session-ended", because)
+    assert thief.post("/api/v1/sensors", json={}).status_code == 401
+
+
+def test_an_open_event_stream_ends_with_its_log_in(house: House) -> None:
+    name, _ = house.new_person("viewer")
+    owner, other = house.log_in(name), house.log_in(name)
+    with other.stream("GET", "/api/v1/events", timeout=20) as stream:
+        lines = stream.iter_lines()
+        assert next(lines) == ": connected"
+        began_s = time.monotonic()
+        assert owner.post("/api/v1/sessions/current:end-others").json() == {"ended": 1}
+        assert any(line == "event: logged-out" for line in lines)
+        assert list(lines)[-1:] == [""]  # and nothing more
+    assert time.monotonic() - began_s < 5
+    assert owner.get("/api/v1/runs").status_code == 200
+
+
+def test_a_person_sees_their_log_ins_and_ends_one(house: House) -> None:
+    name, number = house.new_person("viewer")
+    phone = house.anybody(**{"User-Agent": "phone/1" + "x" * 500})
+    assert phone.post("/api/v1/sessions", json={"name": name, "password": PASSWORD}).status_code == 201
+    desk = house.log_in(name)
+    listed = desk.get("/api/v1/sessions?open=true").json()["items"]
+    assert [one["current"] for one in listed] == [True, False]
+    assert {one["user_id"] for one in listed} == {number}
+    assert listed[1]["user_agent"].startswith("phone/1x")
+    assert len(listed[1]["user_agent"]) <= 200
+    assert listed[1]["address"] == "127.0.0.1"
+    ended = desk.post(f"/api/v1/sessions/{listed[1]['id']}:end").json()
+    assert (ended["ended_because"], ended["ended_utc"] is None) == ("ended", False)
+    assert phone.get("/api/v1/runs").status_code == 401
+    assert [one["id"] for one in desk.get("/api/v1/sessions?open=false").json()["items"]] == [listed[1]["id"]]
+
+
+def test_only_an_administrator_sees_and_ends_anothers_log_ins_and_no_key_any(house: House) -> None:
+    name, number = house.new_person("viewer")
+    own = house.log_in(name)
+    session_id = own.get("/api/v1/sessions").json()["items"][0]["id"]
+    ada, root, key = house.person("ada"), house.person("adele"), house.key("adele", "runs")
+    assert ada.get(f"/api/v1/sessions?user_id={number}").status_code == 403
+    assert ada.post(f"/api/v1/sessions/{session_id}:end").status_code == 404
+    for method, path in (
+        ("GET", "sessions"),
+        ("POST", f"sessions/{session_id}:end"),
+        ("POST", "sessions/current:end-others"),
+        ("DELETE", "sessions/current"),
+    ):
+        assert key.request(method, f"/api/v1/{path}").status_code == 403
+    assert [one["id"] for one in root.get(f"/api/v1/sessions?user_id={number}").json()["items"]] == [session_id]
+    assert root.post(f"/api/v1/sessions/{session_id}:end").json()["ended_because"] == "ended_by_administrator"
+    assert own.get("/api/v1/runs").status_code == 401
+
+
+def test_what_a_program_says_of_itself_is_kept_short_and_printable() -> None:
+    assert sessions.Client.of(None, "a\x7f\u202eb\ud800" + "c" * 300) == sessions.Client("", "ab" + "c" * 195)
+
+
+def test_neither_the_secret_nor_its_hash_is_told_or_stored_readably(house: House) -> None:
     client = house.log_in("victor")
-    assert client.delete("/api/v1/sessions/current").status_code == 204
-    assert client.get("/api/v1/runs").status_code == 401
+    token = house.app.state.log_in_cookie.read(client.cookies[SESSION_COOKIE]).token
+    assert len(token) >= 43  # 256 bits
+    listed = client.get("/api/v1/sessions").text
+    with reading(house.app.state.engine) as session:
+        hashes = session.scalars(sa.select(LoginSession.token_hash)).all()
+    assert hashlib.sha256(token.encode()).hexdigest() in hashes
+    assert token not in listed
+    assert not any(one in listed for one in hashes)
+
+
+def _serve_again(settings: Settings, steps: Callable[[str, Any], Any]) -> Any:
+    with serving(settings) as (address, app):
+        return steps(address, app)
+
+
+def test_idleness_ends_a_log_in_and_survives_a_restart(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    assert settings.session_idle_minutes == 60.0
+    add_people(settings)
+
+    def begin(address: str, _: Any) -> httpx.Cookies:
+        with httpx.Client(base_url=address) as client:
+            client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).raise_for_status()
+            return httpx.Cookies(client.cookies)
+
+    cookies = _serve_again(settings, begin)
+
+    def ask(address: str, _: Any) -> list[int]:
+        with httpx.Client(base_url=address, cookies=cookies) as client:
+            return [client.get("/api/v1/runs").status_code for _ in range(2)]
+
+    _shift(settings, minutes=59)
+    assert _serve_again(settings, ask) == [200, 200]  # and stopping writes that use
+    _shift(settings, minutes=59)
+    assert _serve_again(settings, ask) == [200, 200]
+    _shift(settings, minutes=61)
+    assert _serve_again(settings, ask) == [401, 401]
+
+
+def _shift(settings: Settings, minutes: float) -> None:
+    """Let time pass: every log-in was last used so much earlier."""
+    engine = open_engine(settings.database_url)
+    with writing(engine) as session:
+        for row in session.scalars(sa.select(LoginSession)):
+            used = datetime.fromisoformat(row.last_used_utc) - timedelta(minutes=minutes)
+            row.last_used_utc = utc_text(used)
+    engine.dispose()
+
+
+def test_a_use_on_one_server_keeps_the_log_in_alive_on_another(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    add_people(settings)
+    with serving(settings) as (one, app_one), serving(settings) as (two, _), httpx.Client() as client:
+        client.post(f"{one}/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).raise_for_status()
+        _shift(settings, minutes=59)
+        app_one.state.upkeep._sessions_used_utc.clear()
+        assert client.get(f"{one}/api/v1/runs").status_code == 200
+        app_one.state.upkeep.write_uses()
+        _shift(settings, minutes=2)  # 61 minutes after the log-in, 2 after its use on the first server
+        assert client.get(f"{two}/api/v1/runs").status_code == 200
+
+
+def test_an_open_page_that_only_listens_or_renews_itself_does_not_use_its_log_in(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    add_people(settings)
+    with serving(settings) as (address, app), httpx.Client(base_url=address) as client:
+        client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).raise_for_status()
+        used = app.state.upkeep._sessions_used_utc
+        background = {"X-Boresight-Background": "1"}
+        for _ in range(3):  # the second and third stand ready
+            assert client.get("/api/v1/runs", headers=background).status_code == 200
+            assert client.get("/", headers=background).status_code == 200
+        with client.stream("GET", "/api/v1/events") as stream:
+            assert stream.status_code == 200
+        assert used == {}
+        assert client.get("/api/v1/runs").status_code == 200
+        assert len(used) == 1
+
+
+def test_requests_do_not_write_and_a_round_writes_the_last_use_once(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    add_people(settings)
+    with serving(settings) as (address, app), httpx.Client(base_url=address) as client:
+        client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).raise_for_status()
+        marks = Marks(app.state.engine)
+        before = marks.look()
+        for _ in range(20):
+            client.get("/api/v1/sensors").raise_for_status()
+        assert marks.look() == before
+        app.state.upkeep.write_uses()
+        after = marks.look()
+        assert after != before
+        app.state.upkeep.write_uses()
+        assert marks.look() == after
+        marks.close()
+
+
+def test_what_lapsed_is_written_and_what_ended_long_ago_is_forgotten(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    add_people(settings)
+    engine = open_engine(settings.database_url)
+    upkeep = Upkeep(engine, settings.session_limits)
+    ages_h = {"fresh": 0.0, "idle": 1.2, "expired": 13.0}
+    with writing(engine) as session:
+        for age_h in ages_h.values():
+            row, _ = sessions.begin(session, 1, sessions.Client())
+            row.created_utc = row.last_used_utc = utc_after(-3600 * age_h)
+        row, _ = sessions.begin(session, 1, sessions.Client())
+        row.ended_utc, row.ended_because = utc_after(-sessions.KEPT_FOR_S - 60), "logged_out"
+    upkeep.tidy_sessions()
+    with reading(engine) as session:
+        ended = session.scalars(sa.select(LoginSession.ended_because).order_by(LoginSession.id)).all()
+    assert ended == [None, "idle", "expired"]
+    engine.dispose()
 
 
 def test_ending_sessions_ends_a_copied_cookie(house: House) -> None:
@@ -82,24 +307,35 @@ def test_an_altered_cookie_is_nobody(house: House) -> None:
     assert client.get("/api/v1/runs").status_code == 401
 
 
+def _value(response: Response) -> str:
+    return response.headers["set-cookie"].partition(";")[0].partition("=")[2]
+
+
 def test_a_cookie_ends_with_its_hours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cookie = LogInCookie(settings_in(tmp_path, session_hours="1"))
     response = Response()
-    cookie.open(response, 7, 3)
-    value = response.headers["set-cookie"].split(";")[0].partition("=")[2]
-    assert (cookie.read(value).user_id, cookie.read(value).epoch) == (7, 3)
+    csrf_token = cookie.write(response, "a secret")
+    said = cookie.read(_value(response))
+    assert (said.token, said.csrf_token) == ("a secret", csrf_token)
     later = __import__("time").time() + 3602
     monkeypatch.setattr("itsdangerous.timed.time.time", lambda: later)
-    with pytest.raises(UnauthenticatedError, match="expired; log in again"):
-        cookie.read(value)
+    with pytest.raises(SessionEndedError, match="expired; log in again"):
+        cookie.read(_value(response))
 
 
 def test_a_cookie_of_another_installation_is_nobody(tmp_path: Path) -> None:
     response = Response()
-    LogInCookie(settings_in(tmp_path / "one")).open(response, 1, 0)
-    value = response.headers["set-cookie"].split(";")[0].partition("=")[2]
+    LogInCookie(settings_in(tmp_path / "one")).write(response, "a secret")
     with pytest.raises(UnauthenticatedError):
-        LogInCookie(settings_in(tmp_path / "two")).read(value)
+        LogInCookie(settings_in(tmp_path / "two")).read(_value(response))
+
+
+def test_a_cookie_of_a_version_without_sessions_is_nobody(house: House) -> None:
+    serializer = URLSafeTimedSerializer(read_secret(house.app.state.settings.data_folder), salt=SESSION_COOKIE)
+    stranger = house.anybody()
+    for old in ([1, 0, "csrf"], [1, "csrf"], {"token": "x"}, "x"):
+        stranger.cookies.set(SESSION_COOKIE, serializer.dumps(old))
+        assert stranger.get("/api/v1/runs").status_code == 401
 
 
 def test_the_secret_is_made_once_and_readable_by_its_owner_only(tmp_path: Path) -> None:
@@ -217,31 +453,3 @@ def test_the_last_use_of_a_key_is_shown(house: House) -> None:
     house.app.state.upkeep.write_uses()
     listed = client.get("/api/v1/api-keys").json()["items"]
     assert next(key for key in listed if key["id"] == made["id"])["last_used_utc"] is not None
-
-
-def test_a_log_in_that_is_not_used_ends_and_listening_is_no_use(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cookie = LogInCookie(settings_in(tmp_path, session_idle_hours="1"))
-    response, now_s = Response(), 1e6
-    monkeypatch.setattr("boresight.api.cookies.time.monotonic", lambda: now_s)
-    cookie.open(response, 1, 0)
-    value = response.headers["set-cookie"].partition(";")[0].partition("=")[2]
-    for minutes in (0, 50, 50):
-        now_s += 60 * minutes
-        assert cookie.read(value).user_id == 1
-    now_s += 60 * 40
-    assert cookie.read(value, active=False).user_id == 1
-    now_s += 60 * 40
-    for _ in range(2):
-        with pytest.raises(UnauthenticatedError, match="was not used for long"):
-            cookie.read(value)
-
-
-def test_without_the_setting_only_its_age_ends_a_log_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cookie, response = LogInCookie(settings_in(tmp_path)), Response()
-    cookie.open(response, 1, 0)
-    value = response.headers["set-cookie"].partition(";")[0].partition("=")[2]
-    assert cookie.read(value).user_id == 1
-    monkeypatch.setattr("boresight.api.cookies.time.monotonic", lambda: 1e9)
-    assert cookie.read(value).user_id == 1

@@ -81,7 +81,7 @@ def hook(store: Engine, receiver: Receiver) -> Webhook:
 
 def _root(session: Any) -> Actor:
     row = users.list_users(session)[0]
-    return users.actor_of_session(session, row.id, row.session_epoch)
+    return users.actor_of(session, row.id)
 
 
 def _trial(store: Engine, hook: Webhook) -> int:

@@ -23,7 +23,7 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.server import create_app
-from boresight.services import audit, parameter_sets, users
+from boresight.services import audit, parameter_sets, sessions, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
@@ -184,9 +184,11 @@ class House:
     def visitor(self, name: str) -> Visitor:
         """Let a person of PEOPLE in."""
         carrier = Response()
-        log_in = self.app.state.log_in_cookie.open(carrier, list(PEOPLE).index(name) + 1, 0)
+        with writing(self.engine) as session:
+            _, token = sessions.begin(session, list(PEOPLE).index(name) + 1, sessions.Client())
+        csrf_token = self.app.state.log_in_cookie.write(carrier, token)
         value = re.search(f"{SESSION_COOKIE}=([^;]+)", carrier.headers["set-cookie"])[1]
-        return Visitor(self.app, log_in.csrf_token, httpx.Cookies({SESSION_COOKIE: value}))
+        return Visitor(self.app, csrf_token, httpx.Cookies({SESSION_COOKIE: value}))
 
 
 @dataclass

@@ -7,11 +7,17 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
 from boresight.api.problems import KINDS
-from boresight.errors import OverloadedError, PasswordDueError, TooManyAttemptsError, UnauthenticatedError
+from boresight.errors import (
+    OverloadedError,
+    PasswordDueError,
+    SessionEndedError,
+    TooManyAttemptsError,
+    UnauthenticatedError,
+)
 from boresight.pages.problem import problem_page
 
 SENTENCE = "This is what happened."
-LOG_IN = {PasswordDueError, UnauthenticatedError}  # they lead to a page where something can be done
+LOG_IN = {PasswordDueError, SessionEndedError, UnauthenticatedError}  # they lead to a page where something can be done
 WAITS = {OverloadedError, TooManyAttemptsError}  # they say how long to wait
 ERRORS = [
     *(kind(SENTENCE, 3) if kind in WAITS else kind(SENTENCE) for kind in KINDS if kind not in LOG_IN),

@@ -93,7 +93,7 @@ def people(engine: Engine) -> Mapping[str, Actor]:
     """Everyone, as they act under a log-in."""
     with reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
-        return {name: users.actor_of_session(session, row.id, row.session_epoch) for name, row in rows.items()}
+        return {name: users.actor_of(session, row.id) for name, row in rows.items()}
 
 
 @pytest.fixture

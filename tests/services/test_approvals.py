@@ -249,7 +249,7 @@ def test_a_person_who_lost_the_role_meanwhile_does_not_sign(
     assert cy.user_id is not None
     with writing(engine) as session:
         users.change_roles(session, people["root"], cy.user_id, ["viewer"])
-        now = users.actor_of_session(session, cy.user_id, users.session_epoch(session, cy))
+        now = users.actor_of(session, cy.user_id)
     with pytest.raises(ForbiddenError, match="role approver"):
         _sign(engine, now, approval)
 

@@ -42,12 +42,12 @@ def test_a_reset_is_on_record_as_a_reset(engine: Engine, cy: Actor) -> None:
 
 def test_whoever_comes_with_a_given_password_may_only_set_their_own(engine: Engine, cy: Actor) -> None:
     with reading(engine) as session, pytest.raises(PasswordDueError, match="set your own first"):
-        users.actor_of_session(session, cy.user_id or 0, _epoch(session, cy))
+        users.actor_of(session, cy.user_id or 0)
     with writing(engine) as session:
-        actor = users.actor_of_session(session, cy.user_id or 0, _epoch(session, cy), sets_password=True)
+        actor = users.actor_of(session, cy.user_id or 0, sets_password=True)
         users.change_password(session, actor, cy.user_id or 0, OWN, GIVEN)
     with reading(engine) as session:
-        assert users.actor_of_session(session, cy.user_id or 0, _epoch(session, cy)).name == "cy"
+        assert users.actor_of(session, cy.user_id or 0).name == "cy"
 
 
 def test_a_given_password_signs_nothing_and_ones_own_does(
@@ -95,7 +95,7 @@ def test_a_person_may_be_added_with_a_password_for_the_first_log_in_only(
         actor = users.authenticate(session, "fay", GIVEN)
         assert users.must_change_password(session, actor)
         with pytest.raises(PasswordDueError):
-            users.actor_of_session(session, row.id, row.session_epoch)
+            users.actor_of(session, row.id)
 
 
 AT = "given by Command line at 2026-11-20 12:00:00 UTC"
@@ -159,7 +159,7 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(
 ) -> None:
     row = submitted()
     with writing(engine) as session:  # by who reset it, logged in as Cy
-        puppet = users.actor_of_session(session, cy.user_id or 0, _epoch(session, cy), sets_password=True)
+        puppet = users.actor_of(session, cy.user_id or 0, sets_password=True)
         users.change_password(session, puppet, cy.user_id or 0, OWN, GIVEN)
     with writing(engine) as session:
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]

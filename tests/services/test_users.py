@@ -14,10 +14,11 @@ from boresight.errors import (
     ForbiddenError,
     NotFoundError,
     RefusedInputError,
+    SessionEndedError,
     TooManyAttemptsError,
     UnauthenticatedError,
 )
-from boresight.services import audit, users
+from boresight.services import audit, sessions, users
 from boresight.services.actors import Actor
 from boresight.store.sessions import Engine, Session, reading, utc_after, writing
 from boresight.store.tables import LoginFailure
@@ -178,12 +179,11 @@ def test_nobody_becomes_administrator_and_approver_at_once(session: Session, peo
         users.change_roles(session, people["root"], approver, ["approver", "administrator"])
 
 
-def test_roles_take_effect_in_a_session_that_is_open(session: Session, people: Mapping[str, Actor]) -> None:
+def test_roles_take_effect_at_once_and_are_recorded(session: Session, people: Mapping[str, Actor]) -> None:
     ana = people["ana"]
     assert ana.user_id is not None
     users.change_roles(session, people["root"], ana.user_id, ["viewer", "viewer"])
-    epoch = users.session_epoch(session, ana)
-    assert users.actor_of_session(session, ana.user_id, epoch).roles == {"viewer"}
+    assert users.actor_of(session, ana.user_id).roles == {"viewer"}
     record = audit.last_change(session, f"users/{ana.user_id}")
     assert record is not None
     assert (record.before, record.after) == ({"roles": ["analyst"]}, {"roles": ["viewer"]})
@@ -193,10 +193,9 @@ def test_a_disabled_person_is_out_at_once_and_stays_out(engine: Engine, people: 
     ana = people["ana"]
     assert ana.user_id is not None
     with writing(engine) as session:
-        epoch = users.session_epoch(session, ana)
         users.disable_user(session, people["root"], ana.user_id)
-    with reading(engine) as session, pytest.raises(UnauthenticatedError, match="has ended"):
-        users.actor_of_session(session, ana.user_id, epoch)
+    with reading(engine) as session, pytest.raises(SessionEndedError, match="disabled"):
+        users.actor_of(session, ana.user_id)
     with pytest.raises(UnauthenticatedError, match="do not fit"):
         _log_in(engine, "ana", PASSWORD)
     with writing(engine) as session:
@@ -221,10 +220,10 @@ def test_a_new_password_needs_the_old_one_and_ends_every_log_in(engine: Engine, 
     with pytest.raises(UnauthenticatedError), writing(engine) as session:
         users.change_password(session, ana, ana.user_id, new, "wrong horse battery")
     with writing(engine) as session:
-        epoch = users.session_epoch(session, ana)
+        token = sessions.begin(session, ana.user_id, sessions.Client())[1]
         users.change_password(session, ana, ana.user_id, new, PASSWORD)
-    with reading(engine) as session, pytest.raises(UnauthenticatedError, match="log in again"):
-        users.actor_of_session(session, ana.user_id, epoch)
+    with reading(engine) as session, pytest.raises(SessionEndedError, match="password was changed"):
+        sessions.find(session, token)
     assert _log_in(engine, "ana", new).name == "ana"
 
 

@@ -57,7 +57,7 @@ def people(postgresql: Engine) -> Mapping[str, Actor]:
             for name, roles in PEOPLE.items()
         }
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
-        return {name: users.actor_of_session(session, row.id, row.session_epoch) for name, row in rows.items()}
+        return {name: users.actor_of(session, row.id) for name, row in rows.items()}
 
 
 def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: float) -> ParameterSet:

@@ -68,7 +68,7 @@ class Installation:
         """Return a person as they act under a log-in."""
         with reading(self.engine) as session:
             row = next(row for row in users.list_users(session) if row.name == name)
-            return users.actor_of_session(session, row.id, row.session_epoch)
+            return users.actor_of(session, row.id)
 
     def sensor(self) -> int:
         """Register a sensor with a telemetry set."""

@@ -24,8 +24,10 @@ from typing import Any
 
 from boresight.api.feed import Event, Place, Ring, events_after
 from boresight.api.rounds import Rounds
+from boresight.services.actors import Actor
+from boresight.store import login_sessions
 from boresight.store.marks import Mark, Marks
-from boresight.store.sessions import Engine, reading
+from boresight.store.sessions import Engine, reading, utc_now
 
 QUEUE_LENGTH = 4096  # events; they are shared by all who wait for them
 KEPT = 512  # progress events: about a minute of two runs
@@ -61,8 +63,10 @@ class Telling:
 class Listener:
     """What waits for one listener; filled and emptied on the event loop. None ends the stream."""
 
-    def __init__(self) -> None:
+    def __init__(self, actor: Actor) -> None:
+        self.actor = actor
         self.dropped = False
+        self.doubted = False  # whether the credential under which it listens may have ended
         self._waiting: list[Telling | None] = []
         self._events = 0
         self._something = asyncio.Event()
@@ -76,6 +80,11 @@ class Listener:
             self.dropped = True
             telling = None  # the end of the stream takes the place of what does not fit
         self._waiting.append(telling)
+        self._something.set()
+
+    def doubt(self) -> None:
+        """Have the stream ask whether its credential still holds."""
+        self.doubted = True
         self._something.set()
 
     async def next(self, timeout_s: float) -> Sequence[Telling | None]:
@@ -105,6 +114,8 @@ class Broadcast:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._marks = Marks(database)
         self._mark: Mark | None = None
+        self._ended_utc = utc_now()  # the newest end of a log-in that was noticed
+        self._revoked: tuple[str | None, str | None] = (None, None)  # when a key was last revoked, a person disabled
         self._rounds = Rounds("event feed", [self._follow], lambda: LOOK_EVERY_S)
         self._is_closed = False
 
@@ -113,6 +124,8 @@ class Broadcast:
         self._is_closed = False
         with reading(self._database) as session:
             self.place = self._found = Place.now(session, self._ring.newest)
+            self._revoked = login_sessions.newest_revocation(session)
+        self._ended_utc = utc_now()
         self._rounds.start()
 
     def close(self) -> None:
@@ -151,10 +164,10 @@ class Broadcast:
             return self._ring.after(number)
 
     @contextmanager
-    def listening(self) -> Iterator[Listener]:
-        """Hear everything after `place` from now on; to be called on the event loop."""
+    def listening(self, actor: Actor) -> Iterator[Listener]:
+        """Hear everything after `place` from now on, as who acts; to be called on the event loop."""
         self._loop = asyncio.get_running_loop()
-        listener = Listener()
+        listener = Listener(actor)
         self._listeners.add(listener)
         if self._is_closed:
             listener.put(None)
@@ -167,6 +180,8 @@ class Broadcast:
         """Tell the rows that are new, page by page until there is none, where anything was committed."""
         mark = self._marks.look()
         found = mark is None or mark != self._mark
+        if found:
+            self._find_endings()
         while found and not self._is_closed:
             with reading(self._database) as session:
                 events = events_after(session, self._found)
@@ -174,6 +189,23 @@ class Broadcast:
             with self._lock:
                 self._find(events)
         self._mark = mark
+
+    def _find_endings(self) -> None:
+        """Have the streams ask again whose log-in has ended, and all of them after a key was revoked or a person disabled."""
+        with reading(self._database) as session:
+            ended = login_sessions.ended_since(session, self._ended_utc)
+            revoked = login_sessions.newest_revocation(session)
+        if ended:
+            self._ended_utc = max(ended.values())
+        if ended or revoked != self._revoked:
+            self._on_the_loop(self._doubt, set(ended), revoked != self._revoked)
+        self._revoked = revoked
+
+    def _doubt(self, ended: set[int], keys: bool) -> None:
+        """Have the streams of ended log-ins ask whether they may go on, and where keys may have ended those of keys."""
+        for listener in self._listeners:
+            if listener.actor.session_id in ended or (keys and listener.actor.is_key):
+                listener.doubt()
 
     def _find(self, events: Sequence[Event]) -> None:
         """Give events, under the lock and so in one order, the places after them, and hand them to the event loop."""

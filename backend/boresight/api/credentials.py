@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -13,9 +12,9 @@ from starlette.requests import Request
 from starlette.types import Scope
 
 from boresight.api.cookies import LogInCookie
-from boresight.api.ready import Proof
-from boresight.errors import BoresightError, PasswordDueError, UnauthenticatedError
-from boresight.services import api_keys, users
+from boresight.api.ready import Proof, is_active
+from boresight.errors import BoresightError, PasswordDueError, SessionEndedError, UnauthenticatedError
+from boresight.services import api_keys, sessions, users
 from boresight.services.actors import Actor
 from boresight.store.sessions import reading
 
@@ -55,21 +54,25 @@ def _identify(request: Request, *, active: bool = True) -> Actor:
     if secret is not None:
         with reading(request.app.state.engine) as session:
             actor = api_keys.actor_of_key(session, secret)
-        use: Callable[[], bool] = partial(request.app.state.upkeep.used, actor.credential)
-        use()
+        use = partial(request.app.state.upkeep.used, actor.credential)
+        use(active=True)
         request.state.proof = Proof(_seconds(actor.until_utc), use)
         return actor
     cookie: LogInCookie = request.app.state.log_in_cookie
     if cookie.name not in request.cookies:
         raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
-    log_in = cookie.read(request.cookies[cookie.name], active=active)
-    request.state.csrf_token = log_in.csrf_token
-    due = f"/api/v1/users/{log_in.user_id}:change-password"
+    content = cookie.read(request.cookies[cookie.name])
+    request.state.csrf_token = content.csrf_token
     with reading(request.app.state.engine) as session:
+        log_in = sessions.find(session, content.token)
+        due = f"/api/v1/users/{log_in.user_id}:change-password"
         sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
-        actor = users.actor_of_session(session, log_in.user_id, log_in.epoch, sets_password=sets_password)
+        actor = users.actor_of(session, log_in.user_id, log_in.id, sets_password=sets_password)
+    used = partial(request.app.state.upkeep.session_used, log_in.id, log_in.last_used_utc)
+    if not used(active=active and is_active(request.scope)):
+        raise SessionEndedError("idle")
     if not sets_password:  # what goes until one has set one's own password proves nothing for other addresses
-        request.state.proof = Proof(log_in.ends_s, partial(cookie.use, log_in))
+        request.state.proof = Proof(content.ends_s, used)
     return actor
 
 

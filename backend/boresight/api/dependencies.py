@@ -18,7 +18,6 @@ from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.api.cookies import LogIn
 from boresight.api.credentials import bearer, current_actor
 from boresight.api.numbers import row_number
 from boresight.api.origins import SAFE_METHODS
@@ -29,9 +28,10 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import users
-from boresight.services.actors import Actor, Policy
+from boresight.services import sessions, users
+from boresight.services.actors import Actor, Policy, require_person
 from boresight.services.forecasts import Sight
+from boresight.services.sessions import Client
 from boresight.store.sessions import Session, only_try, reading, writing
 
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
@@ -215,8 +215,8 @@ async def sight_of(request: Request) -> Sight:
 
 def log_in_person(
     request: Request, response: Response, session: Session, name: str, password: str
-) -> tuple[Actor, LogIn]:
-    """Check a name and a password and give the browser its log-in.
+) -> tuple[Actor, str]:
+    """Check a name and a password and give the browser its log-in; returns the person and the CSRF token.
 
     Raises
     ------
@@ -229,13 +229,19 @@ def log_in_person(
     actor = users.authenticate(
         session, name, password, attempts_per_minute=attempts, request_id=request.state.request_id
     )
-    epoch = users.session_epoch(session, actor)
-    return actor, request.app.state.log_in_cookie.open(response, actor.user_id, epoch)
+    _, token = sessions.begin(session, require_person(actor, "log in"), client_of(request))
+    return actor, request.app.state.log_in_cookie.write(response, token)
 
 
-def log_out_person(request: Request, response: Response) -> None:
-    """Take the log-in away from the browser."""
-    request.app.state.log_in_cookie.close(response)
+def client_of(request: Request) -> Client:
+    """Return where a request comes from; behind a proxy that uvicorn trusts, whom the proxy names."""
+    address = None if request.client is None else request.client.host
+    return Client.of(address, request.headers.get("user-agent"))
+
+
+def clear_cookie(request: Request, response: Response) -> None:
+    """Take the cookie of a log-in that has ended away from the browser."""
+    request.app.state.log_in_cookie.clear(response)
 
 
 Who = Annotated[Actor, Depends(current_actor)]

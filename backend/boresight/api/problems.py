@@ -46,6 +46,7 @@ KINDS: Mapping[type[Exception], Kind] = {
     errors.ForbiddenError: Kind(403, "Forbidden"),
     errors.PasswordDueError: Kind(403, "Password to be set"),
     errors.UnauthenticatedError: Kind(401, "Unauthenticated"),
+    errors.SessionEndedError: Kind(401, "Session ended"),
     errors.TooManyAttemptsError: Kind(429, "Too many attempts"),
     errors.TooLargeError: Kind(413, "Too large"),
     errors.OverloadedError: Kind(503, "Overloaded"),

@@ -23,7 +23,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Hashable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -36,18 +36,36 @@ KEPT_BYTES = 64 << 20
 LARGEST_SHARE = 16
 MOST_PROOFS = 10_000
 ASKED = "asked"
+LISTENING = "/api/v1/events"
+BACKGROUND = (b"x-boresight-background", b"1")  # a page that renews itself says so
 
 Address = tuple[str, bytes, bool]
 Asker = tuple[bytes, bytes]
 
 
+class Use(Protocol):
+    """Tells whether credentials were not idle for too long, and notes their use."""
+
+    def __call__(self, *, active: bool) -> bool:
+        """Whether they hold; `active` where somebody did something."""
+
+
+def is_active(scope: Scope) -> bool:
+    """Whether somebody did something; not so where an open page listens, or renews what it shows by itself."""
+    return not scope["path"].startswith(LISTENING) and BACKGROUND not in scope["headers"]
+
+
 @dataclass(frozen=True)
 class Asked:
-    """What decides a request's answer: its address, whether it takes gzip, and the credentials it carries."""
+    """What decides a request's answer: its address, whether it takes gzip, and the credentials it carries.
+
+    `active` says whether it counts as a use of a log-in.
+    """
 
     address: Address
     asker: Asker
     known_tags: bytes
+    active: bool = True
     mark: Mark | None = None
     beside: Hashable = None
 
@@ -69,7 +87,7 @@ class Asked:
         asker = (credentials[b"authorization"], credentials[b"cookie"])
         if not any(asker):
             return None
-        return cls((scope["path"], scope["query_string"], takes_gzip(accepted)), asker, found)
+        return cls((scope["path"], scope["query_string"], takes_gzip(accepted)), asker, found, is_active(scope))
 
 
 @dataclass(frozen=True)
@@ -77,11 +95,11 @@ class Proof:
     """That credentials hold: until when by the clock, and what is to be done whenever they are used."""
 
     until_s: float
-    use: Callable[[], bool]
+    use: Use
 
-    def holds(self) -> bool:
-        """Whether they hold still; counts as a use."""
-        return time.time() < self.until_s and self.use()
+    def holds(self, *, active: bool = True) -> bool:
+        """Whether they hold still; counts as a use where somebody did something."""
+        return time.time() < self.until_s and self.use(active=active)
 
 
 @dataclass(frozen=True)
@@ -185,7 +203,7 @@ class Ready:
         """Whether the credentials hold now."""
         proven = self._proofs.get(asked.asker)
         if proven is not None and proven[0] == mark:
-            return proven[1].holds()
+            return proven[1].holds(active=asked.active)
         proof = await self._prove(scope)
         if proof is not None:
             self.remember(asked.asker, mark, proof)

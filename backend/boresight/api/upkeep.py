@@ -1,4 +1,4 @@
-"""What a server does beside its requests: it holds the store against its audit log, watches the fleet, writes when keys were used.
+"""What a server does beside its requests: it holds the store against its audit log, watches the fleet, tends keys and log-ins.
 
 A page shows the light of the chain and must not wait for it, for a long chain takes seconds to walk. So a thread walks
 it over and over, and a page reads what the last walk found. Between two walks it rests a minute, and at least `REST`
@@ -7,7 +7,8 @@ times as long as the walk took, so that a chain of any length costs a fixed smal
 After each look the alarms are brought in line with what is so now (`services.watch`); a round that finds nothing new writes
 nothing.
 
-A key is used more often than is worth writing: the newest time of each is kept in memory and written once a round.
+Keys and log-ins are used more often than is worth writing: the newest time of each is kept in memory and written once a round.
+A log-in that was not used for too long is refused at once, and its end is written in a round.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import time
 from dataclasses import dataclass
 
 from boresight.api.rounds import Rounds
-from boresight.services import api_keys, audit, watch
+from boresight.services import api_keys, audit, sessions, watch
 from boresight.services.conditions import chain_condition
+from boresight.services.sessions import SessionLimits
 from boresight.store.sessions import Engine, reading, utc_now, writing
 
 log = logging.getLogger(__name__)
@@ -64,39 +66,79 @@ class Upkeep:
     ----------
     database
         The store.
+    limits
+        How long log-ins last.
     """
 
-    def __init__(self, database: Engine) -> None:
+    def __init__(self, database: Engine, limits: SessionLimits) -> None:
         self._database = database
+        self._limits = limits
         self._used_utc: dict[str, str] = {}
+        self._sessions_used_utc: dict[int, str] = {}
+        self._unwritten: set[int] = set()
         self._guard = threading.Lock()
         self._found = NOT_YET
         self._looked_s = 0.0
         self._pause_s = ROUND_S
-        self._rounds = Rounds("upkeep", [self.write_uses, self._verify_when_due, self.watch], lambda: ROUND_S)
+        self._rounds = Rounds(
+            "upkeep", [self.write_uses, self.tidy_sessions, self._verify_when_due, self.watch], lambda: ROUND_S
+        )
 
     def start(self) -> None:
         """Begin; the first walk is at once."""
         self._rounds.start()
 
     def close(self) -> None:
-        """Stop, and write the last uses of keys; safe to call twice."""
+        """Stop, and write the last uses; safe to call twice."""
         self._rounds.close(PATIENCE_S)
         self._rounds.take(self.write_uses)
 
-    def used(self, credential: str) -> bool:
+    def used(self, credential: str, *, active: bool = True) -> bool:  # noqa: ARG002 - a key is used by what only listens too
         """Remember that a key was used now, which is always allowed."""
         with self._guard:
             self._used_utc[credential.removeprefix("key:")] = utc_now()
+        return True
+
+    def session_used(self, session_id: int, last_used_utc: str, *, active: bool) -> bool:
+        """Whether a log-in was not idle for too long; if not, and somebody did something, that is its last use.
+
+        Parameters
+        ----------
+        last_used_utc
+            As its row says; this server, or by way of the row another, may know of a later use.
+        active
+            Whether somebody did something; False where an open page only goes on listening.
+        """
+        with self._guard:
+            last_used_utc = max(last_used_utc, self._sessions_used_utc.get(session_id, ""))
+            if self._limits.is_idle(last_used_utc):
+                return False
+            if active:
+                self._sessions_used_utc[session_id] = utc_now()
+                self._unwritten.add(session_id)
         return True
 
     def write_uses(self) -> None:
         """Write the uses since the last round."""
         with self._guard:
             used_utc, self._used_utc = self._used_utc, {}
-        if used_utc:
+            sessions_used_utc = {one: self._sessions_used_utc[one] for one in self._unwritten}
+            self._unwritten = set()
+        if used_utc or sessions_used_utc:
             with writing(self._database) as session:
                 api_keys.record_uses(session, used_utc)
+                sessions.write_uses(session, sessions_used_utc)
+        with self._guard:  # what was written stands in the rows
+            for one in sessions_used_utc.keys() - self._unwritten:
+                self._sessions_used_utc.pop(one, None)
+
+    def tidy_sessions(self) -> None:
+        """Write the end of log-ins that lapsed, and forget those that ended long ago."""
+        with reading(self._database) as session:
+            needed = sessions.need_tidying(session, self._limits, LATE * ROUND_S)
+        if needed:
+            with writing(self._database) as session:
+                sessions.tidy(session, self._limits, LATE * ROUND_S)
 
     def verify(self) -> None:
         """Walk the chain and every row that it seals."""

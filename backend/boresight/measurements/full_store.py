@@ -17,8 +17,9 @@ import sqlalchemy as sa
 from starlette.responses import Response
 
 from boresight.api.cookies import LogInCookie
-from boresight.services import api_keys, audit, sensors, telemetry_sets, users
+from boresight.services import api_keys, audit, sensors, sessions, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
+from boresight.services.sessions import Client
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
@@ -78,7 +79,7 @@ def fill(folder: Path, runs: int, clients: int) -> Filled:
         people = _people(engine)
         sensor_id, set_id = _sensor(engine, settings, people[0])
         _add_runs(engine, runs, sensor_id, set_id)
-        return Filled(sensor_id, set_id, _log_ins(settings, people, clients), _keys(engine, people, clients))
+        return Filled(sensor_id, set_id, _log_ins(engine, settings, people, clients), _keys(engine, people, clients))
     finally:
         engine.dispose()
 
@@ -178,14 +179,16 @@ def _run(number: int, runs: int, sensor_id: int, set_id: int, document: dict[str
     )
 
 
-def _log_ins(settings: Settings, people: list[Actor], clients: int) -> list[Mapping[str, str]]:
-    """Write the cookie of a log-in of its own for each client."""
+def _log_ins(engine: Engine, settings: Settings, people: list[Actor], clients: int) -> list[Mapping[str, str]]:
+    """Make a log-in of its own for each client."""
     cookie = LogInCookie(settings)
     made: list[Mapping[str, str]] = []
-    for number in range(clients):
-        response = Response()
-        cookie.open(response, people[number % len(people)].user_id or 0, 0)
-        made.append({"Cookie": response.headers["set-cookie"].partition(";")[0]})
+    with writing(engine) as session:
+        for number in range(clients):
+            response = Response()
+            _, token = sessions.begin(session, people[number % len(people)].user_id or 0, Client("127.0.0.1"))
+            cookie.write(response, token)
+            made.append({"Cookie": response.headers["set-cookie"].partition(";")[0]})
     return made
 
 

@@ -6,13 +6,15 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.credentials import current_actor
-from boresight.api.dependencies import csrf, log_in_person, log_out_person
-from boresight.errors import UnauthenticatedError
+from boresight.api.dependencies import clear_cookie, csrf, log_in_person
+from boresight.errors import SessionEndedError, UnauthenticatedError
 from boresight.pages.attempts import attempt
 from boresight.pages.rendering import redirect, render
+from boresight.services import sessions
 from boresight.store.sessions import Session
 
 router = APIRouter()
@@ -25,12 +27,13 @@ def local_path(address: str) -> str:
 
 
 @router.get("/login", response_class=HTMLResponse)
-def login_page(request: Request, next: str = "/") -> Response:  # noqa: A002 - the name in the address
-    """Show the form; who is logged in already goes on."""
+def login_page(request: Request, next: str = "/", ended: str = "") -> Response:  # noqa: A002 - the name in the address
+    """Show the form, and why the log-in of before has ended; who is logged in already goes on."""
     try:
         current_actor(request)
     except UnauthenticatedError:
-        return render(request, "login.html", next=local_path(next), name="", refusal=None)
+        said = SessionEndedError.SENTENCES.get(ended)
+        return render(request, "login.html", next=local_path(next), name="", refusal=None, ended=said)
     return redirect(local_path(next))
 
 
@@ -47,7 +50,13 @@ async def log_in(
     if refusal is None:
         return response
     page = render(
-        request, "login.html", status_code=refusal.status, next=local_path(next), name=name, refusal=refusal.sentence
+        request,
+        "login.html",
+        status_code=refusal.status,
+        next=local_path(next),
+        name=name,
+        refusal=refusal.sentence,
+        ended=None,
     )
     page.headers.update(refusal.headers)
     return page
@@ -59,8 +68,13 @@ def _check(request: Request, response: Response, name: str, password: str, sessi
 
 
 @router.post("/logout", dependencies=[Depends(csrf)])
-def log_out(request: Request) -> Response:
-    """End this log-in."""
+async def log_out(request: Request) -> Response:
+    """End this log-in, wherever its cookie was copied to."""
     response = redirect("/login", flash="You are logged out.")
-    log_out_person(request, response)
+    clear_cookie(request, response)
+    try:
+        actor = await run_in_threadpool(current_actor, request)
+    except UnauthenticatedError:
+        return response  # it has ended already
+    await attempt(request, partial(sessions.log_out, actor=actor))
     return response

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.dependencies import Who, csrf, log_out_person
+from boresight.api.dependencies import Who, clear_cookie, csrf
 from boresight.errors import RefusedInputError
 from boresight.pages.attempts import attempt
 from boresight.pages.rendering import redirect, render
@@ -47,7 +47,7 @@ async def change_password(
     if outcome.refusal is not None:
         return await run_in_threadpool(_page, request, outcome.refusal.sentence)
     response = redirect("/login", flash="Your password is changed; log in with the new one.")
-    log_out_person(request, response)
+    clear_cookie(request, response)
     return response
 
 

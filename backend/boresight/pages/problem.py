@@ -13,7 +13,7 @@ from starlette.exceptions import HTTPException
 
 from boresight.api.credentials import current_actor
 from boresight.api.problems import problem_of
-from boresight.errors import PasswordDueError, UnauthenticatedError
+from boresight.errors import PasswordDueError, SessionEndedError, UnauthenticatedError
 from boresight.pages.rendering import TEMPLATES, redirect, render
 from boresight.services import users
 from boresight.store.sessions import reading
@@ -56,7 +56,8 @@ def problem_page(request: Request, error: Exception) -> Response:
     if isinstance(error, PasswordDueError):
         return redirect("/password")
     if isinstance(error, UnauthenticatedError):
-        return redirect(f"/login?next={quote(_way_back(request), safe='')}")
+        ended = f"&ended={error.because}" if isinstance(error, SessionEndedError) else ""
+        return redirect(f"/login?next={quote(_way_back(request), safe='')}{ended}")
     with suppress(Exception):  # an address that does not exist asked nobody who acts; a broken store cannot say
         current_actor(request)
     problem = problem_of(error)

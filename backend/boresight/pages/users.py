@@ -1,4 +1,4 @@
-"""People and API keys: administrators manage people; everyone manages their own keys and password."""
+"""People, API keys and log-ins: administrators manage people; everyone manages their own keys, log-ins and password."""
 
 from __future__ import annotations
 
@@ -16,13 +16,24 @@ from boresight.api.numbers import row_number
 from boresight.errors import RefusedInputError
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
-from boresight.services import api_keys, users
-from boresight.services.actors import SCOPES, Actor
+from boresight.services import api_keys, sessions, users
+from boresight.services.actors import SCOPES, Actor, require_person
 from boresight.services.passwords import MINIMUM_PASSWORD_LENGTH
 from boresight.store.sessions import Session, reading, utc_now
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
+SESSIONS_SHOWN = 200
+WHY_ENDED = {
+    "logged_out": "logged out",
+    "ended": "ended by the person",
+    "ended_by_administrator": "ended by an administrator",
+    "password_changed": "the password was changed",
+    "roles_changed": "the roles were changed",
+    "disabled": "the person was disabled",
+    "idle": "not used for too long",
+    "expired": "reached its greatest age",
+}
 WHAT_A_ROLE_MAY = {
     "viewer": "look at everything",
     "analyst": "upload telemetry, launch runs, submit parameter sets",
@@ -162,6 +173,62 @@ def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
     """End every log-in of a person and return the name."""
     users.end_sessions(session, actor, user_id)
     return users.get_user(session, user_id).printed_name
+
+
+@router.get("/sessions", response_class=HTMLResponse)
+def sessions_page(request: Request, session: Reading, actor: Who, user: int | None = None) -> HTMLResponse:
+    """Show one's log-ins, or as an administrator another person's."""
+    return _sessions_page(request, actor, session, user, None)
+
+
+def _sessions_page(
+    request: Request, actor: Actor, session: Session, user_id: int | None, refusal: Refusal | None
+) -> HTMLResponse:
+    """Render the log-ins of a person, those that are open first."""
+    limits = request.app.state.settings.session_limits
+    opened = sessions.list_sessions(session, actor, user_id, is_open=True, limit=SESSIONS_SHOWN)
+    ended = sessions.list_sessions(session, actor, user_id, is_open=False, limit=SESSIONS_SHOWN)
+    person = users.get_user(session, user_id or require_person(actor, "see log-ins"))
+    return render(
+        request,
+        "sessions.html",
+        status_code=refusal.status if refusal else 200,
+        person=person,
+        own=person.id == actor.user_id,
+        opened=[(row, limits.ends_utc(row)) for row in opened if not limits.is_idle(row.last_used_utc)],
+        ended=ended,
+        current=actor.session_id,
+        idle_minutes=limits.idle_s / 60,
+        why=WHY_ENDED,
+        kept_days=round(sessions.KEPT_FOR_S / 86400),
+        refusal=refusal,
+    )
+
+
+@router.post("/sessions/{session_id:int}/end", response_class=HTMLResponse)
+async def end_session(request: Request, actor: Who, session_id: int) -> Response:
+    """End one log-in."""
+    outcome = await attempt(request, partial(sessions.end_session, actor=actor, session_id=session_id))
+    if outcome.value is None:
+        return await run_in_threadpool(_sessions_again, request, actor, outcome.refusal)
+    own = outcome.value.user_id == actor.user_id
+    return redirect("/sessions" if own else f"/sessions?user={outcome.value.user_id}", flash="The log-in is ended.")
+
+
+@router.post("/sessions/end-others", response_class=HTMLResponse)
+async def end_other_sessions(request: Request, actor: Who) -> Response:
+    """End every log-in of one's own but this one."""
+    outcome = await attempt(request, partial(sessions.end_other_sessions, actor=actor))
+    if outcome.value is None:
+        return await run_in_threadpool(_sessions_again, request, actor, outcome.refusal)
+    count = outcome.value
+    return redirect("/sessions", flash=f"{count} other log-in{'s are' if count != 1 else ' is'} ended.")
+
+
+def _sessions_again(request: Request, actor: Actor, refusal: Refusal | None) -> HTMLResponse:
+    """Render one's log-ins after a refusal."""
+    with reading(request.app.state.engine) as session:
+        return _sessions_page(request, actor, session, None, refusal)
 
 
 @router.post("/users/keys", response_class=HTMLResponse)

@@ -65,6 +65,8 @@ class Actor:
         Of the HTTP request or job, for the audit log.
     until_utc
         When the credential ends by the clock; None where it does not, or where the door that let the actor in knows.
+    session_id
+        Row of the log-in under which a person acts.
     """
 
     user_id: int | None
@@ -75,6 +77,7 @@ class Actor:
     scopes: frozenset[str] | None = None
     request_id: str | None = None
     until_utc: str | None = None
+    session_id: int | None = None
 
     @property
     def is_key(self) -> bool:

@@ -9,8 +9,15 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from boresight.errors import ConflictError, NotFoundError, PasswordDueError, RefusedInputError, UnauthenticatedError
-from boresight.services import audit
+from boresight.errors import (
+    ConflictError,
+    NotFoundError,
+    PasswordDueError,
+    RefusedInputError,
+    SessionEndedError,
+    UnauthenticatedError,
+)
+from boresight.services import audit, sessions
 from boresight.services.actors import Actor, refuse_key, require_person, require_role
 from boresight.services.passwords import (
     CHANGED,
@@ -96,20 +103,14 @@ def authenticate(
     return _actor(user, request_id)
 
 
-def _actor(user: User, request_id: str | None) -> Actor:
+def _actor(user: User, request_id: str | None = None, session_id: int | None = None) -> Actor:
     """Let a person act under a log-in."""
-    return Actor(user.id, user.name, user.printed_name, frozenset(user.roles), "session", None, request_id)
+    roles = frozenset(user.roles)
+    return Actor(user.id, user.name, user.printed_name, roles, "session", None, request_id, session_id=session_id)
 
 
-def session_epoch(session: Session, actor: Actor) -> int:
-    """Return the number that a log-in cookie must carry; it changes when all log-ins of a person end."""
-    return get_user(session, require_person(actor, "log in")).session_epoch
-
-
-def actor_of_session(
-    session: Session, user_id: int, epoch: int, request_id: str | None = None, *, sets_password: bool = False
-) -> Actor:
-    """Return the person of a log-in cookie, with the roles held now.
+def actor_of(session: Session, user_id: int, session_id: int | None = None, *, sets_password: bool = False) -> Actor:
+    """Return a person as they act under a log-in, with the roles held now.
 
     Parameters
     ----------
@@ -119,16 +120,16 @@ def actor_of_session(
     Raises
     ------
     UnauthenticatedError
-        When the person is gone or disabled, or the log-ins of before were ended.
+        When the person is gone or disabled.
     PasswordDueError
         When the person must set a password of their own first.
     """
     user = session.get(User, user_id)
-    if user is None or user.disabled_utc is not None or user.session_epoch != epoch:
-        raise UnauthenticatedError("This log-in has ended; log in again.")
+    if user is None or user.disabled_utc is not None:
+        raise SessionEndedError("disabled")
     if not sets_password:
         _refuse_password_of_another(user)
-    return _actor(user, request_id)
+    return _actor(user, session_id=session_id)
 
 
 def _refuse_password_of_another(user: User) -> None:
@@ -182,7 +183,7 @@ def change_password(session: Session, actor: Actor, user_id: int, password: str,
         _require_administrator(actor)
     before = {"must_change_password": bool(user.must_change_password)}
     user.password_hash = hash_password(user.name, password)
-    user.session_epoch += 1
+    _end_sessions(session, user, "password_changed")
     user.must_change_password = int(not own)
     audit.append(session, actor, CHANGED if own else RESET, _subject(user), before, {"must_change_password": not own})
     return user
@@ -198,14 +199,21 @@ def end_sessions(session: Session, actor: Actor, user_id: int) -> None:
     """End every log-in of a person, one's own or as an administrator another's."""
     refuse_key(actor, "end log-ins")
     user = get_user(session, user_id)
-    if actor.user_id != user_id:
+    own = actor.user_id == user_id
+    if not own:
         _require_administrator(actor)
-    user.session_epoch += 1
+    _end_sessions(session, user, "ended" if own else "ended_by_administrator")
     audit.append(session, actor, "ended the log-ins of", _subject(user))
 
 
+def _end_sessions(session: Session, user: User, because: str) -> None:
+    """End every log-in of a person; the number of times is part of the row that the audit log seals."""
+    user.session_epoch += 1
+    sessions.end_all(session, user.id, because)
+
+
 def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection[str]) -> User:
-    """Give a person these roles instead of the ones held.
+    """Give a person these roles instead of the ones held. Every log-in then ends.
 
     Raises
     ------
@@ -218,6 +226,7 @@ def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection
     if "administrator" not in after:
         _keep_an_administrator(session, user)
     user.roles = after
+    _end_sessions(session, user, "roles_changed")
     audit.append(session, actor, "changed the roles of", _subject(user), {"roles": before}, {"roles": after})
     return user
 
@@ -235,7 +244,7 @@ def disable_user(session: Session, actor: Actor, user_id: int) -> User:
     if user.disabled_utc is None:
         _keep_an_administrator(session, user)
         user.disabled_utc = utc_now()
-        user.session_epoch += 1
+        _end_sessions(session, user, "disabled")
         audit.append(session, actor, "disabled", _subject(user), {"disabled": False}, {"disabled": True})
     return user
 

@@ -17,12 +17,13 @@ from boresight.api.broadcast import Broadcast, Listener, Telling
 from boresight.api.credentials import still_known
 from boresight.api.dependencies import Who
 from boresight.api.feed import Event, Place, events_after
+from boresight.services.actors import Actor
 from boresight.store.sessions import Engine, reading
 
 router = APIRouter(prefix="/events", tags=["events"])
 
 PING_S = 15.0
-ASK_AGAIN_S = 30.0  # who is disabled or logged out everywhere stops hearing within this time
+ASK_AGAIN_S = 30.0  # what ends by the clock alone, or is noticed by no commit, ends a stream within this time
 RETRY_MS = 2000
 HEADERS = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
 PING = b": ping\n\n"
@@ -56,7 +57,7 @@ class _Wish:
 
 @router.get("", name="stream_events", summary="Follow what happens", response_class=EventStream)
 async def stream_events(
-    actor: Who,  # noqa: ARG001 - whoever is known may listen
+    actor: Who,
     request: Request,
     run: Annotated[int | None, Query(description="Only what concerns this run.")] = None,
     history: Annotated[
@@ -70,15 +71,15 @@ async def stream_events(
 
     Every event carries an id and is told again after a break. Progress is kept for a short time only: after `missed` some of
     it was lost, so read the run again. A listener that falls too far behind gets `dropped` and the stream ends; come back
-    with `Last-Event-ID` and nothing is missed.
+    with `Last-Event-ID` and nothing is missed. When the log-in or the key ends, the stream says `logged-out` and ends.
     """
-    return EventStream(_stream(request, _Wish(run, history), last_event_id), headers=HEADERS)
+    return EventStream(_stream(request, actor, _Wish(run, history), last_event_id), headers=HEADERS)
 
 
-async def _stream(request: Request, wish: _Wish, last_event_id: str | None) -> AsyncIterator[bytes]:
+async def _stream(request: Request, actor: Actor, wish: _Wish, last_event_id: str | None) -> AsyncIterator[bytes]:
     """Write a stream: where it begins, what was missed, then what happens."""
     broadcast: Broadcast = request.app.state.broadcast
-    with broadcast.listening() as listener:
+    with broadcast.listening(actor) as listener:
         brought, newest, told = Place.parse(last_event_id or ""), broadcast.progress, broadcast.place
         place = brought or told
         yield f": connected\nid: {place}\nretry: {RETRY_MS}\n\n".encode()
@@ -167,8 +168,10 @@ async def _live(request: Request, listener: Listener, live: _Live) -> AsyncItera
         if piece:
             yield piece
             said_s = time.monotonic()
-        if time.monotonic() - asked_s > ASK_AGAIN_S:
+        if listener.doubted or time.monotonic() - asked_s > ASK_AGAIN_S:
+            listener.doubted = False
             if not await run_in_threadpool(still_known, request):
+                yield _said("logged-out", live.place)
                 return
             asked_s = time.monotonic()
 

@@ -15,7 +15,7 @@ from boresight.api.schemas.frames import FrameLine, RunFrame
 from boresight.api.schemas.gates import DryRunOfProfile, GateProfile, GateReport, TriedProfile, Waiver
 from boresight.api.schemas.packages import Package, TableDefinition
 from boresight.api.schemas.parameter_sets import ParameterSet
-from boresight.api.schemas.people import ApiKey, NewApiKey, Session, User
+from boresight.api.schemas.people import ApiKey, EndedSessions, LoginSession, NewApiKey, Session, User
 from boresight.api.schemas.row import Document, Row, written
 from boresight.api.schemas.runs import DryRun, Forecast, LogLine, Run, RunProgress, RunState
 from boresight.api.schemas.uplinks import AsOf, Event, OnBoard, Promotion, Uplink, Version
@@ -35,12 +35,14 @@ __all__ = [
     "DryRun",
     "DryRunOfCampaign",
     "DryRunOfProfile",
+    "EndedSessions",
     "Event",
     "Forecast",
     "FrameLine",
     "GateProfile",
     "GateReport",
     "LogLine",
+    "LoginSession",
     "NewApiKey",
     "NewWebhook",
     "Note",

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, Field
 
 from boresight.api.schemas.row import Row
+from boresight.store.tables import SESSION_ENDINGS
 
 
 class User(Row):
@@ -37,6 +40,27 @@ class NewApiKey(ApiKey):
     """A key just made."""
 
     secret: str | None = Field(description="Shown this once; null when the answer is replayed.")
+
+
+class LoginSession(Row):
+    """A log-in of a person."""
+
+    id: int
+    user_id: int
+    created_utc: str
+    last_used_utc: str = Field(description="To the minute.")
+    ended_utc: str | None
+    ended_because: Literal[SESSION_ENDINGS] | None  # type: ignore[valid-type]  # the words of the table
+    address: str = Field(description="Where it was made.")
+    user_agent: str = Field(description="What the program said of itself, cut to 200 characters.")
+    ends_utc: str = Field(description="When it ends at the latest.")
+    current: bool = Field(description="Whether it is the one that asks.")
+
+
+class EndedSessions(BaseModel):
+    """How many log-ins were ended."""
+
+    ended: int
 
 
 class Session(BaseModel):

@@ -17,7 +17,7 @@ from boresight.store.tables.declared import Base
 from boresight.store.tables.fleet import Blob, Sensor, TelemetrySet
 from boresight.store.tables.gates import GateProfile, GateReport, Waiver
 from boresight.store.tables.parameter_sets import GROUND_STATES, ONBOARD_STATES, ParameterSet, Promotion
-from boresight.store.tables.people import ROLES, ApiKey, LoginFailure, User
+from boresight.store.tables.people import ROLES, SESSION_ENDINGS, ApiKey, LoginFailure, LoginSession, User
 from boresight.store.tables.records import AuditRecord, IdempotentResponse
 from boresight.store.tables.runs import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
 from boresight.store.tables.uplinks import Package, TableDefinition, Uplink
@@ -35,6 +35,7 @@ __all__ = [
     "ONBOARD_STATES",
     "ROLES",
     "RUN_STATES",
+    "SESSION_ENDINGS",
     "TERMINAL_RUN_STATES",
     "Alarm",
     "AlarmEvent",
@@ -49,6 +50,7 @@ __all__ = [
     "GateReport",
     "IdempotentResponse",
     "LoginFailure",
+    "LoginSession",
     "Note",
     "Opening",
     "Package",

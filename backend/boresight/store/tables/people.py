@@ -1,4 +1,4 @@
-"""People, their keys and their failed log-ins."""
+"""People, their keys, their log-ins and the failed ones."""
 
 from __future__ import annotations
 
@@ -6,9 +6,19 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.store.documents import JsonText
-from boresight.store.tables.declared import STRICT, Base
+from boresight.store.tables.declared import STRICT, Base, one_of
 
 ROLES = ("viewer", "analyst", "operator", "approver", "administrator")
+SESSION_ENDINGS = (
+    "logged_out",
+    "ended",
+    "ended_by_administrator",
+    "password_changed",
+    "roles_changed",
+    "disabled",
+    "idle",
+    "expired",
+)
 
 
 class User(Base):
@@ -42,6 +52,27 @@ class ApiKey(Base):
     expires_utc: Mapped[str | None] = mapped_column(sa.Text)
     revoked_utc: Mapped[str | None] = mapped_column(sa.Text)
     last_used_utc: Mapped[str | None] = mapped_column(sa.Text)
+
+
+class LoginSession(Base):
+    """A log-in of a person: the hash of the secret in its cookie, where it was made, and why it ended."""
+
+    __tablename__ = "login_sessions"
+    __table_args__ = (
+        one_of("ended_because", SESSION_ENDINGS),
+        sa.Index("ix_login_sessions_user_id_ended_utc", "user_id", "ended_utc"),
+        sa.Index("ix_login_sessions_ended_utc", "ended_utc"),
+        STRICT,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    token_hash: Mapped[str] = mapped_column(sa.Text, unique=True)
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    last_used_utc: Mapped[str] = mapped_column(sa.Text)  # to the minute: written once a round
+    ended_utc: Mapped[str | None] = mapped_column(sa.Text)
+    ended_because: Mapped[str | None] = mapped_column(sa.Text)
+    address: Mapped[str] = mapped_column(sa.Text)
+    user_agent: Mapped[str] = mapped_column(sa.Text)
 
 
 class LoginFailure(Base):

@@ -1,0 +1,89 @@
+"""Queries on log-ins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import sqlalchemy as sa
+
+from boresight.store.sessions import Session
+from boresight.store.tables import ApiKey, LoginSession, User
+
+
+def with_token(session: Session, token_hash: str) -> LoginSession | None:
+    """Return the log-in whose secret has this hash."""
+    return session.scalar(sa.select(LoginSession).where(LoginSession.token_hash == token_hash))
+
+
+def login_sessions(
+    session: Session, user_id: int | None, *, is_open: bool | None = None, before_id: int | None = None, limit: int
+) -> Sequence[LoginSession]:
+    """Return a page of a person's log-ins, or of everyone's, newest first."""
+    query = sa.select(LoginSession).order_by(LoginSession.id.desc()).limit(limit)
+    if user_id is not None:
+        query = query.where(LoginSession.user_id == user_id)
+    if is_open is not None:
+        query = query.where(LoginSession.ended_utc.is_(None) if is_open else LoginSession.ended_utc.is_not(None))
+    if before_id is not None:
+        query = query.where(LoginSession.id < before_id)
+    return session.scalars(query).all()
+
+
+def end_open(session: Session, user_id: int, ended_utc: str, because: str, *, spare_id: int | None = None) -> int:
+    """End the open log-ins of a person, but for one; returns how many there were."""
+    change = sa.update(LoginSession).where(LoginSession.user_id == user_id, LoginSession.ended_utc.is_(None))
+    if spare_id is not None:
+        change = change.where(LoginSession.id != spare_id)
+    ended = session.execute(change.values(ended_utc=ended_utc, ended_because=because))
+    return int(ended.rowcount)  # type: ignore[attr-defined]  # an UPDATE's result has it
+
+
+def write_uses(session: Session, used_utc: Mapping[int, str]) -> None:
+    """Write when open log-ins were last used, by id; another server may have written a later time."""
+    for session_id, at_utc in used_utc.items():
+        session.execute(
+            sa.update(LoginSession)
+            .where(LoginSession.id == session_id, LoginSession.last_used_utc < at_utc, LoginSession.ended_utc.is_(None))
+            .values(last_used_utc=at_utc)
+        )
+
+
+def _lapsed(created_before_utc: str, used_before_utc: str) -> sa.ColumnElement[bool]:
+    too_old = LoginSession.created_utc < created_before_utc
+    return LoginSession.ended_utc.is_(None) & (too_old | (LoginSession.last_used_utc < used_before_utc))
+
+
+def has_lapsed(session: Session, *, created_before_utc: str, used_before_utc: str) -> bool:
+    """Whether a log-in is open that was made or used too long ago."""
+    query = sa.select(LoginSession.id).where(_lapsed(created_before_utc, used_before_utc)).limit(1)
+    return session.scalar(query) is not None
+
+
+def end_lapsed(session: Session, ended_utc: str, *, created_before_utc: str, used_before_utc: str) -> None:
+    """Write the end of the log-ins that were made or used too long ago."""
+    because = sa.case((LoginSession.created_utc < created_before_utc, "expired"), else_="idle")
+    change = sa.update(LoginSession).where(_lapsed(created_before_utc, used_before_utc))
+    session.execute(change.values(ended_utc=ended_utc, ended_because=because))
+
+
+def has_ended_before(session: Session, before_utc: str) -> bool:
+    """Whether a log-in ended before a time."""
+    query = sa.select(LoginSession.id).where(LoginSession.ended_utc < before_utc).limit(1)
+    return session.scalar(query) is not None
+
+
+def forget_ended(session: Session, before_utc: str) -> None:
+    """Remove the log-ins that ended before a time."""
+    session.execute(sa.delete(LoginSession).where(LoginSession.ended_utc < before_utc))
+
+
+def ended_since(session: Session, since_utc: str) -> dict[int, str]:
+    """Return the ends of the log-ins that ended after a time, by id."""
+    query = sa.select(LoginSession.id, LoginSession.ended_utc).where(LoginSession.ended_utc > since_utc)
+    return {row[0]: row[1] or "" for row in session.execute(query)}
+
+
+def newest_revocation(session: Session) -> tuple[str | None, str | None]:
+    """Return when a key was last revoked and a person last disabled."""
+    revoked = session.scalar(sa.select(sa.func.max(ApiKey.revoked_utc)))
+    return revoked, session.scalar(sa.select(sa.func.max(User.disabled_utc)))
