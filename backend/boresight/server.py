@@ -43,6 +43,7 @@ from boresight.api.gate import Gate, Limits
 from boresight.api.heads import Heads
 from boresight.api.heartbeat import Heartbeat
 from boresight.api.keeping import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, Keeping
+from boresight.api.methods import answer_options, with_allow
 from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
@@ -235,6 +236,10 @@ def _turn_away(request: Request, error: Exception) -> Response:
 
 async def _refuse(request: Request, error: Exception) -> Response:
     """Answer an error: as a page to people, as a problem to programs and where no page can be made."""
+    options = answer_options(request, error)
+    if options is not None:
+        return options
+    error = with_allow(request, error)
     for make in (problem_page, bare_problem_page) if is_page(request) else ():
         try:
             return await run_in_threadpool(make, request, error)

@@ -7,6 +7,7 @@ import io
 
 from starlette.responses import Response
 
+from boresight.api.media import CsvFile
 from boresight.figures import Table
 
 
@@ -24,4 +25,4 @@ def csv_text(table: Table) -> str:
 def csv_response(table: Table, file_name: str) -> Response:
     """Answer with a table as a file."""
     headers = {"Content-Disposition": f'attachment; filename="{file_name}"'}
-    return Response(csv_text(table), headers=headers, media_type="text/csv; charset=utf-8")
+    return CsvFile(csv_text(table), headers=headers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from http import HTTPStatus
 from typing import Any
 
@@ -53,18 +54,43 @@ TAGS = [
     {"name": "server", "description": "Health, readiness, metrics."},
 ]
 
+JSON = "application/json"
+NOTHING = {"type": "object", "title": "Nothing", "additionalProperties": False}
+BINARY = {"application/octet-stream", "application/zip"}
+FILES = {*BINARY, "text/csv", "text/html"}
+ROWS = ("run", "runs", "reference", "compare", "history")  # parameters that name rows, besides all that end in _id
+READS_FILES = ("/result", "/report", "}", "/data", "/radial", "/frames", "/compare", "/file", "/dump", "/content")
+
+
+def _header(description: str, kind: str = "string") -> dict[str, Any]:
+    return {"description": description, "schema": {"type": kind}}
+
+
+HEADERS = {
+    "X-Request-ID": _header("What to quote of this request; yours, or made here."),
+    "ETag": _header(
+        "Which version this is: for `If-Match` of what changes it, and `If-None-Match` of the next reading."
+    ),
+    "Location": _header("Where what was made is read."),
+    "Retry-After": _header("Whole seconds to wait.", "integer"),
+    "WWW-Authenticate": _header("`Bearer`."),
+    "Idempotent-Replayed": _header("`true` where the answer is that of an earlier request under the same key."),
+    "X-Validate-Only": _header("`true` where nothing was kept."),
+    "Content-Disposition": _header("The name to keep the file under."),
+}
 SENTENCES = {
-    400: "The request cannot be read.",
+    400: "The body cannot be read.",
     401: "Nobody is logged in, or the key is not valid.",
     403: "This person or key may not do this, or the CSRF token is missing.",
     404: "There is no such thing.",
     409: "It is not in a state that allows this.",
     412: "Somebody changed it since you read it.",
-    413: "The upload is over the size limit.",
+    413: "The body is over the size limit.",
+    415: "Text in another charset than UTF-8 is not read.",
     422: "The input is refused; `errors` says where.",
     428: "`If-Match` is missing.",
     429: "Too many wrong passwords; `Retry-After` says how many seconds to wait.",
-    503: "Not ready yet.",
+    503: "More is asked at once than can be answered, or the store does not answer; `Retry-After` says when to ask again.",
 }
 
 
@@ -103,26 +129,71 @@ def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def corrected(document: dict[str, Any], cookie_name: str) -> dict[str, Any]:
-    """Say in an OpenAPI document what the framework cannot know: refusals are problems only, and what success means."""
-    for scheme in document["components"].get("securitySchemes", {}).values():
+    """Say in an OpenAPI document what the framework cannot know: what holds for every operation of a kind."""
+    components = document["components"]
+    components["headers"] = HEADERS
+    for scheme in components.get("securitySchemes", {}).values():
         if scheme.get("in") == "cookie":
             scheme["name"] = cookie_name  # by the settings of the server
-    for methods in document["paths"].values():
-        for operation in methods.values():
-            _describe_headers_and_trials(operation)
-            for answer in operation["responses"].values():
-                if MEDIA_TYPE in answer.get("content", {}):
-                    answer["content"] = {MEDIA_TYPE: answer["content"][MEDIA_TYPE]}
-                if answer["description"] == "Successful Response":
-                    answer["description"] = f"{operation['summary']}: done."
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            _describe_trial(operation)
+            for status in _refused(path, method, operation) if path.startswith("/api/") else ():
+                operation["responses"].setdefault(str(status), refusals(status)[status] | {"model": None}).pop(
+                    "model", None
+                )
+            operation["responses"] = dict(sorted(operation["responses"].items()))
+            for status, answer in operation["responses"].items():
+                _describe_answer(method, operation, status, answer)
     return document
 
 
-def _describe_headers_and_trials(operation: dict[str, Any]) -> None:
+def _parameters(operation: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the parameters of an operation by name."""
+    return {parameter["name"]: parameter for parameter in operation.get("parameters", ())}
+
+
+def _describe_trial(operation: dict[str, Any]) -> None:
     """Say that `If-Match` must be there, which the framework leaves to the 428, and what a trial answers."""
-    named = {parameter["name"]: parameter for parameter in operation.get("parameters", ())}
-    if "If-Match" in named:
+    named, answers = _parameters(operation), operation["responses"]
+    if "If-Match" in named and "428" in answers:
         named["If-Match"] |= {"required": True, "schema": {"type": "string", "title": "If-Match"}}
-    if "validate_only" in named and "200" not in operation["responses"]:
+    if "validate_only" in named and "200" not in answers:
+        done = next(answer for status, answer in sorted(answers.items()) if status.startswith("2"))
         trial = {"description": "The trial of `validate_only`: what would be, and nothing kept."}
-        operation["responses"]["200"] = trial
+        answers["200"] = trial | {"content": done.get("content") or {JSON: {"schema": NOTHING}}}
+
+
+def _refused(path: str, method: str, operation: dict[str, Any]) -> Iterator[int]:
+    """Yield the refusals that follow from what an operation takes and touches."""
+    named, has_body = _parameters(operation), "requestBody" in operation
+    yield from (401, 403, 422, 503)
+    if has_body:
+        yield from (400, 413, 415)
+    names_rows = any(name in ROWS or name.endswith("_id") for name in named)
+    if "{" in path or has_body or names_rows:
+        yield 404
+    if method != "get" or path.endswith(READS_FILES):
+        yield 409
+    if "If-Match" in named:
+        yield 412
+
+
+def _describe_answer(method: str, operation: dict[str, Any], status: str, answer: dict[str, Any]) -> None:
+    """Say what an answer carries besides its body; a refusal is a problem and nothing else."""
+    content, named = answer.get("content", {}), _parameters(operation)
+    if MEDIA_TYPE in content:
+        answer["content"] = {MEDIA_TYPE: content[MEDIA_TYPE]}
+    for media_type in BINARY & content.keys():
+        content[media_type]["schema"] = {"type": "string", "format": "binary"}
+    if answer["description"] == "Successful Response":
+        answer["description"] = f"{operation['summary']}: done."
+    carried = ["X-Request-ID"]
+    if status.startswith("2"):
+        carried += ["ETag"] * (method in {"get", "put"} or "If-Match" in named)
+        carried += ["Location"] * (status in {"201", "202"})
+        carried += ["Idempotent-Replayed"] * ("Idempotency-Key" in named)
+        carried += ["X-Validate-Only"] * (status == "200" and "validate_only" in named)
+        carried += ["Content-Disposition"] * bool(FILES & content.keys())
+    carried += ["Retry-After"] * (status in {"429", "503"}) + ["WWW-Authenticate"] * (status == "401")
+    answer["headers"] = {name: {"$ref": f"#/components/headers/{name}"} for name in carried} | answer.get("headers", {})

@@ -71,8 +71,8 @@ NOUNS = (
     sessions,
 )
 CREDENTIALS = (
-    Security(HTTPBearer(scheme_name="API key", description="`bs_...`, from POST /api/v1/api-keys", auto_error=False)),
-    Security(APIKeyCookie(name=SESSION_COOKIE, scheme_name="Log-in cookie", auto_error=False)),
+    Security(HTTPBearer(scheme_name="ApiKey", description="`bs_...`, from POST /api/v1/api-keys", auto_error=False)),
+    Security(APIKeyCookie(name=SESSION_COOKIE, scheme_name="LogInCookie", auto_error=False)),
 )
 
 

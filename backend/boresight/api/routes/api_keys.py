@@ -27,7 +27,8 @@ class NewKey(BaseModel):
     model_config = ConfigDict(extra="forbid")
     label: str = Field(description="What uses it.", examples=["nightly downlink"])
     scopes: Annotated[
-        list[str], Field(description=f"What it may write: {', '.join(SCOPES)}. None: it only reads.")
+        list[Annotated[str, Field(json_schema_extra={"enum": list(SCOPES)})]],
+        Field(description="What it may write. None: it only reads."),
     ] = []
     expires_days: int | None = Field(90, description="Null: never.")
 

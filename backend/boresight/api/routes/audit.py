@@ -9,11 +9,12 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 from starlette.background import BackgroundTask
-from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.responses import FileResponse, Response
 
 from boresight.api import schemas
 from boresight.api.answers import json_response
 from boresight.api.dependencies import Held, Reading, Who
+from boresight.api.media import PythonFile
 from boresight.api.paging import Page, Paged
 from boresight.services import audit, audit_export
 
@@ -55,7 +56,13 @@ def verify_audit(
     return json_response(schemas.written(schemas.ChainReport, audit.verify(session, expected_head)))
 
 
-@router.get("/export", name="export_audit", summary="Export the log", response_class=FileResponse)
+@router.get(
+    "/export",
+    name="export_audit",
+    summary="Export the log",
+    response_class=FileResponse,
+    responses={200: {"content": {media_type: {"schema": {"type": "string"}} for media_type in MEDIA_TYPES.values()}}},
+)
 def export_audit(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
@@ -70,7 +77,12 @@ def export_audit(
     return FileResponse(path, media_type=MEDIA_TYPES[form], filename=name, background=BackgroundTask(path.unlink))
 
 
-@router.get("/verifier", name="get_audit_verifier", summary="The program that verifies an export")
-def get_audit_verifier(actor: Who) -> PlainTextResponse:  # noqa: ARG001 - whoever is known may read
+@router.get(
+    "/verifier",
+    name="get_audit_verifier",
+    summary="The program that verifies an export",
+    response_class=PythonFile,
+)
+def get_audit_verifier(actor: Who) -> PythonFile:  # noqa: ARG001 - whoever is known may read
     """Return the program that verifies an export; it runs on any Python 3.8 or newer, without Boresight."""
-    return PlainTextResponse(audit_export.verifier(), media_type="text/x-python; charset=utf-8")
+    return PythonFile(audit_export.verifier())

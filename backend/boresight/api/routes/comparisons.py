@@ -12,6 +12,7 @@ from boresight.api import schemas
 from boresight.api.answers import json_response
 from boresight.api.comma_separated import csv_response
 from boresight.api.dependencies import Reading, Who
+from boresight.api.media import CsvFile
 from boresight.api.openapi import refusals
 from boresight.api.routes.figures import label_of, source_of
 from boresight.figures import figure_json, radial_contrast
@@ -25,16 +26,14 @@ Asked = Annotated[str, Query(alias="runs", description="The runs, 2 to 20: `1,2,
 ReferenceRun = Annotated[
     str, Query(alias="reference", description="The run the others are set against; the first if left out.")
 ]
-CSV: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"text/csv": {}}, "description": "One row a run and item, numbers in SI."}
-}
+CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a run and item, numbers in SI."}}
 
 
 @router.get(
     "/compare",
     name="compare_runs",
     summary="Compare runs",
-    response_model=schemas.Document,
+    response_model=schemas.Comparison,
     responses=refusals(404, 409),
 )
 def compare_runs(
@@ -55,7 +54,7 @@ def compare_runs(
     "/compare/data",
     name="compare_runs_data",
     summary="Read a comparison's table",
-    response_class=Response,
+    response_class=CsvFile,
     responses={**refusals(404, 409), **CSV},
 )
 def compare_runs_data(
@@ -74,6 +73,7 @@ def compare_runs_data(
     "/compare/figures/radial",
     name="draw_radial_contrast",
     summary="Draw radial differences",
+    response_model=schemas.PlotlyFigure,
     responses=refusals(404, 409),
 )
 def draw_radial_contrast(
@@ -100,7 +100,7 @@ def draw_radial_contrast(
     "/compare/figures/radial/data",
     name="get_radial_contrast_data",
     summary="Read radial differences",
-    response_class=Response,
+    response_class=CsvFile,
     responses={**refusals(404, 409), **CSV},
 )
 def get_radial_contrast_data(

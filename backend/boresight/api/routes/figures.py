@@ -15,11 +15,14 @@ from fastapi import APIRouter, Depends, Path, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.api import schemas
 from boresight.api.answers import json_response
 from boresight.api.comma_separated import csv_response
 from boresight.api.dependencies import Reading, Who
+from boresight.api.media import CsvFile
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
+from boresight.api.paging import Page
 from boresight.api.routes.runs import result_so_far
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
@@ -84,7 +87,13 @@ class View:
 Seen = Annotated[View, Depends()]
 
 
-@router.get("/{run_id}/figures", name="list_figures", summary="List the figures", responses=refusals(404))
+@router.get(
+    "/{run_id}/figures",
+    name="list_figures",
+    summary="List the figures",
+    response_model=Page[schemas.FigureEntry],
+    responses=refusals(404),
+)
 def list_figures(run_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
     """List the figures of a run with how to read each."""
     runs.get_run(session, run_id)
@@ -100,7 +109,13 @@ def list_figures(run_id: Id, actor: Who, session: Reading) -> Response:  # noqa:
     return json_response({"items": items, "next": None})
 
 
-@router.get("/{run_id}/figures/{name}", name="get_figure", summary="Read a figure", responses=refusals(404, 409))
+@router.get(
+    "/{run_id}/figures/{name}",
+    name="get_figure",
+    summary="Read a figure",
+    response_model=schemas.PlotlyFigure,
+    responses=refusals(404, 409),
+)
 def get_figure(
     run_id: Id,
     name: FigureName,
@@ -143,10 +158,10 @@ def _beside_baseline(session: Session, blobs: BlobStore, run: Run) -> dict[str, 
     "/{run_id}/figures/{name}/data",
     name="get_figure_data",
     summary="Read a figure's numbers",
-    response_class=Response,
+    response_class=CsvFile,
     responses={
         **refusals(404, 409),
-        200: {"content": {"text/csv": {}}, "description": "The columns in SI, never thinned."},
+        200: {"description": "The columns in SI, never thinned."},
     },
 )
 def get_figure_data(

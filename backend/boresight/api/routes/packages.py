@@ -10,6 +10,7 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Held, Reading, Who, Writing
+from boresight.api.media import ZipFile
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -84,8 +85,8 @@ def get_package(package_id: Id, actor: Who, session: Reading) -> Response:  # no
     "/packages/{package_id}/content",
     name="get_package_content",
     summary="Read a package",
-    response_class=Response,
-    responses=refusals(404, 409) | {200: {"content": {packages.MEDIA_TYPE: {}}}},
+    response_class=ZipFile,
+    responses=refusals(404, 409),
 )
 def get_package_content(
     package_id: Id,
@@ -100,4 +101,4 @@ def get_package_content(
         "Content-Disposition": f'attachment; filename="{packages.file_name(session, row)}"',
         "ETag": f'"{row.sha256}"',
     }
-    return Response(content, media_type=packages.MEDIA_TYPE, headers=headers)
+    return ZipFile(content, headers=headers)

@@ -107,7 +107,7 @@ def get_parameter_set(
     "/{parameter_set_id}/conversion",
     name="convert_parameter_set",
     summary="Read it in another camera model",
-    response_model=dict[str, Any],
+    response_model=schemas.Conversion,
     responses=refusals(404),
 )
 def convert_parameter_set(

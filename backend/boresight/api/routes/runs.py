@@ -152,7 +152,13 @@ def cancel_run(
     return once.answer(session, actor, act)
 
 
-@router.get("/{run_id}/result", name="get_run_result", summary="Read the calibration", responses=refusals(404, 409))
+@router.get(
+    "/{run_id}/result",
+    name="get_run_result",
+    summary="Read the calibration",
+    response_model=schemas.Calibration,
+    responses=refusals(404, 409),
+)
 def get_run_result(
     run_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read

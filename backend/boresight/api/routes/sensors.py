@@ -89,6 +89,7 @@ def edit_sensor(sensor_id: Id, document: SensorFile, actor: Who, seen: SeenVersi
     "/{sensor_id}/history",
     name="get_sensor_at",
     summary="What held at a time",
+    response_model=schemas.SensorAt,
     responses=refusals(404),
 )
 def get_sensor_at(

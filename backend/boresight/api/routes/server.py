@@ -20,8 +20,10 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.api import schemas
 from boresight.api.answers import json_response
 from boresight.api.credentials import current_actor, prove
+from boresight.api.media import PrometheusText
 from boresight.api.openapi import refusals
 from boresight.api.origins import is_local
 from boresight.errors import BoresightError
@@ -44,12 +46,18 @@ async def _apart(act: Callable[..., Any], *given: Any) -> Any:
 
 
 @router.get("/healthz", name="health", summary="Is the process alive")
-async def health() -> dict[str, str]:
+async def health() -> schemas.Health:
     """Say that the process answers; nothing else is looked at."""
-    return {"status": "ok"}
+    return schemas.Health(status="ok")
 
 
-@router.get("/readyz", name="readiness", summary="Can it do its work", responses=refusals(503))
+@router.get(
+    "/readyz",
+    name="readiness",
+    summary="Can it do its work",
+    response_model=schemas.Readiness,
+    responses={503: {"model": schemas.Readiness, "description": "Not ready; `checks` says what is not."}},
+)
 async def readiness(request: Request) -> Response:
     """Say whether store, files and workers are there: 200, or 503 with what is not.
 
@@ -99,7 +107,11 @@ def _workers(request: Request) -> dict[str, Any]:
 
 
 @router.get(
-    "/metrics", name="metrics", summary="Prometheus metrics", response_class=Response, responses=refusals(401, 403)
+    "/metrics",
+    name="metrics",
+    summary="Prometheus metrics",
+    response_class=PrometheusText,
+    responses=refusals(401, 403),
 )
 async def metrics(request: Request) -> Response:
     """Return the series of this server in the Prometheus exposition format.
@@ -109,4 +121,4 @@ async def metrics(request: Request) -> Response:
     if not is_local(request):
         await _apart(current_actor, request)
     text = await _apart(request.app.state.metrics.text)
-    return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
+    return PrometheusText(text)

@@ -7,12 +7,13 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, SeenTag, Who, Writing, require_tag, tag_of
 from boresight.api.keeping import Known, whole_tag
+from boresight.api.media import StoredFile
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -137,7 +138,7 @@ def get_telemetry_set(
     "/{telemetry_set_id}/file",
     name="get_telemetry_file",
     summary="Download the original file",
-    response_class=FileResponse,
+    response_class=StoredFile,
     responses=refusals(404, 409),
 )
 def get_telemetry_file(
@@ -152,7 +153,7 @@ def get_telemetry_file(
     if knows(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
         return Response(status_code=304, headers=headers)
     path = request.app.state.blobs.path(row.original_sha256)
-    return FileResponse(path, filename=row.name, headers=headers)
+    return StoredFile(path, filename=row.name, headers=headers)
 
 
 @router.post(

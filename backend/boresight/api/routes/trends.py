@@ -7,9 +7,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from starlette.responses import Response
 
+from boresight.api import schemas
 from boresight.api.answers import json_response
 from boresight.api.comma_separated import csv_response
 from boresight.api.dependencies import Reading, Who
+from boresight.api.media import CsvFile
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.errors import RefusedInputError
@@ -21,9 +23,7 @@ router = APIRouter(prefix="/sensors/{sensor_id}/trend", tags=["sensors"])
 
 MODELS = ", ".join(CAMERA_MODELS)
 Model = Annotated[str | None, Query(description=f"A camera model; the baseline's when left out. One of {MODELS}.")]
-IN_CSV: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"text/csv": {}}, "description": "One row a calibration, numbers in SI."}
-}
+IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a calibration, numbers in SI."}}
 
 
 def _known(model: str | None) -> str | None:
@@ -33,7 +33,13 @@ def _known(model: str | None) -> str | None:
     return model
 
 
-@router.get("", name="get_sensor_trend", summary="A sensor over the mission", responses=refusals(404))
+@router.get(
+    "",
+    name="get_sensor_trend",
+    summary="A sensor over the mission",
+    response_model=schemas.Trend,
+    responses=refusals(404),
+)
 def get_sensor_trend(sensor_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
     """Read every calibration at the time of its data, with the baselines and the records on board.
 
@@ -43,7 +49,13 @@ def get_sensor_trend(sensor_id: Id, actor: Who, session: Reading) -> Response:  
     return json_response(trend_document(session, sensor_id))
 
 
-@router.get("/figure", name="get_sensor_trend_figure", summary="Read its figure", responses=refusals(404))
+@router.get(
+    "/figure",
+    name="get_sensor_trend_figure",
+    summary="Read its figure",
+    response_model=schemas.PlotlyFigure,
+    responses=refusals(404),
+)
 def get_sensor_trend_figure(
     sensor_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read
@@ -55,7 +67,13 @@ def get_sensor_trend_figure(
     return Response(figure_json(trend.draw(document, _known(model))), media_type="application/json")
 
 
-@router.get("/data", name="get_sensor_trend_data", summary="Read its numbers", responses={**refusals(404), **IN_CSV})
+@router.get(
+    "/data",
+    name="get_sensor_trend_data",
+    summary="Read its numbers",
+    response_class=CsvFile,
+    responses={**refusals(404), **IN_CSV},
+)
 def get_sensor_trend_data(
     sensor_id: Id,
     actor: Who,  # noqa: ARG001 - whoever is known may read

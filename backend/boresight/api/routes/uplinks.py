@@ -8,11 +8,12 @@ from __future__ import annotations
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import Reading, SeenVersion, Who, Writing
+from boresight.api.media import StoredFile
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
@@ -109,7 +110,7 @@ def get_uplink(uplink_id: Id, actor: Who, session: Reading) -> Response:  # noqa
     "/{uplink_id}/dump",
     name="get_uplink_dump",
     summary="Download the dump",
-    response_class=FileResponse,
+    response_class=StoredFile,
     responses=refusals(404, 409),
 )
 def get_uplink_dump(
@@ -117,8 +118,8 @@ def get_uplink_dump(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     request: Request,
-) -> FileResponse:
+) -> StoredFile:
     """Download the bytes that a read-back compared, as they were uploaded."""
     sha256 = uplinks.dump_of(session, uplink_id)
     path = request.app.state.blobs.path(sha256)
-    return FileResponse(path, filename=f"uplink-{uplink_id}-dump.bin", headers={"ETag": f'"{sha256}"'})
+    return StoredFile(path, filename=f"uplink-{uplink_id}-dump.bin", headers={"ETag": f'"{sha256}"'})
