@@ -53,7 +53,7 @@ def test_the_event_stream_is_not_begun(house: House) -> None:
 def test_what_get_refuses_head_refuses(house: House) -> None:
     assert house.anybody().head("/api/v1/runs").status_code == 401
     assert house.person("ada").head("/nothing").status_code == 404
-    assert house.person("ada").head("/api/v1/runs/1:cancel").status_code == 422
+    assert house.person("ada").head("/api/v1/runs/1:cancel").status_code == 405
 
 
 def test_it_is_counted_as_what_it_is(house: House) -> None:
