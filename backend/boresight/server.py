@@ -58,6 +58,7 @@ from boresight.pages.fleet import FleetMemory
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
 from boresight.services import runs
 from boresight.services.forecasts import Sight
+from boresight.services.webhook_secrets import encrypt_all
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blobs import open_blobs
@@ -141,7 +142,8 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
     state.upkeep = Upkeep(state.engine, settings.session_limits)
-    state.deliveries = Deliveries(state.engine, local=bool(settings.webhooks_local))
+    state.secret_box = settings.secret_box
+    state.deliveries = Deliveries(state.engine, settings.targets, state.secret_box)
     marks = Marks(state.engine)
     state.changes, state.fleet = Changes(marks), FleetMemory(state.engine, marks)
     state.ready = Ready(state.changes, _prove, state.upkeep.light)
@@ -175,6 +177,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state = app.state
     current_default_thread_limiter().total_tokens = THREADS
     await run_in_threadpool(migrate, state.engine)
+    await run_in_threadpool(_encrypt_secrets, app)
     state.write_lock = asyncio.Lock()
     state.broadcast.start()
     state.heartbeat.start()
@@ -193,6 +196,17 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.broadcast.close)
         state.changes.close()
         state.engine.dispose()
+
+
+def _encrypt_secrets(app: FastAPI) -> None:
+    """Encrypt what an older version stored plain, and say which webhooks cannot be told anything from here."""
+    try:
+        kept = encrypt_all(app.state.engine, app.state.secret_box)
+    except (BoresightError, OSError) as error:
+        log.error("Webhooks are not told anything: %s", error)  # noqa: TRY400 - the sentence says it all
+        return
+    if kept.sentence is not None:
+        log.warning("%s", kept.sentence)
 
 
 def _warm(catalogue: Callable[[], Catalogue]) -> None:

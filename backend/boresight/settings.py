@@ -17,7 +17,9 @@ from urllib.parse import urlsplit
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Policy
 from boresight.services.sessions import SessionLimits
+from boresight.services.webhook_targets import Targets, read_hosts
 from boresight.store.blob_places import BlobPlace, parse_address
+from boresight.store.secret_box import SecretBox
 
 log = logging.getLogger(__name__)
 
@@ -87,6 +89,13 @@ SETTINGS = (
     ),
     Setting("login_attempts", "5", "per minute", "Failed log-ins a person may make before waiting.", int),
     Setting("webhooks_local", "0", "0 or 1", "1 = webhooks may go to this machine and its link.", int),
+    Setting("webhooks_private", "0", "0 or 1", "1 = webhooks may go to private networks (RFC 1918, fc00::/7).", int),
+    Setting(
+        "webhook_hosts", "", "hosts", "The only hosts webhooks may go to, exact or *.suffix; empty = any.", read_hosts
+    ),
+    Setting(
+        "webhook_key", "", "path", "File of the key that encrypts webhooks' secrets; empty = in the data folder.", str
+    ),
     Setting("four_eyes", "1", "0 or 1", "0 = one person works alone here and may sign what they submitted.", int),
     Setting("approvals", "1", "people", "Approvals that a request needs; two at least where a gate is waived.", int),
     Setting("approval_days", "30", "d", "A request that nobody decided on expires after so long.", float),
@@ -121,6 +130,9 @@ class Settings:
     session_idle_minutes: float
     login_attempts: int
     webhooks_local: int
+    webhooks_private: int
+    webhook_hosts: tuple[str, ...]
+    webhook_key: str
     four_eyes: int
     approvals: int
     approval_days: float
@@ -149,6 +161,21 @@ class Settings:
         if self.threads > 0:
             return self.threads
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+    @property
+    def targets(self) -> Targets:
+        """Where webhooks' messages may go."""
+        return Targets(
+            local=bool(self.webhooks_local),
+            private=bool(self.webhooks_private),
+            hosts=self.webhook_hosts,
+            listening=self.host,
+        )
+
+    @property
+    def secret_box(self) -> SecretBox:
+        """What encrypts the secrets that the database keeps for later use."""
+        return SecretBox(Path(self.webhook_key or self.data_folder / "webhooks.key").expanduser())
 
     @property
     def catalogue_folder(self) -> Path:

@@ -274,6 +274,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_webhook": _webhook,
     "disable_webhook": _webhook,
     "enable_webhook": _webhook,
+    "renew_webhook_secret": lambda house: _webhook(house, json={}),
     "try_webhook": _webhook,
     "list_webhook_deliveries": _webhook,
     "redeliver": _delivery,

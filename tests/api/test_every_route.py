@@ -130,6 +130,7 @@ ABLE = {
             "disable_webhook",
             "enable_webhook",
             "try_webhook",
+            "renew_webhook_secret",
             "list_webhook_deliveries",
             "redeliver",
         ),

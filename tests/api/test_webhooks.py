@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,11 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from standardwebhooks import Webhook as StandardWebhook
+from standardwebhooks import WebhookVerificationError
 
 from boresight.api.deliveries import Deliveries
-from boresight.services import audit, users, webhook_messages, webhooks
+from boresight.services import audit, users, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
+from boresight.services.webhook_secrets import encrypt_all, state_of
+from boresight.services.webhook_targets import Targets
+from boresight.store.secret_box import SecretBox
+from boresight.store.sessions import Engine, migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import Webhook, WebhookDelivery
 from tests.stores import url_in
 
@@ -71,12 +77,17 @@ def store(tmp_path: Path) -> Iterator[Engine]:
 
 
 @pytest.fixture
-def hook(store: Engine, receiver: Receiver) -> Webhook:
+def box(tmp_path: Path) -> SecretBox:
+    return SecretBox(tmp_path / "webhooks.key")
+
+
+@pytest.fixture
+def hook(store: Engine, receiver: Receiver, box: SecretBox) -> Webhook:
     with writing(store) as session:
         users.create_user(
             session, COMMAND_LINE, name="root", printed_name="Root", password=PASSWORD, roles=["administrator"]
         )
-        return webhooks.create_webhook(session, _root(session), label="Chat", url=receiver.url)
+        return webhooks.create_webhook(session, _root(session), box, label="Chat", url=receiver.url)[0]
 
 
 def _root(session: Any) -> Actor:
@@ -94,41 +105,49 @@ def _delivery(store: Engine, number: int) -> WebhookDelivery:
         return session.get_one(WebhookDelivery, number)
 
 
-def test_a_receiver_can_check_the_signature_of_the_bytes_it_got(
-    store: Engine, hook: Webhook, receiver: Receiver
+def test_the_library_of_standard_webhooks_accepts_what_a_receiver_got(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
 ) -> None:
     number = _trial(store, hook)
-    Deliveries(store, local=True).deliver()
+    Deliveries(store, Targets(local=True), box).deliver()
     path, headers, body = receiver.heard[0]
     assert path == "/hook?team=1"
     assert headers["host"].startswith("localhost:")
     assert abs(time.time() - int(headers["webhook-timestamp"])) < 60
-    signed = webhook_messages.signature(hook.secret, headers["webhook-id"], int(headers["webhook-timestamp"]), body)
-    assert headers["webhook-signature"] == signed
+    secret = str(box.open(hook.secret))
+    assert StandardWebhook(secret).verify(body, headers)["id"] == headers["webhook-id"]
+    with pytest.raises(WebhookVerificationError):
+        StandardWebhook(secret).verify(body + " ", headers)
     assert json.loads(body)["id"] == headers["webhook-id"]
     assert (_delivery(store, number).state, _delivery(store, number).status) == ("DELIVERED", 204)
 
 
-def test_a_message_that_was_delivered_is_not_sent_again(store: Engine, hook: Webhook, receiver: Receiver) -> None:
+def test_a_message_that_was_delivered_is_not_sent_again(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
+) -> None:
     _trial(store, hook)
     for _ in range(3):
-        Deliveries(store, local=True).deliver()
+        Deliveries(store, Targets(local=True), box).deliver()
     assert len(receiver.heard) == 1
 
 
-def test_a_refusal_and_a_redirect_are_kept_and_not_followed(store: Engine, hook: Webhook, receiver: Receiver) -> None:
+def test_a_refusal_and_a_redirect_are_kept_and_not_followed(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
+) -> None:
     receiver.statuses = [503, 302]
     first, second = _trial(store, hook), _trial(store, hook)
-    Deliveries(store, local=True).deliver()
+    Deliveries(store, Targets(local=True), box).deliver()
     assert [path for path, *_ in receiver.heard] == ["/hook?team=1"] * 2
     assert (_delivery(store, first).state, _delivery(store, first).outcome) == ("PENDING", "Refused with 503")
     assert (_delivery(store, second).state, _delivery(store, second).status) == ("PENDING", 302)
 
 
-def test_nobody_there_is_an_outcome_and_no_error(store: Engine, hook: Webhook, receiver: Receiver) -> None:
+def test_nobody_there_is_an_outcome_and_no_error(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
+) -> None:
     number = _trial(store, hook)
     receiver.close()
-    Deliveries(store, local=True).deliver()
+    Deliveries(store, Targets(local=True), box).deliver()
     found = _delivery(store, number)
     assert (found.state, found.status, found.attempts) == ("PENDING", None, 1)
     assert str(found.outcome).startswith("No answer: ")
@@ -138,26 +157,26 @@ def test_nobody_there_is_an_outcome_and_no_error(store: Engine, hook: Webhook, r
 
 
 def test_a_dead_receiver_is_asked_once_a_look_and_delays_nobody(
-    store: Engine, hook: Webhook, receiver: Receiver
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
 ) -> None:
     with writing(store) as session:
-        dead = webhooks.create_webhook(session, _root(session), label="Dead", url="http://127.0.0.1:9/")
+        dead, _ = webhooks.create_webhook(session, _root(session), box, label="Dead", url="http://127.0.0.1:9/")
     numbers = [_trial(store, dead) for _ in range(3)]
     _trial(store, hook)
-    Deliveries(store, local=True).deliver()
+    Deliveries(store, Targets(local=True), box).deliver()
     assert len(receiver.heard) >= 1
     assert [_delivery(store, number).attempts for number in numbers] == [1, 0, 0]
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "169.254.169.254", "[::ffff:127.0.0.1]"])
 def test_this_machine_and_its_link_are_not_reached_unless_allowed(
-    store: Engine, hook: Webhook, receiver: Receiver, host: str
+    store: Engine, hook: Webhook, receiver: Receiver, host: str, box: SecretBox
 ) -> None:
     with writing(store) as session:
         session.get_one(Webhook, hook.id).url = f"http://{host}:{receiver.server.server_address[1]}/hook"
         audit.append(session, _root(session), "brought in", f"webhooks/{hook.id}")
         webhooks.try_webhook(session, _root(session), hook.id)
-    Deliveries(store, local=False).deliver()
+    Deliveries(store, Targets(), box).deliver()
     assert receiver.heard == []
     assert "not allowed" in str(_delivery(store, 1).outcome)
 
@@ -172,7 +191,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house: House, receiver: Receiver) -> None:
     adele = house.person("adele")
     deliveries = house.app.state.deliveries
-    deliveries._local = True
+    deliveries.targets = Targets(local=True)
     made = adele.post("/api/v1/webhooks", json={"label": "Chat", "url": receiver.url, "actions": ["sensors.*"]})
     assert made.status_code == 201, made.text
     try:
@@ -180,7 +199,7 @@ def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house: Hous
         _wait_for(lambda: bool(receiver.heard))
         assert json.loads(receiver.heard[0][2])["object"] == f"sensors/{sensor['id']}"
     finally:
-        deliveries._local = False
+        deliveries.targets = Targets()
         adele.post(f"/api/v1/webhooks/{made.json()['id']}:disable")
 
 
@@ -193,3 +212,111 @@ def test_a_secret_is_shown_once_and_never_again(house: House) -> None:
     assert adele.post("/api/v1/webhooks", json=wanted, headers=headers).json()["secret"] is None
     assert "secret" not in adele.get(f"/api/v1/webhooks/{made.json()['id']}").json()
     assert "whsec_" not in adele.get("/api/v1/audit").text
+
+
+def test_where_a_name_leads_is_judged_at_each_attempt_and_the_judged_address_is_connected_to(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lookups: list[str] = []
+    answers = [["93.184.215.14", "10.0.0.7"], ["127.0.0.1"], ["10.0.0.7"]]  # the second rebinds to this machine
+
+    real = socket.getaddrinfo
+
+    def look_up(host: str, port: int, *rest: Any, **named: Any) -> list[Any]:
+        if host == "127.0.0.1":
+            return real(host, port, *rest, **named)
+        lookups.append(host)
+        return [(2, 1, 6, "", (address, port)) for address in answers.pop(0)]
+
+    number = _trial(store, hook)
+    with writing(store) as session:
+        webhooks.queue_new(session)
+        session.get_one(Webhook, hook.id).url = f"http://rebinding.example:{receiver.server.server_address[1]}/hook"
+        session.get_one(Webhook, hook.id).actions = ["nothing.else"]
+        audit.append(session, _root(session), "brought in", f"webhooks/{hook.id}")
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    outcomes = []
+    for targets in (Targets(), Targets(local=True), Targets()):
+        with writing(store) as session:
+            for row in session.query(WebhookDelivery):
+                row.state, row.due_utc = ("PENDING", utc_now()) if row.id == number else ("DELIVERED", utc_now())
+        Deliveries(store, targets, box).deliver()
+        outcomes.append(str(_delivery(store, number).outcome))
+    assert lookups == ["rebinding.example"] * 3
+    assert "leads to 10.0.0.7, an address of a private network" in outcomes[0]
+    assert [headers["host"].partition(":")[0] for _, headers, _ in receiver.heard] == ["rebinding.example"]
+    assert "leads to 10.0.0.7" in outcomes[2]
+
+
+def test_while_a_former_secret_holds_both_verify_and_afterwards_only_the_new_one(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
+) -> None:
+    former = str(box.open(hook.secret))
+    with writing(store) as session:
+        _, newer = webhooks.renew_secret(session, _root(session), box, hook.id)
+    _trial(store, hook)
+    Deliveries(store, Targets(local=True), box).deliver()
+    with writing(store) as session:
+        _, newest = webhooks.renew_secret(session, _root(session), box, hook.id, overlap_hours=0.0)
+    _trial(store, hook)
+    Deliveries(store, Targets(local=True), box).deliver()
+    told = [(headers, body) for _, headers, body in receiver.heard if "boresight.trial" in body]
+    assert [_verifies(secret, *told[0]) for secret in (former, newer, newest)] == [True, True, False]
+    assert [_verifies(secret, *told[1]) for secret in (former, newer, newest)] == [False, False, True]
+
+
+def _verifies(secret: str, headers: dict[str, str], body: str) -> bool:
+    try:
+        StandardWebhook(secret).verify(body, headers)
+    except WebhookVerificationError:
+        return False
+    return True
+
+
+def test_without_its_key_a_webhook_is_paused_and_its_messages_wait_for_a_new_secret(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox, tmp_path: Path
+) -> None:
+    elsewhere = SecretBox(tmp_path / "elsewhere" / "webhooks.key")
+    number = _trial(store, hook)
+    Deliveries(store, Targets(local=True), elsewhere).deliver()
+    assert (receiver.heard, _delivery(store, number).attempts) == ([], 0)
+    assert (state_of(hook, elsewhere), state_of(hook, box)) == ("PAUSED", "ENABLED")
+    assert encrypt_all(store, elsewhere).unreadable == ["Chat"]
+    assert not elsewhere.file.exists()
+    with writing(store) as session:
+        row, secret = webhooks.renew_secret(session, _root(session), elsewhere, hook.id)
+    assert (state_of(row, elsewhere), row.previous_secret) == ("ENABLED", None)
+    Deliveries(store, Targets(local=True), elsewhere).deliver()
+    assert receiver.heard
+    assert all(_verifies(secret, headers, body) for _, headers, body in receiver.heard)
+    assert _delivery(store, number).state == "DELIVERED"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "[fd00:ec2::254]", "10.1.2.3", "[64:ff9b::7f00:1]", "[2002:7f00:1::]"])
+def test_an_address_that_is_not_allowed_is_refused_when_a_webhook_is_made(house: House, host: str) -> None:
+    answer = house.person("adele").post("/api/v1/webhooks", json={"label": "x", "url": f"http://{host}/hook"})
+    assert answer.status_code == 422
+    assert "not allowed" in answer.json()["detail"]
+
+
+def test_only_an_administrator_makes_the_server_look_a_name_up(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    def look_up(*_: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("boresight.services.webhooks.refuse_address", look_up)
+    wanted = {"label": "x", "url": "https://mission.invalid/"}
+    assert house.person("ada").post("/api/v1/webhooks", json=wanted).status_code == 403
+
+
+def test_a_new_secret_is_shown_once_and_the_webhook_says_until_when_the_former_signs(house: House) -> None:
+    adele = house.person("adele")
+    made = adele.post("/api/v1/webhooks", json={"label": "Chat", "url": "https://mission.invalid/"}).json()
+    address, headers = f"/api/v1/webhooks/{made['id']}", {"Idempotency-Key": "one-renewal"}
+    renewed = adele.post(f"{address}:renew-secret", json={}, headers=headers).json()
+    assert renewed["secret"] != made["secret"]
+    assert adele.post(f"{address}:renew-secret", json={}, headers=headers).json()["secret"] is None
+    shown = adele.get(address).json()
+    assert (shown["state"], shown["former_secret_until_utc"]) == ("ENABLED", renewed["former_secret_until_utc"])
+    assert shown["former_secret_until_utc"] > made["created_utc"]
+    ended = adele.post(f"{address}:renew-secret", json={"overlap_hours": 0})
+    assert ended.json()["former_secret_until_utc"] is None

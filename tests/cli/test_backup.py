@@ -10,7 +10,11 @@ from typing import Any
 
 import pytest
 
+from boresight.settings import read_settings
+from boresight.store import chain
 from boresight.store.blobs import BlobStore
+from boresight.store.sessions import opened, writing
+from boresight.store.tables import Webhook
 from tests.stores import environment_in, on_postgresql
 
 PASSWORD = "correct horse battery"
@@ -143,3 +147,31 @@ def test_the_log_is_exported_with_its_verifier_or_alone(filled, tmp_path):
     assert verified.exit_code == 0
     other = boresight("audit", "verify", "--head", "0" * 63 + "1")
     assert (other.exit_code, "rewritten" in other.stderr) == (1, True)
+
+
+def test_a_backup_holds_no_secret_of_a_webhook_and_without_the_key_a_restore_says_what_to_do(
+    filled, monkeypatch, tmp_path
+):
+    boresight, _, _ = filled
+    _into(monkeypatch, tmp_path / "first")
+    settings = read_settings()
+    secret = "whsec_" + "A" * 43  # as an older version stored it
+    with opened(settings.database_url) as engine, writing(engine) as session:
+        session.add(
+            Webhook(label="Mission chat", url="https://a.example", actions=[], secret=secret, created_utc="2026")
+        )
+        chain.append_own(session, "brought in", "webhooks/1")
+    saved = boresight("backup", "--out", tmp_path / "secret.zip")
+    assert saved.exit_code == 0, saved.stderr
+    with zipfile.ZipFile(tmp_path / "secret.zip") as archive:
+        assert not any(secret.encode() in archive.read(name) for name in archive.namelist())
+        assert not any("key" in name for name in archive.namelist())
+    folder = _into(monkeypatch, tmp_path / "elsewhere")
+    restored = boresight("restore", tmp_path / "secret.zip")
+    assert restored.exit_code == 0, restored.stderr
+    assert "paused: Mission chat. Copy the key file" in restored.stderr
+    folder.joinpath("webhooks.key").write_bytes(tmp_path.joinpath("first", "webhooks.key").read_bytes())
+    rotated = boresight("webhook", "rotate-key", "--forget-old")
+    assert rotated.exit_code == 0, rotated.stderr
+    assert "the secrets of 1 webhooks; 1 older keys were removed" in rotated.stdout
+    assert rotated.stderr == ""

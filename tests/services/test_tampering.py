@@ -7,6 +7,7 @@ attacker would who owns the file: by SQLite alone, with triggers, checks and for
 from __future__ import annotations
 
 import sqlite3
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
@@ -30,6 +31,7 @@ from boresight.services import (
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.services.conditions import chain_condition
 from boresight.store import seals
+from boresight.store.secret_box import SecretBox
 from boresight.store.sessions import Engine, Session, open_engine, reading, utc_now, writing
 from boresight.store.tables import (
     Base,
@@ -81,7 +83,9 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
         discussions.remark(session, people["ana"], approval.id, "The focus moved.")
         api_keys.create_key(session, people["ana"], label="passes", scopes=["runs"])
         users.change_roles(session, people["root"], people["eve"].user_id or 0, ["viewer", "operator"])
-        webhooks.create_webhook(session, people["root"], label="desk", url="https://example.org/hook")
+        with tempfile.TemporaryDirectory() as folder:
+            box = SecretBox(Path(folder) / "webhooks.key")
+            webhooks.create_webhook(session, people["root"], box, label="desk", url="https://example.org/hook")
         notes.add_note(session, people["ana"], "sensors", row.sensor_id, "The focus moved.")
         watch.watch_chain(session, chain_condition("broken", "For the sake of an alarm."))
 

@@ -8,6 +8,7 @@ import hmac
 import json
 from collections.abc import Mapping
 from datetime import datetime
+from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
@@ -15,6 +16,7 @@ import sqlalchemy as sa
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.services import api_keys, audit, users, webhook_messages, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.store.secret_box import SecretBox
 from boresight.store.sessions import Session
 from boresight.store.tables import Webhook, WebhookDelivery
 
@@ -22,8 +24,13 @@ URL = "https://mission.example/hooks?team=1"
 
 
 @pytest.fixture
-def hook(session: Session, people: Mapping[str, Actor]) -> Webhook:
-    return webhooks.create_webhook(session, people["root"], label="Chat", url=URL, actions=["users.*"])
+def box(tmp_path: Path) -> SecretBox:
+    return SecretBox(tmp_path / "webhooks.key")
+
+
+@pytest.fixture
+def hook(session: Session, people: Mapping[str, Actor], box: SecretBox) -> Webhook:
+    return webhooks.create_webhook(session, people["root"], box, label="Chat", url=URL, actions=["users.*"])[0]
 
 
 def _happens(session: Session, name: str = "zoe") -> None:
@@ -37,17 +44,21 @@ def _deliveries(session: Session) -> list[WebhookDelivery]:
 
 
 @pytest.mark.parametrize("name", ["ana", "cy", "dee", "eve"])
-def test_only_administrators_manage_webhooks(session: Session, people: Mapping[str, Actor], name: str) -> None:
+def test_only_administrators_manage_webhooks(
+    session: Session, people: Mapping[str, Actor], name: str, box: SecretBox
+) -> None:
     with pytest.raises(ForbiddenError, match="administrator"):
-        webhooks.create_webhook(session, people[name], label="x", url=URL)
+        webhooks.create_webhook(session, people[name], box, label="x", url=URL)
     with pytest.raises(ForbiddenError, match="administrator"):
         webhooks.list_webhooks(session, people[name])
 
 
-def test_an_administrators_key_manages_no_webhooks(session: Session, people: Mapping[str, Actor]) -> None:
+def test_an_administrators_key_manages_no_webhooks(
+    session: Session, people: Mapping[str, Actor], box: SecretBox
+) -> None:
     _, secret = api_keys.create_key(session, people["root"], label="x", scopes=["runs"])
     with pytest.raises(ForbiddenError, match="API key"):
-        webhooks.create_webhook(session, api_keys.actor_of_key(session, secret), label="x", url=URL)
+        webhooks.create_webhook(session, api_keys.actor_of_key(session, secret), box, label="x", url=URL)
 
 
 @pytest.mark.parametrize(
@@ -55,21 +66,25 @@ def test_an_administrators_key_manages_no_webhooks(session: Session, people: Map
     ["", "mission.example", "ftp://mission.example", "https://", "https://a:b@mission.example/", "https://x/#y",
      "https://x:port/", "https://x/" + "y" * 2000, "file:///etc/passwd"],
 )  # fmt: skip
-def test_what_is_no_address_of_a_web_server_is_refused(session: Session, people: Mapping[str, Actor], url: str) -> None:
+def test_what_is_no_address_of_a_web_server_is_refused(
+    session: Session, people: Mapping[str, Actor], url: str, box: SecretBox
+) -> None:
     with pytest.raises(RefusedInputError):
-        webhooks.create_webhook(session, people["root"], label="x", url=url)
+        webhooks.create_webhook(session, people["root"], box, label="x", url=url)
 
 
 @pytest.mark.parametrize("kind", ["promoted", "a b.c", ".", "parameter-sets.", "x.y;z"])
-def test_a_kind_that_no_event_can_have_is_refused(session: Session, people: Mapping[str, Actor], kind: str) -> None:
+def test_a_kind_that_no_event_can_have_is_refused(
+    session: Session, people: Mapping[str, Actor], kind: str, box: SecretBox
+) -> None:
     with pytest.raises(RefusedInputError, match="no kind of event"):
-        webhooks.create_webhook(session, people["root"], label="x", url=URL, actions=[kind])
+        webhooks.create_webhook(session, people["root"], box, label="x", url=URL, actions=[kind])
 
 
 def test_a_webhook_is_told_what_happens_after_it_was_made_and_of_the_kinds_it_asked_for(
-    session: Session, people: Mapping[str, Actor], hook: Webhook
+    session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    webhooks.create_webhook(session, people["root"], label="All", url=URL)
+    webhooks.create_webhook(session, people["root"], box, label="All", url=URL)
     assert webhooks.queue_new(session) == 0, "nothing happened to a user since"
     _happens(session)
     made = webhooks.queue_new(session)
@@ -79,7 +94,7 @@ def test_a_webhook_is_told_what_happens_after_it_was_made_and_of_the_kinds_it_as
     assert webhooks.queue_new(session) == 0, "nobody is told twice"
 
 
-def test_a_message_says_what_who_and_which_record_of_the_chain(session: Session, hook: Webhook) -> None:
+def test_a_message_says_what_who_and_which_record_of_the_chain(session: Session, hook: Webhook, box: SecretBox) -> None:
     _happens(session)
     webhooks.queue_new(session)
     row = _deliveries(session)[0]
@@ -90,20 +105,23 @@ def test_a_message_says_what_who_and_which_record_of_the_chain(session: Session,
     assert body["data"]["audit_hash"] == record.hash
     assert row.audit_id == record.id
     assert hook.secret not in row.body
+    assert str(box.open(hook.secret)) not in row.body
 
 
-def test_a_signature_is_the_hmac_of_id_second_and_body() -> None:
-    expected = hmac.new(b"whsec_x", b'msg_7.1700000000.{"a":1}', hashlib.sha256).digest()
-    assert (
-        webhook_messages.signature("whsec_x", "msg_7", 1700000000, '{"a":1}')
-        == "v1," + base64.b64encode(expected).decode()
-    )
+def test_a_signature_is_the_hmac_of_id_second_and_body_by_the_bytes_of_each_secret() -> None:
+    keys = [b"k" * 32, b"\xff" * 24]
+    secrets = ["whsec_" + base64.b64encode(key).decode() for key in keys]
+    expected = [hmac.new(key, b'msg_7.1700000000.{"a":1}', hashlib.sha256).digest() for key in keys]
+    signed = webhook_messages.signature(secrets, "msg_7", 1700000000, '{"a":1}')
+    assert signed == " ".join("v1," + base64.b64encode(one).decode() for one in expected)
 
 
-def test_a_message_under_way_is_not_taken_twice(session: Session, people: Mapping[str, Actor], hook: Webhook) -> None:
+def test_a_message_under_way_is_not_taken_twice(
+    session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
+) -> None:
     webhooks.try_webhook(session, people["root"], hook.id)
-    assert [message.url for message in webhooks.take_due(session, 10)] == [URL]
-    assert webhooks.take_due(session, 10) == []
+    assert [message.url for message in webhooks.take_due(session, 10, box)] == [URL]
+    assert webhooks.take_due(session, 10, box) == []
 
 
 def test_a_failure_is_tried_again_after_growing_waits_and_given_up_after_the_eighth(
@@ -134,7 +152,7 @@ def test_any_2xx_delivers_and_nothing_else_does(session: Session, people: Mappin
 
 
 def test_a_message_that_was_given_up_can_be_sent_again_with_its_id_and_its_words(
-    session: Session, people: Mapping[str, Actor], hook: Webhook
+    session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
     row = webhooks.try_webhook(session, people["root"], hook.id)
     for _ in range(webhooks.MOST_ATTEMPTS):
@@ -146,17 +164,17 @@ def test_a_message_that_was_given_up_can_be_sent_again_with_its_id_and_its_words
     last = {"state": "FAILED", "attempts": webhooks.MOST_ATTEMPTS, "status": None, "outcome": "No answer."}
     assert last.items() <= record.before.items(), "the last attempt is kept where another will take its place"
     assert (row.state, row.attempts, row.body) == ("PENDING", 0, body)
-    assert [message.delivery_id for message in webhooks.take_due(session, 10)] == [row.id]
+    assert [message.delivery_id for message in webhooks.take_due(session, 10, box)] == [row.id]
     with pytest.raises(NotFoundError):
         webhooks.redeliver(session, people["root"], 99)
 
 
 def test_a_disabled_webhook_is_told_nothing_and_not_of_the_meantime_when_enabled_again(
-    session: Session, people: Mapping[str, Actor], hook: Webhook
+    session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
     webhooks.try_webhook(session, people["root"], hook.id)
     webhooks.disable_webhook(session, people["root"], hook.id)
-    assert webhooks.take_due(session, 10) == []
+    assert webhooks.take_due(session, 10, box) == []
     with pytest.raises(ConflictError, match="enable it first"):
         webhooks.try_webhook(session, people["root"], hook.id)
     _happens(session)
@@ -173,31 +191,33 @@ def test_the_audit_log_tells_of_a_webhook_without_its_secret(session: Session, h
 
 
 def test_a_webhook_with_many_messages_takes_no_place_of_another(
-    session: Session, people: Mapping[str, Actor], hook: Webhook
+    session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    other = webhooks.create_webhook(session, people["root"], label="Other", url=URL)
+    other, _ = webhooks.create_webhook(session, people["root"], box, label="Other", url=URL)
     for _ in range(30):
         webhooks.try_webhook(session, people["root"], hook.id)
     webhooks.try_webhook(session, people["root"], other.id)
-    taken = [message.webhook_id for message in webhooks.take_due(session, 20)]
+    taken = [message.webhook_id for message in webhooks.take_due(session, 20, box)]
     assert taken.count(hook.id) == webhooks.MESSAGES_A_TURN
     assert taken.count(other.id) == 1
 
 
 def test_without_an_answer_everything_for_that_webhook_waits_and_counts_no_attempt(
-    session: Session, people: Mapping[str, Actor], hook: Webhook
+    session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
     first, second = (webhooks.try_webhook(session, people["root"], hook.id) for _ in range(2))
-    webhooks.take_due(session, 10)
+    webhooks.take_due(session, 10, box)
     webhooks.settle(session, first.id, status=None, outcome="No answer.")
     session.refresh(second)
     assert (second.state, second.attempts) == ("PENDING", 0)
     assert second.due_utc >= first.due_utc
     webhooks.settle(session, second.id, status=503, outcome="Refused with 503")
-    assert webhooks.take_due(session, 10) == []
+    assert webhooks.take_due(session, 10, box) == []
 
 
-def test_an_answer_lets_the_other_messages_go_on(session: Session, people: Mapping[str, Actor], hook: Webhook) -> None:
+def test_an_answer_lets_the_other_messages_go_on(
+    session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
+) -> None:
     first, second = (webhooks.try_webhook(session, people["root"], hook.id) for _ in range(2))
     webhooks.settle(session, first.id, status=503, outcome="Refused with 503")
-    assert [message.delivery_id for message in webhooks.take_due(session, 10)] == [second.id]
+    assert [message.delivery_id for message in webhooks.take_due(session, 10, box)] == [second.id]

@@ -74,7 +74,7 @@ def test_a_full_store_goes_down_and_up_again(store: Engine) -> None:
     _fill(store)
 
 
-@pytest.mark.parametrize("revision", ["0001", "0002", "0003", "0004", "0005"])
+@pytest.mark.parametrize("revision", ["0001", "0002", "0003", "0004", "0005", "0006", "0007"])
 def test_the_data_survive_the_way_down_to_every_revision_and_up_again(store: Engine, revision: str) -> None:
     _fill(store)
     with writing(store) as session:

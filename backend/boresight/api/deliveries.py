@@ -3,15 +3,13 @@
 A webhook's messages go out in their order. One that gives no answer is asked once and its other messages wait as long as
 that one, so that a dead receiver delays nobody: the look ends after its one deadline, the others have long been served.
 
-Where a name leads is looked up before every attempt, and the connection goes to the address that was judged, not to one
-looked up again. Addresses of this machine and of its link are refused unless the operator of the server allows them: a
-webhook must not become a way to what only the server can reach. Redirects are not followed, for the same reason.
+Where a name leads is looked up before every attempt and judged by `services.webhook_targets`, and the connection goes to
+an address that was judged, not to one looked up again. Redirects are not followed, for the same reason. A webhook whose
+secret cannot be read here waits for a server that has its key.
 """
 
 from __future__ import annotations
 
-import ipaddress
-import socket
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,10 +19,12 @@ import httpx
 
 import boresight
 from boresight.api.rounds import Rounds
+from boresight.errors import RefusedInputError
 from boresight.services import webhook_messages, webhooks
+from boresight.services.webhook_targets import Targets, parsed
 from boresight.services.webhooks import Message
-from boresight.store import webhooks as rows
-from boresight.store.sessions import Engine, reading, utc_now, writing
+from boresight.store.secret_box import SecretBox
+from boresight.store.sessions import Engine, reading, writing
 
 LOOK_EVERY_S = 1.0
 AT_ONCE = 20
@@ -39,13 +39,16 @@ class Deliveries:
     ----------
     database
         The store that messages are read from and outcomes are kept in.
-    local
-        Whether messages may go to this machine and its link.
+    targets
+        Where messages may go.
+    box
+        Decrypts the secrets that messages are signed with.
     """
 
-    def __init__(self, database: Engine, *, local: bool) -> None:
+    def __init__(self, database: Engine, targets: Targets, box: SecretBox) -> None:
         self._database = database
-        self._local = local
+        self.targets = targets
+        self._box = box
         self._rounds = Rounds("delivery", [self.deliver], lambda: LOOK_EVERY_S)
 
     def start(self) -> None:
@@ -63,11 +66,11 @@ class Deliveries:
     def deliver(self) -> None:
         """Send everything that is due now."""
         with reading(self._database) as session:
-            if not rows.is_any_due(session, utc_now()):
+            if not webhooks.is_any_due(session, self._box):
                 return
         with writing(self._database) as session:
             webhooks.queue_new(session)
-            messages = webhooks.take_due(session, AT_ONCE)
+            messages = webhooks.take_due(session, AT_ONCE, self._box)
         by_webhook: dict[int, list[Message]] = {}
         for message in messages:
             by_webhook.setdefault(message.webhook_id, []).append(message)
@@ -90,6 +93,8 @@ class Deliveries:
         """Make one attempt; return the answer's status, None where there was none, and what came of it."""
         try:
             answer = self._post(message)
+        except RefusedInputError as error:
+            return None, f"Not sent: {error}"
         except (OSError, httpx.HTTPError) as error:
             return None, f"No answer: {str(error) or type(error).__name__}."
         if answer.is_success:
@@ -99,9 +104,8 @@ class Deliveries:
     def _post(self, message: Message) -> httpx.Response:
         """Post a message to the address that its name leads to now."""
         parts = urlsplit(message.url)
-        host = str(parts.hostname)
-        port = parts.port or (443 if parts.scheme == "https" else 80)
-        address = self._allowed_address(host, port)
+        host, port = parsed(message.url)
+        address = self.targets.addresses(host, port)[0]
         netloc = f"[{address}]:{port}" if ":" in address else f"{address}:{port}"
         identity, now_s = webhook_messages.message_id(message.delivery_id), int(time.time())
         headers = {
@@ -110,7 +114,7 @@ class Deliveries:
             "User-Agent": f"Boresight/{boresight.__version__}",
             "webhook-id": identity,
             "webhook-timestamp": str(now_s),
-            "webhook-signature": webhook_messages.signature(message.secret, identity, now_s, message.body),
+            "webhook-signature": webhook_messages.signature(message.secrets, identity, now_s, message.body),
         }
         with httpx.Client(timeout=TIMEOUT_S, trust_env=False, follow_redirects=False) as client:
             request = client.build_request(
@@ -121,13 +125,3 @@ class Deliveries:
                 extensions={"sni_hostname": host},
             )
             return client.send(request)
-
-    def _allowed_address(self, host: str, port: int) -> str:
-        """Return the first address of a name; refuse one of this machine or its link unless that is allowed."""
-        found = [str(known[4][0]) for known in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
-        for text in found:
-            address = ipaddress.ip_address(text.partition("%")[0])
-            mapped = getattr(address, "ipv4_mapped", None) or address
-            if not self._local and (mapped.is_loopback or mapped.is_link_local or mapped.is_unspecified):
-                raise ConnectionRefusedError(f"{host} is an address of this machine or its link, which is not allowed")
-        return found[0]

@@ -29,6 +29,7 @@ from boresight.cli.simulate import simulate
 from boresight.cli.table import table
 from boresight.cli.users import user
 from boresight.cli.warm import warm
+from boresight.cli.webhooks import webhook
 from boresight.cli.worker import scheduler, worker
 
 
@@ -65,6 +66,7 @@ for command in (
     backup,
     restore,
     user,
+    webhook,
     audit,
 ):
     main.add_command(command)

@@ -18,20 +18,24 @@ MB = 1e6
 def backup(file: str) -> None:
     """Write database and blobs to FILE, while servers and workers go on.
 
-    The file holds password hashes: keep it as the data folder is kept.
+    The file holds password hashes: keep it as the data folder is kept. The secrets of webhooks are in it encrypted; keep
+    their key, webhooks.key in the data folder, in another place.
     """
     refuse_standard_output(file, "A backup")
     check_writable(file, "ZIP")
     if Path(file).exists():
         raise RefusedInputError(f"{file} exists already; name another file, a backup is never written over.")
     from boresight.services import audit
+    from boresight.services.webhook_secrets import encrypt_all
     from boresight.store import backup as backups
     from boresight.store.blobs import open_blobs
     from boresight.store.sessions import opened, reading
 
     settings = read_settings()
-    with opened(settings.database_url) as engine, reading(engine) as session:
-        head = audit.head(session)
+    with opened(settings.database_url) as engine:
+        encrypt_all(engine, settings.secret_box)  # the archive holds no secret that can be read
+        with reading(engine) as session:
+            head = audit.head(session)
     taken = backups.write_backup(settings.database_url, open_blobs(settings.blob_place), head, Path(file))
     click.echo(f"{file}: the database and {taken.blobs} files, {taken.size_bytes / MB:.1f} MB\naudit head {head}")
     if taken.blobs_at is not None:
@@ -46,6 +50,7 @@ def restore(file: Path) -> None:
     The settings may name the other engine than that of the backup: so an installation moves from one to the other.
     """
     from boresight.services import audit
+    from boresight.services.webhook_secrets import encrypt_all
     from boresight.store import backup as backups
     from boresight.store.blobs import open_blobs
     from boresight.store.sessions import opened, reading
@@ -53,11 +58,15 @@ def restore(file: Path) -> None:
     settings = read_settings()
     blobs = open_blobs(settings.blob_place)
     taken = backups.read_backup(file, settings.database_url, blobs)
-    with opened(settings.database_url) as engine, reading(engine) as session:
-        found = audit.verify(session, taken.head)
+    with opened(settings.database_url) as engine:
+        with reading(engine) as session:
+            found = audit.verify(session, taken.head)
+        kept = encrypt_all(engine, settings.secret_box)  # a backup of an older version holds them plain
     click.echo(f"{engine.url.render_as_string()}: restored, with {taken.blobs} files. Everybody logs in anew.")
     if taken.blobs_at not in {None, blobs.kept_at}:
         click.echo(f"Its stored files are in {taken.blobs_at}: set BORESIGHT_BLOBS to that, or copy them from there.")
+    if kept.sentence is not None:
+        click.echo(kept.sentence, err=True)
     if not found.ok:
         raise ConflictError(f"The backup is whole, but its audit log does not hold: {found.sentence}")
     click.echo(found.sentence)

@@ -11,6 +11,7 @@ from boresight.settings import read_settings
 @click.option("--down", "revision", metavar="REV", help="Go back to this revision; base removes every table.")
 def migrate(revision: str | None) -> None:
     """Bring the database's schema up to date, or back to a revision."""
+    from boresight.services.webhook_secrets import encrypt_all
     from boresight.store import sessions
 
     settings = read_settings()
@@ -19,6 +20,7 @@ def migrate(revision: str | None) -> None:
         before = sessions.current_revision(engine)
         if revision is None:
             sessions.migrate(engine)
+            encrypt_all(engine, settings.secret_box)
         else:
             sessions.downgrade(engine, revision)
         after = sessions.current_revision(engine)

@@ -13,10 +13,12 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.api.numbers import row_number
+from boresight.errors import BoresightError
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
 from boresight.services import webhooks
 from boresight.services.actors import Actor
+from boresight.services.webhook_secrets import state_of
 from boresight.store.sessions import Session, reading
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -48,6 +50,7 @@ def _page(request: Request, session: Session, actor: Actor, shown: Shown) -> HTM
         status_code=shown.refusal.status if shown.refusal else 200,
         may=may,
         hooks=webhooks.list_webhooks(session, actor) if may else [],
+        state_of=partial(state_of, box=request.app.state.secret_box),
         shown=shown,
     )
 
@@ -68,22 +71,36 @@ async def create(
 ) -> Response:
     """Make a webhook and show its secret, this once."""
     wanted = actions.replace(",", " ").split()
-    change = partial(webhooks.create_webhook, actor=actor, label=label, url=url, actions=wanted)
+    state, typed = request.app.state, {"label": label, "url": url, "actions": actions}
+    try:
+        await run_in_threadpool(webhooks.judge_address, actor, url, state.deliveries.targets)
+    except BoresightError as error:
+        return await run_in_threadpool(_again, request, actor, Shown(Refusal.of(error), typed))
+    change = partial(webhooks.create_webhook, actor=actor, box=state.secret_box, label=label, url=url, actions=wanted)
     outcome = await attempt(request, change)
-    typed = {"label": label, "url": url, "actions": actions}
-    shown = Shown(outcome.refusal, typed) if outcome.value is None else Shown(secret=outcome.value.secret)
+    shown = Shown(outcome.refusal, typed) if outcome.value is None else Shown(secret=outcome.value[1])
     return await run_in_threadpool(_again, request, actor, shown)
 
 
 @router.get("/webhooks/{webhook_id:int}", response_class=HTMLResponse)
 def webhook_page(request: Request, session: Reading, actor: Who, webhook_id: int, before: str = "") -> HTMLResponse:
     """Show a webhook with its messages, newest first."""
+    return _webhook_page(request, session, actor, webhook_id, before)
+
+
+def _webhook_page(
+    request: Request, session: Session, actor: Actor, webhook_id: int, before: str = "", secret: str = ""
+) -> HTMLResponse:
+    """Render a webhook, with a secret that was made just now."""
     before_id = row_number(before)
+    hook = webhooks.get_webhook(session, actor, webhook_id)
     found = webhooks.list_deliveries(session, actor, webhook_id, before_id=before_id, limit=ROWS_A_PAGE + 1)
     return render(
         request,
         "webhook.html",
-        hook=webhooks.get_webhook(session, actor, webhook_id),
+        hook=hook,
+        state=state_of(hook, request.app.state.secret_box),
+        secret=secret,
         deliveries=found[:ROWS_A_PAGE],
         next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
     )
@@ -94,6 +111,26 @@ async def try_webhook(request: Request, actor: Who, webhook_id: int) -> Response
     """Queue a trial."""
     change = partial(webhooks.try_webhook, actor=actor, webhook_id=webhook_id)
     return await _done(request, webhook_id, change, "A trial is on its way: reload to see what came of it.")
+
+
+@router.post("/webhooks/{webhook_id:int}/renew-secret", response_class=HTMLResponse)
+async def renew_secret(
+    request: Request, actor: Who, webhook_id: int, overlap_hours: Annotated[str, Form()] = "24"
+) -> Response:
+    """Give a webhook a new secret and show it, this once."""
+    hours, box = (0.0 if overlap_hours == "0" else 24.0), request.app.state.secret_box
+    change = partial(webhooks.renew_secret, actor=actor, box=box, webhook_id=webhook_id, overlap_hours=hours)
+    outcome = await attempt(request, change)
+    if outcome.value is None:
+        sentence = "" if outcome.refusal is None else outcome.refusal.sentence
+        return redirect(f"/webhooks/{webhook_id}", flash=sentence, level="serious")
+    return await run_in_threadpool(_renewed, request, actor, webhook_id, outcome.value[1])
+
+
+def _renewed(request: Request, actor: Actor, webhook_id: int, secret: str) -> HTMLResponse:
+    """Render a webhook with its new secret."""
+    with reading(request.app.state.engine) as session:
+        return _webhook_page(request, session, actor, webhook_id, secret=secret)
 
 
 @router.post("/webhooks/{webhook_id:int}/disable", response_class=HTMLResponse)

@@ -1,10 +1,13 @@
 """What a webhook's message says and how it is signed.
 
-With the secret s, the message's id, the second t at which it is sent and its body::
+With the key k, the bytes whose base64 stands behind `whsec_` in a secret, the message's id, the second t at which it is
+sent and its body::
 
-    webhook-signature: v1,base64(HMAC-SHA256(s, id "." t "." body))
+    webhook-signature: v1,base64(HMAC-SHA256(k, id "." t "." body))
 
-These are the headers and the scheme of the Standard Webhooks convention, so receivers have libraries that check it.
+These are the headers and the scheme of Standard Webhooks, so receivers have libraries that check it; they refuse a t
+more than five minutes off, so each attempt is signed anew. While a former secret still holds there is one signature by
+each, with a space between them.
 """
 
 from __future__ import annotations
@@ -12,14 +15,17 @@ from __future__ import annotations
 import base64
 import hashlib
 import hmac
+from collections.abc import Sequence
 
+from boresight.services.webhook_secrets import key_of
 from boresight.store.tables import AuditRecord
 
 
-def signature(secret: str, message_id: str, timestamp: int, body: str) -> str:
-    """Return the `webhook-signature` of a message sent at a second of Unix time."""
+def signature(secrets: Sequence[str], message_id: str, timestamp: int, body: str) -> str:
+    """Return the `webhook-signature` of a message sent at a second of Unix time, by each secret that holds."""
     signed = f"{message_id}.{timestamp}.{body}".encode()
-    return "v1," + base64.b64encode(hmac.new(secret.encode(), signed, hashlib.sha256).digest()).decode()
+    digests = (hmac.new(key_of(secret), signed, hashlib.sha256).digest() for secret in secrets)
+    return " ".join(f"v1,{base64.b64encode(digest).decode()}" for digest in digests)
 
 
 def message_id(delivery_id: int) -> str:

@@ -2,9 +2,8 @@
 
 Every audit record is told to the webhooks that asked for its kind, `<noun>.<action>` such as `parameter-sets.promoted`.
 A message is a row before it is sent, so nothing is lost when the server dies; whoever receives the same id twice knows it
-by its `webhook-id`. With the secret s, the message's id, the second t at which it is sent and its body::
-
-    webhook-signature: v1,base64(HMAC-SHA256(s, id "." t "." body))
+by its `webhook-id`. `webhook_messages` says how a message is signed, `webhook_secrets` how secrets are kept, and
+`webhook_targets` where messages may go.
 
 Failed attempts are repeated after 5 s, and then after four times as long each time; the eighth that fails is the last,
 some two hours after the first. A person can have any message sent again. What is sent goes out at the server's own
@@ -14,17 +13,18 @@ door (`boresight.api.deliveries`); here is only what is to be sent and what came
 from __future__ import annotations
 
 import json
-import secrets
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from urllib.parse import urlsplit
+from dataclasses import dataclass, field
 
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, refuse_key, require_role
 from boresight.services.webhook_messages import kind_of, message_id, told
+from boresight.services.webhook_secrets import new_secret, readable_ids
+from boresight.services.webhook_targets import Targets, parsed, refuse_address
 from boresight.services.words import refuse_control_characters
 from boresight.store import webhooks as rows
+from boresight.store.secret_box import SecretBox
 from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import Webhook, WebhookDelivery
 
@@ -34,23 +34,41 @@ MOST_ATTEMPTS = 8
 LEASE_S = 60.0  # a message under way is not taken up by another server before this
 RECORDS_A_TURN = 200
 MESSAGES_A_TURN = 5  # to one webhook, so that none takes the places of the others
-LONGEST_URL = 2000
+LONGEST_OVERLAP_HOURS = 168.0
+HOUR_S = 3600.0
 TRIAL = "boresight.trial"
 
 
 @dataclass(frozen=True)
 class Message:
-    """A message under way: where to, with which secret, and what."""
+    """A message under way: where to, signed with which secrets, and what."""
 
     delivery_id: int
     webhook_id: int
     url: str
-    secret: str
     body: str
+    secrets: tuple[str, ...] = field(repr=False)
 
 
-def create_webhook(session: Session, actor: Actor, *, label: str, url: str, actions: Collection[str] = ()) -> Webhook:
-    """Tell an address what happens from now on.
+def judge_address(actor: Actor, url: str, targets: Targets) -> None:
+    """Refuse an address that messages may not go to; this looks names up, so it comes before the writing transaction.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no administrator in person.
+    RefusedInputError
+        When it is no address, or leads where messages may not go.
+    """
+    _require_administrator(actor)
+    refuse_control_characters(url=url)
+    refuse_address(url.strip(), targets)
+
+
+def create_webhook(
+    session: Session, actor: Actor, box: SecretBox, *, label: str, url: str, actions: Collection[str] = ()
+) -> tuple[Webhook, str]:
+    """Tell an address what happens from now on; return the webhook and its secret, which is stored encrypted.
 
     Parameters
     ----------
@@ -70,12 +88,13 @@ def create_webhook(session: Session, actor: Actor, *, label: str, url: str, acti
     refuse_control_characters(label=label, url=url)
     if not label.strip():
         raise RefusedInputError("The webhook needs a label that says who listens there.")
-    _refuse_address(url.strip())
+    parsed(url.strip())
+    secret = new_secret()
     row = Webhook(
         label=label.strip(),
         url=url.strip(),
         actions=sorted({_known_kind(action) for action in actions}),
-        secret=f"whsec_{secrets.token_urlsafe(32)}",
+        secret=box.seal(secret),
         told_audit_id=rows.newest_audit_id(session),
         created_utc=utc_now(),
         created_by=actor.user_id,
@@ -84,22 +103,38 @@ def create_webhook(session: Session, actor: Actor, *, label: str, url: str, acti
     session.flush()
     audit.append(session, actor, "created", _subject(row), None, _described(row))
     row.told_audit_id = rows.newest_audit_id(session)
-    return row
+    return row, secret
 
 
-def _refuse_address(url: str) -> None:
-    """Refuse what is no address of a web server."""
-    try:
-        parts = urlsplit(url)
-        port_is_good = parts.port is None or parts.port > 0
-    except ValueError:
-        raise RefusedInputError(f"{url!r} is no address; write it like https://mission.example/hooks.") from None
-    if parts.scheme not in {"http", "https"} or not parts.hostname or not port_is_good:
-        raise RefusedInputError(f"{url!r} is no address; write it like https://mission.example/hooks.")
-    if parts.username or parts.password or parts.fragment:
-        raise RefusedInputError("A webhook's address carries no name, password or #part; give it without.")
-    if len(url) > LONGEST_URL:
-        raise RefusedInputError(f"The address has {len(url)} characters; at most {LONGEST_URL} can be kept.")
+def renew_secret(
+    session: Session, actor: Actor, box: SecretBox, webhook_id: int, *, overlap_hours: float = 24.0
+) -> tuple[Webhook, str]:
+    """Give a webhook a new secret, and return both; the former one signs beside it for some hours more.
+
+    Parameters
+    ----------
+    overlap_hours
+        0 where the former secret is known to others. One that cannot be read here signs nothing more in any case.
+
+    Raises
+    ------
+    ForbiddenError, NotFoundError
+        When the actor is no administrator in person, or there is no such webhook.
+    RefusedInputError
+        When the overlap is no time from 0 to `LONGEST_OVERLAP_HOURS` hours.
+    """
+    row = get_webhook(session, actor, webhook_id)
+    if not 0.0 <= overlap_hours <= LONGEST_OVERLAP_HOURS:
+        raise RefusedInputError(f"The former secret may sign for 0 to {LONGEST_OVERLAP_HOURS:g} hours more.")
+    overlaps = overlap_hours > 0.0 and box.open(row.secret) is not None
+    row.previous_secret = row.secret if overlaps else None
+    row.previous_until_utc = utc_after(overlap_hours * HOUR_S) if overlaps else None
+    secret = new_secret()
+    row.secret = box.seal(secret)
+    row.version += 1
+    told_of = {"former_secret_until_utc": row.previous_until_utc}
+    audit.append(session, actor, "renewed the secret of", _subject(row), None, told_of)
+    return row, secret
 
 
 def _known_kind(action: str) -> str:
@@ -208,12 +243,24 @@ def queue_new(session: Session) -> int:
     return made
 
 
-def take_due(session: Session, limit: int) -> list[Message]:
-    """Take messages that are due; they are not due again before their lease is over, whoever else looks."""
-    taken = []
-    for delivery, webhook in rows.due(session, utc_now(), limit, of_each=MESSAGES_A_TURN):
+def is_any_due(session: Session, box: SecretBox) -> bool:
+    """Whether there is a message to be delivered from here, or one to be made."""
+    return rows.is_any_untold(session) or bool(rows.due(session, utc_now(), 1, among=readable_ids(session, box)))
+
+
+def take_due(session: Session, limit: int, box: SecretBox) -> list[Message]:
+    """Take messages that are due; they are not due again before their lease is over, whoever else looks.
+
+    Those whose webhook's secret cannot be read here are left to a server that can read it.
+    """
+    taken, now_utc = [], utc_now()
+    readable = readable_ids(session, box)
+    for delivery, webhook in rows.due(session, now_utc, limit, of_each=MESSAGES_A_TURN, among=readable):
         delivery.due_utc = utc_after(LEASE_S)
-        taken.append(Message(delivery.id, webhook.id, webhook.url, webhook.secret, delivery.body))
+        former = webhook.previous_secret if (webhook.previous_until_utc or "") > now_utc else None
+        opened = (box.open(stored) for stored in (webhook.secret, former))
+        secrets = tuple(secret for secret in opened if secret is not None)
+        taken.append(Message(delivery.id, webhook.id, webhook.url, delivery.body, secrets))
     return taken
 
 

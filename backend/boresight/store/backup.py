@@ -6,7 +6,8 @@ by row inside one transaction of PostgreSQL. A blob is put before the row that n
 every blob that the copy names is in the folder when that is copied after it; a few that it does not name may come along.
 Blobs in an object store stay there: they are as safe as the bucket, and the manifest says where they are. Each file carries
 its SHA-256: a blob as its name, the database in MANIFEST.json. Left out are what can be made again, the star catalogue and
-compiled kernels, and the key of the log-in cookies: after a restore everybody logs in anew.
+compiled kernels, the key of the log-in cookies, so that after a restore everybody logs in anew, and the key of the
+secrets of webhooks, which are encrypted.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def write_backup(url: str, blobs: BlobStore, head: str, archive: Path) -> Taken:
                 "audit_head": head,
             }
             backup.writestr(MANIFEST, json.dumps(manifest, indent=2) + "\n")
-        written.chmod(0o600)  # it holds password hashes and secrets of webhooks
+        written.chmod(0o600)  # it holds password hashes
         written.replace(archive)
     return Taken(count, archive.stat().st_size, head, blobs.kept_at)
 

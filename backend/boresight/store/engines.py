@@ -75,7 +75,7 @@ def _open_sqlite(address: sa.URL) -> Engine:
         path.touch(mode=0o600)
     with suppress(PermissionError):  # of a file that another account owns and shares
         path.chmod(0o600)  # it holds password hashes; SQLite gives its journals the same mode
-    engine = sa.create_engine(address)
+    engine = sa.create_engine(address, hide_parameters=True)  # an error shows no values: some are secrets
     sa.event.listen(engine, "connect", _on_sqlite_connect)
     sa.event.listen(engine, "begin", _on_sqlite_begin)
     sa.event.listen(engine, "handle_error", _say_that_it_is_locked)
@@ -118,6 +118,7 @@ def _open_postgresql(address: sa.URL) -> Engine:
         engine = sa.create_engine(
             address.set(drivername="postgresql+psycopg"),
             pool_pre_ping=True,
+            hide_parameters=True,
             pool_size=CONNECTIONS,
             max_overflow=MORE_AT_TIMES,
             connect_args=CONNECT,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import sqlalchemy as sa
 
-from boresight.store.sessions import Session
+from boresight.store.sessions import Engine, Session
 from boresight.store.tables import AuditRecord, Webhook, WebhookDelivery
 
 
@@ -35,12 +35,18 @@ def deliveries(session: Session, *, webhook_id: int, before_id: int | None, limi
     return session.scalars(query.order_by(WebhookDelivery.id.desc()).limit(limit)).all()
 
 
-def due(session: Session, now_utc: str, limit: int, of_each: int = 1) -> Sequence[tuple[WebhookDelivery, Webhook]]:
-    """Return what is to be delivered now to webhooks that are told things, at most so many of each: one of each first."""
+def due(
+    session: Session, now_utc: str, limit: int, of_each: int = 1, *, among: Collection[int]
+) -> Sequence[tuple[WebhookDelivery, Webhook]]:
+    """Return what is to be delivered now to some webhooks that are told things, at most so many of each: one of each first."""
     place = sa.func.row_number().over(
         partition_by=WebhookDelivery.webhook_id, order_by=(WebhookDelivery.due_utc, WebhookDelivery.id)
     )
-    is_due = (WebhookDelivery.state == "PENDING", WebhookDelivery.due_utc <= now_utc)
+    is_due = (
+        WebhookDelivery.state == "PENDING",
+        WebhookDelivery.due_utc <= now_utc,
+        WebhookDelivery.webhook_id.in_(among),
+    )
     ranked = sa.select(WebhookDelivery.id, place.label("place")).where(*is_due).subquery()
     query = sa.select(WebhookDelivery, Webhook).join(Webhook, WebhookDelivery.webhook_id == Webhook.id)
     query = query.join(ranked, ranked.c.id == WebhookDelivery.id)
@@ -58,8 +64,25 @@ def put_off(session: Session, webhook_id: int, until_utc: str) -> None:
     )
 
 
-def is_any_due(session: Session, now_utc: str) -> bool:
-    """Whether there is something to deliver, or an audit record that a webhook was not told of."""
+def is_any_untold(session: Session) -> bool:
+    """Whether there is an audit record that a webhook was not told of."""
     newest = newest_audit_id(session)
     untold = sa.select(Webhook.id).where(Webhook.disabled_utc.is_(None), Webhook.told_audit_id < newest).limit(1)
-    return session.scalar(untold) is not None or bool(due(session, now_utc, 1))
+    return session.scalar(untold) is not None
+
+
+def overwrite_what_is_deleted(session: Session) -> None:
+    """Let SQLite write zeros over what this connection replaces; PostgreSQL's vacuum clears its pages."""
+    if session.connection().dialect.name == "sqlite":
+        session.connection().exec_driver_sql("PRAGMA secure_delete=ON").close()
+
+
+def empty_journal(engine: Engine) -> None:
+    """Fold SQLite's write-ahead log into the file and empty it, unless somebody reads just now."""
+    if engine.dialect.name != "sqlite":
+        return
+    connection = engine.raw_connection()
+    try:
+        connection.cursor().execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+    finally:
+        connection.close()

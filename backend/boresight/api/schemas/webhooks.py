@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from boresight.api.schemas.row import Row
 
 
-class Webhook(Row):
+class Webhook(BaseModel):
     """An address that is told what happens, without its secret."""
 
     id: int
@@ -20,6 +20,10 @@ class Webhook(Row):
     created_utc: str
     created_by: int | None
     disabled_utc: str | None
+    state: Literal["ENABLED", "DISABLED", "PAUSED"] = Field(
+        description="PAUSED: its secret cannot be decrypted with this server's key, so its messages wait; renew the secret."
+    )
+    former_secret_until_utc: str | None = Field(description="Until then a former secret signs beside the new one.")
 
 
 class NewWebhook(Webhook):

@@ -12,7 +12,7 @@ DELIVERY_STATES = ("PENDING", "DELIVERED", "FAILED")
 
 
 class Webhook(Base):
-    """Where to tell what happened; `secret` signs each delivery, so it is kept as it is and shown once."""
+    """Where to tell what happened; `secret` signs each delivery, so it is kept, encrypted, and shown once."""
 
     __tablename__ = "webhooks"
     __table_args__ = (STRICT,)
@@ -26,6 +26,8 @@ class Webhook(Base):
     created_utc: Mapped[str] = mapped_column(sa.Text)
     created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     disabled_utc: Mapped[str | None] = mapped_column(sa.Text)
+    previous_secret: Mapped[str | None] = mapped_column(sa.Text)  # signs too until `previous_until_utc`
+    previous_until_utc: Mapped[str | None] = mapped_column(sa.Text)
 
 
 class WebhookDelivery(Base):

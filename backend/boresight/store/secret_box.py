@@ -1,0 +1,123 @@
+"""Secrets in the database that are readable only with a key outside it.
+
+With the first line k of the key file, a Fernet key (AES-128-CBC and HMAC-SHA256)::
+
+    stored = "fernet:" + Fernet(k).encrypt(secret)
+
+The file is made when there is first something to encrypt, readable by its owner alone; it is in no backup. Further lines
+are keys of before, with which what they encrypted can still be read. Several servers on one database share the file.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from cryptography.fernet import Fernet, InvalidToken, MultiFernet
+
+from boresight.errors import RefusedInputError
+
+SEALED = "fernet:"
+
+
+def is_sealed(stored: str) -> bool:
+    """Whether a secret is stored encrypted."""
+    return stored.startswith(SEALED)
+
+
+class SecretBox:
+    """Encrypts and decrypts what the database keeps for later use.
+
+    Parameters
+    ----------
+    file
+        Where the keys are, one a line, the newest first.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self._read: tuple[int, MultiFernet] | None = None
+
+    def seal(self, secret: str) -> str:
+        """Encrypt a secret with the newest key, which is made when there is none yet."""
+        keys = self._keys()
+        if keys is None:
+            self._make_file()
+            keys = self._keys()
+        if keys is None:
+            raise self._unusable()
+        return SEALED + keys.encrypt(secret.encode()).decode()
+
+    def open(self, stored: str | None) -> str | None:
+        """Decrypt a secret; None when there is none or the key is not here. One stored by an older version is plain."""
+        if stored is None or not is_sealed(stored):
+            return stored
+        keys = self._keys()
+        if keys is None:
+            return None
+        try:
+            return keys.decrypt(stored.removeprefix(SEALED)).decode()
+        except InvalidToken:
+            return None
+
+    def add_key(self) -> None:
+        """Make a new key the first; what the others encrypted can still be read."""
+        self._keys()  # refuse a file that cannot be read before it is written over
+        known = self._lines() if self.file.exists() else []
+        self._write([Fernet.generate_key().decode(), *known])
+
+    def forget_old_keys(self) -> int:
+        """Keep the newest key only; return how many were forgotten."""
+        known = self._lines() if self.file.exists() else []
+        if len(known) > 1:
+            self._write(known[:1])
+        return max(len(known) - 1, 0)
+
+    def _keys(self) -> MultiFernet | None:
+        """Return the keys as the file has them now, None where there is no file."""
+        try:
+            changed = self.file.stat().st_mtime_ns
+        except FileNotFoundError:
+            return None
+        if self._read is None or self._read[0] != changed:
+            try:
+                self._read = changed, MultiFernet([Fernet(line) for line in self._lines()])
+            except ValueError as error:
+                raise self._unusable() from error
+        return self._read[1]
+
+    def _lines(self) -> list[str]:
+        lines = (line.strip() for line in self.file.read_text().splitlines())
+        return [line for line in lines if line and not line.startswith("#")]
+
+    def _make_file(self) -> None:
+        """Make the file with its first key, complete or not at all; an existing one is never replaced."""
+        self.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        written = self._written([Fernet.generate_key().decode()])
+        try:
+            with suppress(FileExistsError):  # another server was first: its key is the key
+                os.link(written, self.file)
+        finally:
+            written.unlink()
+
+    def _write(self, lines: Sequence[str]) -> None:
+        """Replace the file, complete or not at all."""
+        self.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._written(lines).replace(self.file)
+
+    def _written(self, lines: Sequence[str]) -> Path:
+        handle, name = tempfile.mkstemp(prefix=".keys-", dir=self.file.parent)  # 0600 from the start
+        with os.fdopen(handle, "w") as file:
+            file.write("".join(f"{line}\n" for line in lines))
+            file.flush()
+            os.fsync(file.fileno())
+        return Path(name)
+
+    def _unusable(self) -> RefusedInputError:
+        return RefusedInputError(
+            f"{self.file} holds no key that can be used: put back the file as it was, or remove it and give each webhook "
+            "a new secret."
+        )
