@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -72,6 +74,20 @@ def drop_triggers(connection: sa.Connection) -> None:
     else:
         for name in Base.metadata.tables:
             connection.exec_driver_sql(f"ALTER TABLE {name} DISABLE TRIGGER USER")
+
+
+@contextmanager
+def triggers_aside(connection: sa.Connection) -> Iterator[None]:
+    """Take what guards the rows out of the way for a moment, as a careful owner of the database would."""
+    query = "SELECT sql FROM sqlite_master WHERE type = 'trigger'"
+    on_sqlite = connection.dialect.name == "sqlite"
+    triggers = connection.exec_driver_sql(query).scalars().all() if on_sqlite else ()
+    drop_triggers(connection)
+    yield
+    for words in triggers:
+        connection.exec_driver_sql(words)
+    for name in () if on_sqlite else Base.metadata.tables:
+        connection.exec_driver_sql(f"ALTER TABLE {name} ENABLE TRIGGER USER")
 
 
 def _name(folder: Path) -> str:

@@ -141,7 +141,8 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.sight = Sight(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
-    state.upkeep = Upkeep(state.engine, settings.session_limits)
+    state.upkeep = Upkeep(state.engine, settings.session_limits, state.blobs)
+    state.blobs.tell_corrupt = state.upkeep.suspect
     state.secret_box = settings.secret_box
     state.deliveries = Deliveries(state.engine, settings.targets, state.secret_box)
     marks = Marks(state.engine)
@@ -183,7 +184,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.heartbeat.start()
     state.upkeep.start()
     state.deliveries.start()
-    state.workers = Engine(state.engine, state.settings, state.broadcast.hear)
+    state.workers = Engine(state.engine, state.settings, state.broadcast.hear, suspect=state.upkeep.suspect)
     state.workers.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from boresight.api.upkeep import Upkeep
 from boresight.services import alarms, api_keys, audit, users
 from boresight.services.actors import COMMAND_LINE
 from boresight.services.sessions import SessionLimits
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
 from tests.stores import url_in
 
@@ -36,13 +38,18 @@ def store(tmp_path: Path) -> Iterator[Engine]:
     store.dispose()
 
 
+def _upkeep(store: Engine) -> Upkeep:
+    """The upkeep of a store whose files lie beside it."""
+    return Upkeep(store, LIMITS, BlobStore(Path(tempfile.mkdtemp())))
+
+
 def test_before_the_first_walk_nothing_is_claimed(store: Engine) -> None:
-    light = Upkeep(store, LIMITS).light()
+    light = _upkeep(store).light()
     assert (light.state, light.at_utc) == ("not yet", None)
 
 
 def test_the_light_tells_through_which_record_and_when(store: Engine) -> None:
-    upkeep = Upkeep(store, LIMITS)
+    upkeep = _upkeep(store)
     upkeep.verify()
     with reading(store) as session:
         newest = audit.list_records(session, limit=1)[0]
@@ -53,7 +60,7 @@ def test_the_light_tells_through_which_record_and_when(store: Engine) -> None:
 
 
 def test_an_edit_by_hand_turns_the_light(store: Engine, caplog: pytest.LogCaptureFixture) -> None:
-    upkeep = Upkeep(store, LIMITS)
+    upkeep = _upkeep(store)
     with store.begin() as connection:
         connection.exec_driver_sql("UPDATE users SET roles = '[\"administrator\"]'")
     for _ in range(2):
@@ -65,14 +72,14 @@ def test_an_edit_by_hand_turns_the_light(store: Engine, caplog: pytest.LogCaptur
 
 
 def test_a_finding_that_is_not_renewed_becomes_stale(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    upkeep = Upkeep(store, LIMITS)
+    upkeep = _upkeep(store)
     upkeep.verify()
     monkeypatch.setattr(time, "monotonic", lambda: 1e9)
     assert upkeep.light().state == "stale"
 
 
 def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(store: Engine) -> None:
-    upkeep = Upkeep(store, LIMITS)
+    upkeep = _upkeep(store)
     with reading(store) as session:
         key = api_keys.list_keys(session)[0]
     upkeep.start()
@@ -97,7 +104,7 @@ def test_what_fails_is_tried_again(store: Engine, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(upkeep_module, "ROUND_S", 0.01)
     monkeypatch.setattr(audit, "verify", failing)
-    upkeep = Upkeep(store, LIMITS)
+    upkeep = _upkeep(store)
     upkeep.start()
     for _ in range(200):
         if len(walks) > 1:
@@ -109,7 +116,7 @@ def test_what_fails_is_tried_again(store: Engine, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_return(store: Engine) -> None:
-    upkeep = Upkeep(store, LIMITS)
+    upkeep = _upkeep(store)
     upkeep.verify()
     with store.begin() as connection:
         before = connection.exec_driver_sql("SELECT roles FROM users").scalar()
@@ -133,7 +140,7 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
 def test_a_server_that_stops_does_not_wait_for_a_long_look(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, released = threading.Event(), threading.Event()
     monkeypatch.setattr(upkeep_module, "PATIENCE_S", 0.05)
-    upkeep = Upkeep(store, LIMITS)
+    upkeep = _upkeep(store)
     monkeypatch.setattr(upkeep_module.watch, "changed_sensors", lambda _: begun.set() or [released.wait(30.0)][:0])
     upkeep.start()
     assert begun.wait(30.0)

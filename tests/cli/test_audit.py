@@ -1,13 +1,25 @@
 """`boresight audit verify` on a database that was edited by hand."""
 
+import random
+from contextlib import nullcontext
+
 import pytest
 
+from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.chain import append_own
 from boresight.store.sessions import open_engine, writing
 from boresight.store.tables import Blob, Sensor, TelemetrySet
-from tests.stores import drop_triggers, url_in
+from tests.stores import drop_triggers, triggers_aside, url_in
 
 NOW = "2026-11-21T00:00:00.000000Z"
+
+
+@pytest.fixture(autouse=True)
+def _own_files(monkeypatch, tmp_path):
+    """Keep the stored files of each test beside its database."""
+    monkeypatch.setenv("BORESIGHT_BLOBS", str(tmp_path / "blobs"))
+
+
 ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--password-stdin")
 
 
@@ -37,7 +49,7 @@ def test_an_edit_by_hand_is_found_and_named(store, tmp_path, edit, said):
     assert said in found.stderr
 
 
-def _edit_by_hand(folder, edit):
+def _edit_by_hand(folder, edit, *, aside=False):
     """Edit the database as its owner could, with triggers and foreign keys out of the way."""
     engine = open_engine(url_in(folder))
     with engine.connect() as connection:
@@ -45,8 +57,8 @@ def _edit_by_hand(folder, edit):
             connection.connection.driver_connection.execute("PRAGMA foreign_keys=OFF")
         else:
             connection.exec_driver_sql("SET session_replication_role = replica")
-        drop_triggers(connection)
-        connection.exec_driver_sql(edit)
+        with triggers_aside(connection) if aside else nullcontext(drop_triggers(connection)):
+            connection.exec_driver_sql(edit)
         connection.commit()
     engine.dispose()
 
@@ -61,7 +73,7 @@ def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path
         session.add(_telemetry())
         append_own(session, "uploaded", "telemetry-sets/1")
     engine.dispose()
-    assert store("audit", "verify").exit_code == 0
+    assert store("audit", "verify", "--no-blobs").exit_code == 0
     _edit_by_hand(tmp_path, "UPDATE blobs SET sha256 = 'b' || substr(sha256, 2)")
     found = store("audit", "verify")
     assert found.exit_code == 1
@@ -97,3 +109,60 @@ def test_a_schema_of_another_version_is_refused_and_left_as_it_is(store, tmp_pat
     assert "has schema 0002" in found.stderr
     assert "boresight migrate" in found.stderr
     assert path.read_bytes() == before
+
+
+def _store_a_file(folder, content=b"telemetry"):
+    """Store a file and a row that names it."""
+    engine, blobs = open_engine(url_in(folder)), BlobStore(folder / "blobs")
+    with writing(engine) as session:
+        row = register_blob(session, blobs, blobs.put(content), "text/csv")
+        append_own(session, "stored", "blobs")
+    engine.dispose()
+    return blobs.path(row.sha256)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "what"),
+    [
+        (lambda path: path.write_bytes(b"telemetrx"), "altered"),
+        (lambda path: path.write_bytes(b""), "altered"),
+        (lambda path: path.unlink(), "missing"),
+    ],
+)
+def test_a_stored_file_that_was_altered_or_is_missing_is_named(store, tmp_path, spoil, what):
+    assert store("migrate").exit_code == 0
+    path = _store_a_file(tmp_path)
+    found = store("audit", "verify")
+    assert (found.exit_code, "the 1 stored files" in found.stdout) == (0, True)
+    spoil(path)
+    found = store("audit", "verify")
+    assert found.exit_code == 1
+    assert f"The stored file {path.name[:12]} (of no row): {what}" in found.stderr
+    assert store("audit", "verify", "--no-blobs").exit_code == 0
+
+
+def test_a_size_of_a_stored_file_that_was_edited_is_named(store, tmp_path):
+    assert store("migrate").exit_code == 0
+    path = _store_a_file(tmp_path)
+    _edit_by_hand(tmp_path, "UPDATE blobs SET size_bytes = size_bytes + 1", aside=True)
+    found = store("audit", "verify")
+    assert (found.exit_code, f"{path.name[:12]} (of no row): another size" in found.stderr) == (1, True)
+
+
+def test_twenty_bits_flipped_in_stored_files_are_twenty_noticed(store, tmp_path):
+    assert store("migrate").exit_code == 0
+    dice = random.Random(13)  # noqa: S311 - the same flips every time
+    paths = [_store_a_file(tmp_path, dice.randbytes(size)) for size in (1, 40, 5000, 70_001, 2 << 20)]
+    assert store("audit", "verify").exit_code == 0
+    noticed = 0
+    for _ in range(20):
+        path = dice.choice(paths)
+        content, bit = bytearray(path.read_bytes()), dice.randrange(8 * path.stat().st_size)
+        content[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(content)
+        found = store("audit", "verify")
+        noticed += found.exit_code == 1 and f"The stored file {path.name[:12]}" in found.stderr
+        content[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(content)
+    assert noticed == 20
+    assert store("audit", "verify").exit_code == 0

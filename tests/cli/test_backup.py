@@ -175,3 +175,40 @@ def test_a_backup_holds_no_secret_of_a_webhook_and_without_the_key_a_restore_say
     assert rotated.exit_code == 0, rotated.stderr
     assert "the secrets of 1 webhooks; 1 older keys were removed" in rotated.stdout
     assert rotated.stderr == ""
+
+
+def test_a_backup_of_a_corrupt_file_is_refused_or_names_it(filled, monkeypatch, tmp_path):
+    boresight, _, sha256 = filled
+    blobs = BlobStore(tmp_path / "first" / "blobs")
+    good = blobs.put(b"another")
+    blobs.path(sha256).write_bytes(b"telemetrx")
+    refused = boresight("backup", "--out", tmp_path / "b.zip")
+    assert (refused.exit_code, sha256[:12] in refused.stderr, (tmp_path / "b.zip").exists()) == (1, True, False)
+    kept = boresight("backup", "--keep-going", "--out", tmp_path / "b.zip")
+    assert (kept.exit_code, sha256 in kept.stderr) == (1, True)
+    with zipfile.ZipFile(tmp_path / "b.zip") as archive:
+        assert {name for name in archive.namelist() if name.startswith("blobs/")} == {f"blobs/{good}"}
+        assert json.loads(archive.read("MANIFEST.json"))["left_out"] == [sha256]
+    folder = _into(monkeypatch, tmp_path / "restored")
+    back = boresight("restore", tmp_path / "b.zip")
+    assert (back.exit_code, sha256 in back.stderr) == (1, True)
+    assert BlobStore(folder / "blobs").read(good) == b"another"
+
+
+def test_every_corrupt_member_of_a_backup_is_named(filled, monkeypatch, tmp_path):
+    boresight, archive, sha256 = filled
+    blobs = BlobStore(tmp_path / "first" / "blobs")
+    others = [blobs.put(content) for content in (b"one", b"two")]
+    assert boresight("backup", "--out", tmp_path / "more.zip").exit_code == 0
+    with zipfile.ZipFile(tmp_path / "more.zip") as packed:
+        places = {info.filename: info.header_offset for info in packed.infolist()}
+    content = bytearray((tmp_path / "more.zip").read_bytes())
+    for name in (sha256, others[0]):  # a bit of the member's bytes, behind its header of 30 bytes and its name
+        content[places[f"blobs/{name}"] + 30 + len(f"blobs/{name}")] ^= 1
+    (tmp_path / "more.zip").write_bytes(content)
+    folder = _into(monkeypatch, tmp_path / "nowhere")
+    done = boresight("restore", tmp_path / "more.zip")
+    assert done.exit_code == 1
+    assert [name[:12] in done.stderr for name in (sha256, *others)] == [True, True, False]
+    assert not (folder / "boresight.sqlite3").exists()
+    assert archive.exists()

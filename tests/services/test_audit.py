@@ -11,7 +11,7 @@ from boresight.services import audit
 from boresight.services.actors import SYSTEM
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.store.tables import AuditRecord
-from tests.stores import drop_triggers
+from tests.stores import triggers_aside
 
 
 @pytest.fixture
@@ -27,8 +27,8 @@ def _by_hand(engine: Engine, statement: str) -> None:
     """Change the database as somebody who owns the file could."""
     with writing(engine) as session:
         connection = session.connection()
-        drop_triggers(connection)
-        connection.exec_driver_sql(statement)
+        with triggers_aside(connection):
+            connection.exec_driver_sql(statement)
 
 
 def _verify(engine: Engine, head: str | None = None) -> audit.ChainReport:

@@ -48,6 +48,7 @@ from boresight.store.tables import (
 
 pytestmark = pytest.mark.sqlite("its owner edits the file; tests/store/test_verification.py has both engines edited")
 NOW = "2026-11-21T00:00:00.000000Z"
+TRIGGERS = "the trigger alarm_events_no_change"  # the first of those that an attacker took out of the way
 PLAIN: Mapping[type, Any] = {int: 7, str: "x", dict: {}, list: []}
 
 
@@ -186,7 +187,7 @@ def test_any_lasting_column_of_a_sealed_row_edited_by_hand_is_found(
             assert f"Record {record_id} sealed it otherwise: {table}/{row_id} was" in report.sentence
             if column != "id":
                 connection.execute(write, (before, row_id))
-                assert _verify(store).ok, column
+                assert _verify(store).first_broken_row == TRIGGERS, column  # they were out of the way all the time
 
 
 def _another(value: int | str | None) -> int | str:
@@ -237,13 +238,17 @@ def _insert_a_unique_one(connection: sqlite3.Connection, table: str, row_id: int
 
 
 def test_of_many_edits_the_oldest_record_is_named_and_the_others_counted(store: Engine, attacker: _Attacker) -> None:
+    with store.connect() as connection:
+        query = "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+        kept_triggers = connection.exec_driver_sql(query).all()
     with attacker as connection:
         connection.execute("UPDATE users SET roles = '[\"administrator\"]' WHERE id = 1")
         connection.execute("UPDATE parameter_sets SET ground_state = 'EXPIRED' WHERE id = 1")
         first = min(_sealing_record(connection, row) for row in ("users/1", "parameter_sets/1"))
     report = _verify(store)
     assert report.first_broken_id == first
-    assert ", and 1 more are not as they were written" in report.sentence
+    others = 1 + len(kept_triggers)
+    assert f", and {others} more are not as they were written" in report.sentence
 
 
 @pytest.mark.parametrize(
@@ -288,4 +293,4 @@ def test_a_column_that_is_not_lasting_may_move(store: Engine, attacker: _Attacke
     with attacker as connection:
         connection.execute("UPDATE api_keys SET last_used_utc = ?", (utc_now(),))
         connection.execute("UPDATE webhooks SET told_audit_id = 3")
-    assert _verify(store).ok
+    assert _verify(store).first_broken_row == TRIGGERS

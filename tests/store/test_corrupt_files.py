@@ -31,7 +31,7 @@ def _flip(path: Path, bit: int) -> None:
     path.write_bytes(content)
 
 
-@pytest.mark.parametrize("reader", ["path", "read", "document", "verify"])
+@pytest.mark.parametrize("reader", ["path", "read", "document"])
 @pytest.mark.parametrize("known", [False, True])
 def test_no_reader_gives_out_a_file_with_a_flipped_bit(blobs: BlobStore, reader: str, *, known: bool) -> None:
     sha256 = blobs.put(b'{"f_m":0.016}')
@@ -78,7 +78,7 @@ def test_verifying_reads_a_file_again_whatever_is_known_of_it(
     monkeypatch.setattr(integrity, "digest_of", lambda _: "0" * 64)  # as a disk that fails below the file system
     assert blobs.path(sha256)
     with pytest.raises(CorruptFileError):
-        blobs.verify(sha256)
+        blobs.check(sha256, again=True)
 
 
 def test_putting_the_bytes_again_mends_a_corrupt_file(blobs: BlobStore) -> None:

@@ -147,7 +147,7 @@ def test_a_run_under_way_moves_without_a_record_and_its_end_is_one(inhabited: En
         assert finish(session, 1, 1, "FAILED", "it diverged") == "FAILED"
     last = _records(inhabited)[-1]
     assert (last.actor, last.action, last.object, last.reason) == ("Boresight", "ended", "runs/1", "it diverged")
-    assert set(last.rows or ()) == {"runs/1"}
+    assert set(last.rows or ()) == {"runs/1", "run_events/1"}  # the end, and the newest line of the log
     assert _found(inhabited).misfit is None
 
 

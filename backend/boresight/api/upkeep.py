@@ -7,6 +7,9 @@ times as long as the walk took, so that a chain of any length costs a fixed smal
 After each look the alarms are brought in line with what is so now (`services.watch`); a round that finds nothing new writes
 nothing.
 
+Stored files are read again, one after the other, for `READ_S` a round: a disk loses bits of files that nobody asks for. What a
+reader found corrupt, here or in a worker, is looked at now. While any file that rows name is bad, there is an alarm.
+
 Keys and log-ins are used more often than is worth writing: the newest time of each is kept in memory and written once a round.
 A log-in that was not used for too long is refused at once, and its end is written in a round.
 """
@@ -19,10 +22,13 @@ import time
 from dataclasses import dataclass
 
 from boresight.api.rounds import Rounds
+from boresight.errors import BoresightError
 from boresight.services import api_keys, audit, sessions, watch
-from boresight.services.conditions import chain_condition
+from boresight.services.conditions import CHAIN, FILES, Condition, chain_condition, files_condition
 from boresight.services.sessions import SessionLimits
-from boresight.store.sessions import Engine, reading, utc_now, writing
+from boresight.store import files
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, Session, reading, utc_now, writing
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +37,7 @@ PATIENCE_S = (
     5.0  # for a look at a large fleet that is under way when the server stops; what it had not written is undone
 )
 REST = 20.0
+READ_S = 1.0
 LATE = 3.0  # rounds without a new finding, after which the last one is stale
 
 
@@ -68,11 +75,16 @@ class Upkeep:
         The store.
     limits
         How long log-ins last.
+    blobs
+        The stored files; those of a folder are read again, those of an object store are looked at where somebody found one bad.
     """
 
-    def __init__(self, database: Engine, limits: SessionLimits) -> None:
+    def __init__(self, database: Engine, limits: SessionLimits, blobs: BlobStore) -> None:
         self._database = database
         self._limits = limits
+        self._blobs = blobs
+        self._suspects: set[str] = set()
+        self._read_to = ""
         self._used_utc: dict[str, str] = {}
         self._sessions_used_utc: dict[int, str] = {}
         self._unwritten: set[int] = set()
@@ -81,7 +93,9 @@ class Upkeep:
         self._looked_s = 0.0
         self._pause_s = ROUND_S
         self._rounds = Rounds(
-            "upkeep", [self.write_uses, self.tidy_sessions, self._verify_when_due, self.watch], lambda: ROUND_S
+            "upkeep",
+            [self.write_uses, self.tidy_sessions, self._verify_when_due, self.read_files, self.watch],
+            lambda: ROUND_S,
         )
 
     def start(self) -> None:
@@ -152,18 +166,62 @@ class Upkeep:
             log.critical("The audit log does not hold: %s", report.sentence)
         self._found = Light(state, report.last_id, utc_now(), report.sentence)
 
-    def watch(self) -> None:
-        """Bring the alarms of the fleet and of the audit log in line with what is so now."""
-        known = self._found.state in {"verified", "broken"}
-        broken = chain_condition(self._found.state, self._found.sentence)
+    def suspect(self, sha256: str) -> None:
+        """Look at a stored file now, which somebody found corrupt."""
+        with self._guard:
+            is_new = sha256 not in self._suspects
+            self._suspects.add(sha256)
+        if is_new:
+            self._rounds.nudge()
+
+    def read_files(self) -> None:
+        """Read stored files again: those that are suspected, and some of the others, on from where the last round ended."""
         with reading(self._database) as session:
-            sensor_ids, chain = watch.changed_sensors(session), known and watch.chain_changed(session, broken)
-        if not sensor_ids and not chain:
+            suspected = self._suspects | set(watch.files_in_alarm(session))
+            doubtful = files.sizes(session, sorted(suspected))
+            others = files.registered(session, self._read_to) if self._blobs.kept_at is None else ()
+        bad = {sha256 for sha256, size in doubtful if self._is_bad(sha256, size)}
+        self._read_to, ends_s = "", time.monotonic() + READ_S
+        for sha256, size in others:
+            if self._is_bad(sha256, size):
+                bad.add(sha256)
+            if time.monotonic() > ends_s or sha256 == others[-1][0]:
+                self._read_to = sha256
+                break
+        with self._guard:
+            self._suspects = (self._suspects - suspected) | bad
+
+    def _is_bad(self, sha256: str, size: int) -> bool:
+        """Whether a file is not what its row says; a store that does not answer is another matter."""
+        try:
+            return files.wrong_with(self._blobs, sha256, size, again=True) is not None
+        except BoresightError:
+            return sha256 in self._suspects
+
+    def watch(self) -> None:
+        """Bring the alarms of the fleet, of the audit log and of the stored files in line with what is so now."""
+        with reading(self._database) as session:
+            found = self._conditions(session)
+            sensor_ids, installation = watch.changed_sensors(session), watch.installation_changed(session, found)
+        if not sensor_ids and not installation:
             return
         with writing(self._database) as session:
             watch.watch(session, sensor_ids)
-            if chain:
-                watch.watch_chain(session, broken)
+            if installation:
+                watch.watch_installation(session, found)
+
+    def _conditions(self, session: Session) -> dict[str, Condition | None]:
+        """Return what is wrong with the installation, by source."""
+        named = files.sizes(session, sorted(self._suspects))
+        wrong = [
+            files.BadFile(sha256, what, files.users_of(session, sha256))
+            for sha256, size in named
+            if (what := files.wrong_with(self._blobs, sha256, size, again=False)) is not None
+        ]
+        found = {FILES: files_condition(wrong)}
+        if self._found.state in {"verified", "broken"}:
+            found[CHAIN] = chain_condition(self._found.state, self._found.sentence)
+        return found
 
     def light(self) -> Light:
         """Return what the last walk found, as stale when the next one is long overdue."""

@@ -23,21 +23,26 @@ def audit() -> None:
 
 @audit.command()
 @click.option("--head", metavar="HASH", help="A head from an earlier export, which must still be in the chain.")
+@click.option("--no-blobs", is_flag=True, help="Leave the stored files out; otherwise every one of them is read.")
 @click.pass_context
-def verify(context: click.Context, head: str | None) -> None:
-    """Walk the whole chain and every row that it seals; exit code 1 when one is not as it was written."""
+def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
+    """Walk the whole chain, every row that it seals and every stored file; exit code 1 when one is not as it was written."""
     from boresight.services import audit as chain
+    from boresight.store.blobs import open_blobs
     from boresight.store.sessions import open_engine, reading
 
-    engine = open_engine(read_settings().database_url)
+    settings = read_settings()
+    engine = open_engine(settings.database_url)
     try:
         _require_schema(engine)  # and change nothing: a migration may stumble over what is to be named here
         with reading(engine) as session:
-            found = chain.verify(session, head)
+            found = chain.verify(session, head, None if no_blobs else open_blobs(settings.blob_place))
     finally:
         engine.dispose()
     if not found.ok:
         click.echo(f"boresight: {found.sentence}", err=True)
+        for bad in found.bad_files[1:]:
+            click.echo(f"  {bad}", err=True)
         context.exit(REFUSED)
     click.echo(f"{found.sentence}\nhead {found.head}")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from boresight.cli.output import check_writable, refuse_standard_output
-from boresight.errors import ConflictError, RefusedInputError
+from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
 from boresight.settings import read_settings
 
 MB = 1e6
@@ -15,8 +15,11 @@ MB = 1e6
 
 @click.command()
 @click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write; an existing one is kept.")
-def backup(file: str) -> None:
-    """Write database and blobs to FILE, while servers and workers go on.
+@click.option(
+    "--keep-going", is_flag=True, help="Leave corrupt files out and name them; the exit code is 1 all the same."
+)
+def backup(file: str, *, keep_going: bool) -> None:
+    """Write database and blobs to FILE, while servers and workers go on; refuse where a stored file is corrupt.
 
     The file holds password hashes: keep it as the data folder is kept. The secrets of webhooks are in it encrypted; keep
     their key, webhooks.key in the data folder, in another place.
@@ -36,10 +39,22 @@ def backup(file: str) -> None:
         encrypt_all(engine, settings.secret_box)  # the archive holds no secret that can be read
         with reading(engine) as session:
             head = audit.head(session)
-    taken = backups.write_backup(settings.database_url, open_blobs(settings.blob_place), head, Path(file))
+    blobs = open_blobs(settings.blob_place)
+    taken = backups.write_backup(settings.database_url, blobs, head, Path(file), keep_going=keep_going)
     click.echo(f"{file}: the database and {taken.blobs} files, {taken.size_bytes / MB:.1f} MB\naudit head {head}")
     if taken.blobs_at is not None:
         click.echo(f"The stored files stay in {taken.blobs_at}: let the store keep versions or a copy of that bucket.")
+    _refuse_left_out(taken.left_out, "were left out of the backup")
+
+
+def _refuse_left_out(left_out: tuple[str, ...], what: str) -> None:
+    """Name every file that is missing, and end with exit code 1."""
+    for sha256 in left_out:
+        click.echo(f"  {sha256}", err=True)
+    if left_out:
+        raise CorruptFileError(
+            f"{len(left_out)} corrupt files {what}: {', '.join(sha256[:12] for sha256 in left_out[:5])}."
+        )
 
 
 @click.command()
@@ -67,6 +82,7 @@ def restore(file: Path) -> None:
         click.echo(f"Its stored files are in {taken.blobs_at}: set BORESIGHT_BLOBS to that, or copy them from there.")
     if kept.sentence is not None:
         click.echo(kept.sentence, err=True)
+    _refuse_left_out(taken.left_out, "were left out when the backup was taken, and are missing now")
     if not found.ok:
         raise ConflictError(f"The backup is whole, but its audit log does not hold: {found.sentence}")
     click.echo(found.sentence)

@@ -19,6 +19,7 @@ from boresight.pages.audit_changes import Change, changes
 from boresight.pages.rendering import render
 from boresight.pages.tables import Column, Page, Table, View, all_of, csv_of, is_text, page_of, read_view
 from boresight.services import audit
+from boresight.store.files import total_bytes
 from boresight.store.tables import AuditRecord
 
 FILTERS = ("object", "actor", "action", "since", "until")
@@ -48,6 +49,7 @@ CSV_FIELDS = {
     "hash": ("hash", "request_id"),
 }
 VERIFIED_AT_EVERY_VISIT = 1000
+READ_AT_EVERY_VISIT = 100_000_000  # bytes of stored files
 IN_GIST = 3
 TELLING = (
     "name",
@@ -122,6 +124,7 @@ def audit_page(
     except RefusedInputError as error:
         refusal = str(error)
     newest = audit.list_records(session, limit=1)
+    blobs = request.app.state.blobs if verify or total_bytes(session) <= READ_AT_EVERY_VISIT else None
     short = not newest or newest[0].id <= VERIFIED_AT_EVERY_VISIT
     return render(
         request,
@@ -131,7 +134,7 @@ def audit_page(
         last=found.last,
         refusal=refusal,
         words=audit.words(session),
-        chain=audit.verify(session) if short or verify else None,
+        chain=audit.verify(session, blobs=blobs, again=False) if short or verify else None,
         light=request.app.state.upkeep.light(),
         head=audit.head(session),
     )

@@ -16,14 +16,16 @@ from typing import Any
 from boresight.errors import NotFoundError
 from boresight.services.actors import Actor
 from boresight.store import audit as rows
-from boresight.store import chain, verification
+from boresight.store import chain, files, verification
 from boresight.store.audit import Sought
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 from boresight.store.tables import AuditRecord
 from boresight.store.times import read_time
-from boresight.store.verification import Findings
+from boresight.store.verification import Findings, Misfit
 
 FIRST_HASH = chain.FIRST_HASH
+BAD_FILES_NAMED = 20
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,10 @@ class ChainReport:
         The row that is not as the chain has it, as `table/id`; None when all are.
     last_id
         Number of the last good record.
+    files
+        How many stored files were held against their addresses; 0 where that was not asked.
+    bad_files
+        What is wrong with which, the first `BAD_FILES_NAMED`.
     """
 
     ok: bool
@@ -58,6 +64,8 @@ class ChainReport:
     rows: int = 0
     first_broken_row: str | None = None
     last_id: int = 0
+    files: int = 0
+    bad_files: tuple[str, ...] = ()
 
 
 def append(
@@ -163,30 +171,40 @@ def _time(text: str | None) -> str | None:
     return None if text is None else read_time(text)
 
 
-def verify(session: Session, expected_head: str | None = None) -> ChainReport:
-    """Walk the whole chain and every sealed row, and name the first that is not as it was written.
+def verify(
+    session: Session, expected_head: str | None = None, blobs: BlobStore | None = None, *, again: bool = True
+) -> ChainReport:
+    """Walk the whole chain, every sealed row, journal and stored file, and name the first that is not as it was written.
 
     Parameters
     ----------
     expected_head
         A head from an earlier export; not finding it means that the tail was cut and rewritten.
+    blobs
+        The stored files; None leaves them out.
+    again
+        Read every file, also those that this process has seen to be intact.
     """
     found = verification.verify(session, expected_head)
-    misfit = found.misfit
+    looked_at = [] if blobs is None else list(files.bad_files(session, blobs, again=again))
+    bad = [str(one) for one in looked_at if one is not None]
+    misfit = found.misfit or next(iter(found.guards), None) if found.broken_id is None else None
     broken_id = found.broken_id if misfit is None else misfit.record_id
     return ChainReport(
-        ok=found.broken_id is None and misfit is None and found.met,
+        ok=found.ok and not bad,
         records=found.records,
         head=found.head,
         first_broken_id=broken_id,
-        sentence=_sentence(found, expected_head),
+        sentence=_sentence(found, expected_head, None if blobs is None else len(looked_at), bad),
         rows=found.rows,
         first_broken_row=None if misfit is None else misfit.row,
         last_id=found.last_id,
+        files=len(looked_at),
+        bad_files=tuple(bad[:BAD_FILES_NAMED]),
     )
 
 
-def _sentence(found: Findings, expected_head: str | None) -> str:
+def _sentence(found: Findings, expected_head: str | None, looked_at: int | None, bad: Sequence[str]) -> str:
     """Say in words what was found, the worst of it."""
     count = found.records
     if found.broken_id is not None:
@@ -194,20 +212,32 @@ def _sentence(found: Findings, expected_head: str | None) -> str:
             f"Record {found.broken_id} is not as it was written, or it was renumbered, or one before it was removed; "
             f"{count} before it are."
         )
-    if found.misfit is not None:
-        more = f", and {found.misfits - 1} more are not as they were written" if found.misfits > 1 else ""
-        where = f"Record {found.misfit.record_id} sealed it otherwise"
-        if found.misfit.record_id is None:
-            where = "no record put it there"
-        return (
-            f"{_capital(where)}: {found.misfit.row} was {found.misfit.what} outside Boresight{more}; "
-            f"the chain of {count} records itself holds together."
-        )
-    if not found.met:
+    if found.misfit is None and not found.met:
         return (
             f"The chain of {count} records holds together, but the head {expected_head} is not in it: it was rewritten."
         )
-    return f"All {count} records and the {found.rows} rows that they sealed are as they were written."
+    if (misfit := found.misfit or next(iter(found.guards), None)) is not None:
+        others = max(0, found.misfits - 1) + len(found.guards[0 if found.misfit else 1 :])
+        more = f", and {others} more are not as they were written" if others else ""
+        return (
+            f"{_capital(_where(misfit))}{misfit.row} was {misfit.what} outside Boresight{more}; "
+            f"the chain of {count} records itself holds together."
+        )
+    if bad:
+        more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
+        return (
+            f"The stored file {bad[0]}{more}: bring it back from a backup. All {count} records and the {found.rows} rows that they "
+            "sealed are as they were written."
+        )
+    stored = "" if looked_at is None else f", the {looked_at} stored files"
+    return f"All {count} records{stored} and the {found.rows} rows that they sealed are as they were written."
+
+
+def _where(misfit: Misfit) -> str:
+    """Say what tells a misfit."""
+    if misfit.record_id is not None:
+        return f"record {misfit.record_id} sealed it otherwise: "
+    return "no record put it there: " if misfit.what == "inserted" and "/" in misfit.row else ""
 
 
 def _capital(sentence: str) -> str:

@@ -6,6 +6,7 @@
 `AGE`      caution  the baseline is older than `fleet.OLD_DAYS`
 `MISMATCH` critical a read-back of one of the sensor's sets did not match what was sent
 `CHAIN`    critical the audit log, or a row that it seals, is not as it was written
+`FILES`    critical a stored file that rows name was altered on the disk, or is missing
 ========== ======== ==========================================================================================
 
 A sentence says nothing that changes by the passing of time alone, so that looking again changes nothing.
@@ -22,9 +23,12 @@ from boresight.services.fleet import OLD_DAYS, days_since
 from boresight.services.judgements import Judgement, judgements
 from boresight.store import sensors as rows
 from boresight.store import trends
+from boresight.store.files import BadFile
 from boresight.store.sessions import Session, utc_text
 
 CHAIN = "audit/CHAIN"
+FILES = "blobs/FILES"
+FILES_NAMED = 100
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,20 @@ def source_of(sensor_id: int, kind: str) -> str:
 def chain_condition(state: str, sentence: str) -> Condition | None:
     """Return what is wrong with the audit log, from what its last verification found."""
     return Condition(CHAIN, None, "CHAIN", "critical", sentence) if state == "broken" else None
+
+
+def files_condition(bad: Sequence[BadFile]) -> Condition | None:
+    """Return what is wrong with the stored files, from those that were found bad and that rows name."""
+    if not bad:
+        return None
+    more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
+    sentence = (
+        f"The stored file {bad[0]}{more}: nothing is made of it; bring it back from a backup, and look at the disk."
+    )
+    evidence = {
+        "files": [{"sha256": one.sha256, "what": one.what, "used_by": list(one.used_by)} for one in bad[:FILES_NAMED]]
+    }
+    return Condition(FILES, None, "FILES", "critical", sentence, evidence)
 
 
 def _drift(sensor: Any, found: Judgement) -> Iterator[Condition]:

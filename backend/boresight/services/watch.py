@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 from boresight.services.actors import SYSTEM
 from boresight.services.alarms import close_if_over, step
-from boresight.services.conditions import CHAIN, Condition, conditions
+from boresight.services.conditions import CHAIN, FILES, Condition, conditions
 from boresight.store import alarms as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Alarm
@@ -26,7 +26,12 @@ def watch(session: Session, sensor_ids: Sequence[int] | None = None) -> int:
 
 def watch_chain(session: Session, broken: Condition | None) -> int:
     """Do the same for the audit log, of which the last verification is known."""
-    return _settle(session, *_chain_compared(session, broken))
+    return watch_installation(session, {CHAIN: broken})
+
+
+def watch_installation(session: Session, found: Mapping[str, Condition | None]) -> int:
+    """Do the same for what is of no sensor, and was looked at just now: what is wrong by its source, None where nothing is."""
+    return _settle(session, *_installation_compared(session, found))
 
 
 def changed_sensors(session: Session, sensor_ids: Sequence[int] | None = None) -> list[int]:
@@ -39,8 +44,19 @@ def changed_sensors(session: Session, sensor_ids: Sequence[int] | None = None) -
 
 def chain_changed(session: Session, broken: Condition | None) -> bool:
     """Whether `watch_chain` would change an alarm; reads only."""
+    return installation_changed(session, {CHAIN: broken})
+
+
+def installation_changed(session: Session, found: Mapping[str, Condition | None]) -> bool:
+    """Whether `watch_installation` would change an alarm; reads only."""
     overdue = any(row.sensor_id is None for row in rows.overdue_shelves(session))
-    return overdue or bool(_differing(*_chain_compared(session, broken)))
+    return overdue or bool(_differing(*_installation_compared(session, found)))
+
+
+def files_in_alarm(session: Session) -> list[str]:
+    """Return the files of an alarm that is up, so that they are looked at before it is said to be over."""
+    row = rows.open_alarms(session).get(FILES)
+    return [] if row is None or not row.active else [str(one["sha256"]) for one in row.evidence["files"]]
 
 
 Compared = tuple[Mapping[str, Condition], Mapping[str, Alarm]]
@@ -62,10 +78,10 @@ def _compared(session: Session, sensor_ids: Sequence[int] | None) -> Compared:
     return {one.source: one for one in conditions(session, sensor_ids)}, known
 
 
-def _chain_compared(session: Session, broken: Condition | None) -> Compared:
-    """Return what is wrong with the audit log, and its open alarm."""
-    known = {source: row for source, row in rows.open_alarms(session).items() if source == CHAIN}
-    return {} if broken is None else {CHAIN: broken}, known
+def _installation_compared(session: Session, found: Mapping[str, Condition | None]) -> Compared:
+    """Return what is wrong with the installation, and its open alarms of these sources."""
+    known = {source: row for source, row in rows.open_alarms(session).items() if source in found}
+    return {source: one for source, one in found.items() if one is not None}, known
 
 
 def _settle(session: Session, found: Mapping[str, Condition], known: Mapping[str, Alarm]) -> int:

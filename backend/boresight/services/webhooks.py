@@ -290,12 +290,12 @@ def _wants(webhook: Webhook, kind: str) -> bool:
 
 def _queue(session: Session, webhook: Webhook, audit_id: int | None, content: dict[str, object]) -> WebhookDelivery:
     """Add a message, due now, with its own id in its words."""
+    body = json.dumps({"id": message_id(rows.next_delivery_id(session)), **content}, ensure_ascii=False)
     delivery = WebhookDelivery(
-        webhook_id=webhook.id, audit_id=audit_id, body="", state="PENDING", due_utc=utc_now(), created_utc=utc_now()
+        webhook_id=webhook.id, audit_id=audit_id, body=body, state="PENDING", due_utc=utc_now(), created_utc=utc_now()
     )
     session.add(delivery)
     session.flush()
-    delivery.body = json.dumps({"id": message_id(delivery.id), **content}, ensure_ascii=False)
     return delivery
 
 

@@ -12,13 +12,14 @@ secrets of webhooks, which are encrypted.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
 import sqlite3
 import tempfile
 import zipfile
+import zlib
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,8 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from boresight.errors import ConflictError, RefusedInputError
+from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
+from boresight.integrity import digest_of, is_intact
 from boresight.store.blobs import CHUNK_BYTES, BlobStore
 from boresight.store.rows_across import copy_rows
 from boresight.store.sessions import open_engine
@@ -34,6 +36,7 @@ from boresight.store.times import utc_now
 
 FORM = "boresight.backup/1"
 DATABASE, MANIFEST = "boresight.sqlite3", "MANIFEST.json"
+NAMED = 5
 BLOB = re.compile(r"blobs/([0-9a-f]{64})")
 
 
@@ -44,6 +47,7 @@ class Taken:
     blobs: int
     size_bytes: int
     head: str
+    left_out: tuple[str, ...] = ()  # files that were corrupt
     blobs_at: str | None = None  # the object store that keeps them
 
 
@@ -54,8 +58,10 @@ def _file_of(url: str) -> Path | None:
     return Path(str(address.database)).expanduser() if sqlite else None
 
 
-def write_backup(url: str, blobs: BlobStore, head: str, archive: Path) -> Taken:
+def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_going: bool = False) -> Taken:
     """Write a backup; the file appears complete or not at all.
+
+    Every stored file is read and held against its address first: a backup of a corrupt one would be found out when it is needed.
 
     Parameters
     ----------
@@ -63,30 +69,46 @@ def write_backup(url: str, blobs: BlobStore, head: str, archive: Path) -> Taken:
         The database's address.
     head
         Of the audit chain, taken before: the restored chain must still hold it.
+    keep_going
+        Leave corrupt files out, and name them, instead of refusing.
+
+    Raises
+    ------
+    CorruptFileError
+        When stored files are corrupt; all of them are named.
     """
+    stored = sorted(blobs.folder.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*")) if blobs.kept_at is None else []
+    corrupt = tuple(path.name for path in stored if not is_intact(path, path.name, again=True))
+    if corrupt and not keep_going:
+        raise CorruptFileError(
+            f"Nothing was backed up, for {len(corrupt)} of {len(stored)} stored files are corrupt: {named(corrupt)}. Bring them "
+            "back from an older backup, or save what there is with --keep-going.",
+            corrupt[0],
+        )
     with tempfile.TemporaryDirectory(prefix=".backup-", dir=archive.absolute().parent) as folder:
         copy, written = Path(folder) / DATABASE, Path(folder) / "backup.zip"
         _copy_database(url, copy)
         count = 0
         with zipfile.ZipFile(written, "w", zipfile.ZIP_STORED) as backup:
             backup.write(copy, DATABASE, zipfile.ZIP_DEFLATED)
-            for path in (
-                sorted(blobs.folder.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*")) if blobs.kept_at is None else ()
-            ):
+            for path in stored:
+                if path.name in corrupt:
+                    continue
                 backup.write(path, f"blobs/{path.name}")  # compressed already, most of them
                 count += 1
             manifest = {
                 "schema": FORM,
                 "taken_utc": utc_now(),
-                "database_sha256": _sha256(copy),
+                "database_sha256": digest_of(copy),
                 "blobs": count,
                 "blobs_at": blobs.kept_at,
+                "left_out": list(corrupt),
                 "audit_head": head,
             }
             backup.writestr(MANIFEST, json.dumps(manifest, indent=2) + "\n")
         written.chmod(0o600)  # it holds password hashes
         written.replace(archive)
-    return Taken(count, archive.stat().st_size, head, blobs.kept_at)
+    return Taken(count, archive.stat().st_size, head, corrupt, blobs.kept_at)
 
 
 def _copy_database(url: str, copy: Path) -> None:
@@ -117,7 +139,7 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> Taken:
     Raises
     ------
     ConflictError
-        When there is a database already, or a file is not as it was backed up.
+        When there is a database already, or files are not as they were backed up; all of them are named.
     RefusedInputError
         When the file is no backup.
     """
@@ -127,13 +149,27 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> Taken:
     try:
         with zipfile.ZipFile(archive) as backup:
             manifest = _manifest(backup)
-            for name in backup.namelist():
-                if (found := BLOB.fullmatch(name)) is not None:
-                    _lay_down_blob(backup, name, found[1], blobs)
+            found = [(name, match[1]) for name in backup.namelist() if (match := BLOB.fullmatch(name)) is not None]
+            bad = [sha256 for name, sha256 in found if not _lay_down_blob(backup, name, sha256, blobs)]
+            if bad:
+                what = "is not as it was" if len(bad) == 1 else "are not as they were"
+                raise ConflictError(
+                    f"{len(bad)} of {len(found)} files in the backup {what} backed up, so no database was made: {named(bad)}. Use "
+                    "another backup."
+                )
             _lay_down_database(backup, str(manifest["database_sha256"]), database, url)
     except (zipfile.BadZipFile, EOFError, OSError) as error:
         raise RefusedInputError(f"{archive} cannot be read as a backup: {error}.") from error
-    return Taken(int(manifest["blobs"]), archive.stat().st_size, str(manifest["audit_head"]), manifest.get("blobs_at"))
+    left_out = tuple(manifest.get("left_out", ()))
+    return Taken(
+        int(manifest["blobs"]), archive.stat().st_size, str(manifest["audit_head"]), left_out, manifest.get("blobs_at")
+    )
+
+
+def named(addresses: Sequence[str]) -> str:
+    """Name files, the first of many."""
+    more = f" and {len(addresses) - NAMED} more" if len(addresses) > NAMED else ""
+    return ", ".join(sha256[:12] for sha256 in addresses[:NAMED]) + more
 
 
 def _manifest(backup: zipfile.ZipFile) -> dict[str, Any]:
@@ -147,12 +183,15 @@ def _manifest(backup: zipfile.ZipFile) -> dict[str, Any]:
     return manifest
 
 
-def _lay_down_blob(backup: zipfile.ZipFile, name: str, sha256: str, blobs: BlobStore) -> None:
-    """Put one blob under the address of its bytes."""
+def _lay_down_blob(backup: zipfile.ZipFile, name: str, sha256: str, blobs: BlobStore) -> bool:
+    """Put one blob under the address of its bytes; False where they are not those."""
     blobs.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".restore-", dir=blobs.folder) as folder:
-        if blobs.put(_extracted(backup, name, Path(folder) / "blob")) != sha256:
-            raise ConflictError(f"The file {sha256[:12]} in the backup is not as it was backed up; use another backup.")
+        try:
+            written = _extracted(backup, name, Path(folder) / "blob")
+        except (zipfile.BadZipFile, zlib.error):
+            return False
+        return digest_of(written) == sha256 and blobs.put(written) == sha256
 
 
 def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | None, url: str) -> None:
@@ -161,7 +200,7 @@ def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | No
         database.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".restore-", dir=database and database.parent) as folder:
         written = _extracted(backup, DATABASE, Path(folder) / DATABASE)
-        if _sha256(written) != sha256:
+        if digest_of(written) != sha256:
             raise ConflictError("The database in the backup is not as it was backed up; use another backup.")
         written.chmod(0o600)
         if database is None:
@@ -178,8 +217,3 @@ def _extracted(backup: zipfile.ZipFile, name: str, place: Path) -> Path:
         file.flush()
         os.fsync(file.fileno())
     return place
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

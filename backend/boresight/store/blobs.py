@@ -4,7 +4,7 @@ The name says what must be inside, so putting the same bytes twice is one file, 
 that is not what its name says. A file appears under its name complete or not at all: written beside, synced, renamed.
 
 Nobody gets a file, its bytes or its document without the file having been held against its address (`boresight.integrity`):
-what does not fit is refused as corrupt, and told to whoever raises alarms. `verify` reads it again whatever is known.
+what does not fit is refused as corrupt, and told to whoever raises alarms. `check` reads it again when asked.
 Bytes that no row refers to are harmless, so bytes are put before the row that names them is committed.
 """
 
@@ -155,8 +155,13 @@ class BlobStore:
             )
         return place
 
-    def verify(self, sha256: str) -> int:
-        """Read the bytes of an address again, whatever this process knows of them; return how many they are.
+    def check(self, sha256: str, *, again: bool) -> int:
+        """Hold the bytes of an address against it; return how many they are.
+
+        Parameters
+        ----------
+        again
+            Read them now, whatever this process knows of them.
 
         Raises
         ------
@@ -165,7 +170,7 @@ class BlobStore:
         CorruptFileError
             When they are not those of the address.
         """
-        return self._checked(self._located(sha256), sha256, again=True).stat().st_size
+        return self._checked(self._located(sha256), sha256, again=again).stat().st_size
 
     def size(self, sha256: str) -> int:
         """Return how many bytes are kept of an address, whatever they are; refuses as `path` what is missing."""

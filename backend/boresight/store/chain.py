@@ -11,10 +11,10 @@ with all after it or alone, does not follow the one before. Records of before th
 `roles`, were numbered by the database, whose sequence skips a number when a transaction of PostgreSQL's is undone: a
 gap is let pass before such a record, and before no other.
 
-A record waits in its session until the transaction commits. Then the digests of every sealed row that the transaction
-touched go into `rows` of its last record, and the records are written in their order. This hangs on the session's own
-commit, so no code that writes through a session can go round it; a transaction that touched a sealed row and appended
-no record at all is refused.
+A record waits in its session until the transaction commits. Then the digests of every sealed row that the transaction touched,
+and the newest hash of every journal that has grown, go into `rows` of its last record, and the records are written in their
+order. This hangs on the session's own commit, so no code that writes through a session can go round it; a transaction that
+touched a sealed row and appended no record at all is refused.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import ORMExecuteState, Session
 
-from boresight.store import seals
+from boresight.store import journals, seals
 from boresight.store.documents import canonical
 from boresight.store.tables import AuditRecord
 from boresight.store.times import utc_now
@@ -101,7 +101,7 @@ def write_out(session: Session) -> None:
     records = session.info.pop(PENDING, None)
     if not records:
         return
-    records[-1].rows = seals.take(session) or None
+    records[-1].rows = {**seals.take(session), **journals.heads(session)} or None
     last_id, previous = newest(session)
     for record_id, record in enumerate(records, start=last_id + 1):
         record.id, record.previous_hash = record_id, previous
@@ -161,6 +161,7 @@ def forget(session: Session) -> None:
     """Forget, after a rollback, what was to be written and sealed."""
     for name in (PENDING, WRITTEN, seals.NOTED):
         session.info.pop(name, None)
+    journals.forget(session)
 
 
 def seal_everything(session: Session) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import sqlalchemy as sa
 
+from boresight.store import journals
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import RunEvent
 
@@ -26,9 +27,10 @@ def write_event(session: Session, run_id: int, attempt: int, kind: str, message:
 def write_events(session: Session, lines: Sequence[Line]) -> None:
     """Add lines to the logs of runs in this order, however many in one statement."""
     now = utc_now()
-    rows = [dict(zip(("run_id", "attempt", "kind", "message"), line, strict=True)) | {"at_utc": now} for line in lines]
-    if rows:
-        session.execute(sa.insert(RunEvent), rows)
+    given = [dict(zip(("run_id", "attempt", "kind", "message"), line, strict=True)) | {"at_utc": now} for line in lines]
+    if given:
+        session.flush()  # what waits was said before
+        session.execute(sa.insert(RunEvent), journals.chained(session, RunEvent, given))
 
 
 def events_of_run(session: Session, run_id: int, after_id: int = 0, limit: int = 1000) -> list[RunEvent]:

@@ -47,8 +47,8 @@ UNSEALED: Mapping[type[Base], str] = {
     LoginFailure: "counts for a minute",
     LoginSession: "moves with its use and is forgotten; what was done under it is sealed with its own record",
     Opening: "is shown and decides nothing",
-    RunEvent: "tells how a run went; what came of it is sealed with the run",
-    WebhookDelivery: "repeats an audit record",
+    RunEvent: "is a journal, with hashes of its own",
+    WebhookDelivery: "is a journal, with hashes of its own",
 }
 FLEETING: Mapping[type[Base], Mapping[str, str]] = {
     ApiKey: {"last_used_utc": "moves with every use"},

@@ -24,6 +24,7 @@ from boresight.errors import BoresightError, ConflictError, RefusedInputError
 from boresight.resources import folder
 from boresight.store.chain import forget, seal, seal_everything, write_before_reading
 from boresight.store.engines import be_the_only_writer, open_engine
+from boresight.store.journals import chain_new
 from boresight.store.seals import note_flushed, refuse_bulk
 from boresight.store.times import utc_after, utc_now, utc_text
 
@@ -39,6 +40,7 @@ __all__ = [
     "open_engine",
     "opened",
     "reading",
+    "upgrade_tables",
     "utc_after",
     "utc_now",
     "utc_text",
@@ -55,6 +57,7 @@ class Session(OrmSession):
     """A transaction on the store; its commit seals in the audit log what it changed."""
 
 
+sa.event.listen(Session, "before_flush", chain_new)
 sa.event.listen(Session, "after_flush", note_flushed)
 sa.event.listen(Session, "do_orm_execute", refuse_bulk)
 sa.event.listen(Session, "do_orm_execute", write_before_reading)
@@ -192,6 +195,11 @@ def migrate(engine: Engine) -> None:
             with Session(connection, join_transaction_mode="rollback_only") as session:
                 seal_everything(session)
                 session.commit()  # its own part; the connection's transaction goes on
+
+
+def upgrade_tables(connection: sa.Connection) -> None:
+    """Make every table, index and trigger of the newest schema in an empty database."""
+    command.upgrade(_config(connection), "head")
 
 
 def downgrade(engine: Engine, revision: str) -> None:

@@ -9,6 +9,8 @@ each record and each row is read once::
     digest in the chain, no row             removed by hand
     row as sealed, what it refers to gone   parted by hand from an unsealed row, such as its blob
     no digest in the chain, a row           inserted by hand
+
+Then every journal is walked along its own chain, and meets what the records carry of it; at last the triggers are looked at.
 """
 
 from __future__ import annotations
@@ -17,10 +19,11 @@ import json
 import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from boresight.store import audit, chain, seals
-from boresight.store.sessions import Session
+from boresight.store import audit, chain, guards, journals, seals
+from boresight.store.journals import Journal
+from boresight.store.sessions import Session, upgrade_tables
 
 SCRATCH = (
     "PRAGMA journal_mode=OFF",
@@ -28,6 +31,7 @@ SCRATCH = (
     "CREATE TABLE seals (name TEXT, id INTEGER, digest TEXT, record INTEGER, PRIMARY KEY (name, id)) WITHOUT ROWID",
 )
 PUT = "INSERT OR REPLACE INTO seals VALUES (?, ?, ?, ?)"
+COVERING = "SELECT record FROM seals WHERE name = ? AND id >= ? ORDER BY id LIMIT 1"
 GET = "SELECT id, digest, record FROM seals WHERE name = ? AND digest IS NOT NULL ORDER BY id"
 
 PARTED = "parted from a row that it refers to"
@@ -74,6 +78,8 @@ class Findings:
         How many of them are not as the chain has them.
     misfit
         The one with the oldest record; one that was inserted only where none has a record.
+    guards
+        Triggers that are not as the migrations make them.
     """
 
     records: int = 0
@@ -84,6 +90,12 @@ class Findings:
     rows: int = 0
     misfits: int = 0
     misfit: Misfit | None = None
+    guards: list[Misfit] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """Whether everything is as it was written."""
+        return self.broken_id is None and self.misfit is None and self.met and not self.guards
 
 
 def verify(session: Session, expected_head: str | None) -> Findings:
@@ -96,6 +108,11 @@ def verify(session: Session, expected_head: str | None) -> Findings:
         for name in seals.SEALED if found.broken_id is None else ():
             for misfit in _misfits(session, scratch, found, name):
                 _count(found, misfit)
+        for journal in journals.JOURNALS.values() if found.broken_id is None else ():
+            for misfit in _gaps(session, scratch, found, journal):
+                _count(found, misfit)
+    strange = guards.strange_guards(session.connection(), upgrade_tables)
+    found.guards = [Misfit(f"the trigger {name}", what, None) for name, what in strange]
     return found
 
 
@@ -141,6 +158,33 @@ def _misfits(session: Session, scratch: sqlite3.Connection, found: Findings, nam
     while seal is not None:
         yield Misfit(f"{name}/{seal[0]}", "removed", seal[2])
         seal = next(waiting, None)
+
+
+def _gaps(session: Session, scratch: sqlite3.Connection, found: Findings, journal: Journal) -> Iterator[Misfit]:
+    """Walk along a journal, and meet the hashes that the records carry of it."""
+    carried = {row_id: (digest, record) for row_id, digest, record in scratch.execute(GET, (journal.name,))}
+    previous, last_id = journals.FIRST_HASH, 0
+    for row in journals.rows_of(session, journal):
+        found.rows += 1
+        digest, _ = carried.pop(row["id"], (row["hash"], 0))
+        moved = bool(journal.moving) and row["outcome_hash"] != journal.outcome_hash_of(row)
+        if row["hash"] is None:
+            yield Misfit(f"{journal.name}/{row['id']}", "inserted", None)
+            continue
+        if row["hash"] != journal.hash_of(previous, row):
+            row_id, what = (last_id + 1, "removed") if row["id"] > last_id + 1 else (row["id"], "changed")
+            yield Misfit(f"{journal.name}/{row_id}", what, _covering(scratch, journal, row_id))
+        elif row["hash"] != digest or moved:
+            yield Misfit(f"{journal.name}/{row['id']}", "changed", _covering(scratch, journal, row["id"]))
+        previous, last_id = row["hash"], row["id"]
+    for row_id, (_, record) in sorted(carried.items()):
+        yield Misfit(f"{journal.name}/{row_id}", "removed", record)
+
+
+def _covering(scratch: sqlite3.Connection, journal: Journal, row_id: int) -> int | None:
+    """Return the first record that carries a hash into which a row went; None where none does yet."""
+    found = scratch.execute(COVERING, (journal.name, row_id)).fetchone()
+    return None if found is None else int(found[0])
 
 
 def _count(found: Findings, misfit: Misfit) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 
 import sqlalchemy as sa
 
+from boresight.store import journals
 from boresight.store.sessions import Engine, Session
 from boresight.store.tables import AuditRecord, Webhook, WebhookDelivery
 
@@ -25,6 +26,12 @@ def records_after(session: Session, audit_id: int, limit: int) -> Sequence[Audit
 def newest_audit_id(session: Session) -> int:
     """Return the number of the newest audit record, 0 when there is none."""
     return session.scalar(sa.select(sa.func.max(AuditRecord.id))) or 0
+
+
+def next_delivery_id(session: Session) -> int:
+    """Return the number that the next message will have: messages are numbered by their writer, of whom there is one at a time."""
+    session.flush()
+    return journals.newest(session, journals.JOURNALS[WebhookDelivery.__tablename__])[0] + 1
 
 
 def deliveries(session: Session, *, webhook_id: int, before_id: int | None, limit: int) -> Sequence[WebhookDelivery]:

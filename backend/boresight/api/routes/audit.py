@@ -9,6 +9,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 from starlette.background import BackgroundTask
+from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 
 from boresight.api import schemas
@@ -50,10 +51,18 @@ def list_audit(
 def verify_audit(
     actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
+    request: Request,
     expected_head: Annotated[str | None, Query(description="A head from an earlier export.")] = None,
+    blobs: Annotated[bool, Query(description="Whether to look at the stored files too.")] = True,
 ) -> Response:
-    """Walk the whole chain and every row that it seals; say whether all is as it was written, else what is not."""
-    return json_response(schemas.written(schemas.ChainReport, audit.verify(session, expected_head)))
+    """Walk the whole chain, every row that it seals, and the stored files; say whether all is as it was written, else what is not.
+
+    A file that this server has seen to be intact is read again when anything about it has changed; the server's upkeep reads all of
+    them again, some a minute.
+    """
+    stored = request.app.state.blobs if blobs else None
+    found = audit.verify(session, expected_head, stored, again=False)
+    return json_response(schemas.written(schemas.ChainReport, found))
 
 
 @router.get(

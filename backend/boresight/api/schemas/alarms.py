@@ -17,7 +17,7 @@ class Alarm(Row):
         description="What it is of; one alarm of a source is open at a time.", examples=["sensors/3/DRIFT"]
     )
     sensor_id: int | None
-    kind: Literal["DRIFT", "AGE", "MISMATCH", "CHAIN"]
+    kind: Literal["DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK"]
     level: Literal["critical", "serious", "caution"]
     sentence: str
     state: str = Field(

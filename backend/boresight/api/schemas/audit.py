@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from boresight.api.schemas.row import Document, Row
 
 
@@ -34,4 +36,6 @@ class ChainReport(Row):
     head: str
     first_broken_id: int | None
     first_broken_row: str | None
+    files: int = Field(description="Stored files that were held against their addresses.")
+    bad_files: list[str] = Field(description="What is wrong with which, the first twenty.")
     sentence: str

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 from boresight.store.documents import JsonText
 from boresight.store.tables.declared import STRICT, Base, one_of, only_one
 
-ALARM_KINDS = ("DRIFT", "AGE", "MISMATCH", "CHAIN")
+ALARM_KINDS = ("DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK")
 ALARM_LEVELS = ("critical", "serious", "caution")
 ALARM_EVENTS = (
     "RAISED",

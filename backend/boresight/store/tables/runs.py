@@ -59,3 +59,4 @@ class RunEvent(Base):
     at_utc: Mapped[str] = mapped_column(sa.Text)
     kind: Mapped[str] = mapped_column(sa.Text)  # state | log
     message: Mapped[str] = mapped_column(sa.Text)
+    hash: Mapped[str | None] = mapped_column(sa.Text)  # chains it to the line before

@@ -50,3 +50,5 @@ class WebhookDelivery(Base):
     status: Mapped[int | None] = mapped_column(sa.Integer)  # of the answer
     outcome: Mapped[str | None] = mapped_column(sa.Text)  # what went wrong, a sentence
     created_utc: Mapped[str] = mapped_column(sa.Text)
+    hash: Mapped[str | None] = mapped_column(sa.Text)  # chains it to the message before
+    outcome_hash: Mapped[str | None] = mapped_column(sa.Text)  # of its state and what came of it
