@@ -113,6 +113,30 @@ def test_the_key_of_the_workers_is_in_no_file_and_on_no_command_line(served):
     assert not any("PRIVATE KEY" in text for text in told)
 
 
+def test_another_user_gets_nothing_from_a_scheduler_and_a_worker_with_certificates_of_the_command(tmp_path):
+    port = free_port()
+    certificates = Services(tmp_path).start("certificates", str(tmp_path / "made"))
+    assert certificates.wait(60) == 0
+    files = {
+        "tls_authority": str(tmp_path / "made" / "authority.pem"),
+        "tls_certificate": str(tmp_path / "made" / "boresight.pem"),
+    }
+    services = Services(tmp_path, data_folder=str(tmp_path), scheduler=f"tls://127.0.0.1:{port}", **files)
+    try:
+        scheduler = services.start("scheduler", "--port", str(port))
+        worker = services.start("worker")
+        wait_for(lambda: "has joined" in worker.log.read_text())
+        processes = [psutil.Process(scheduler.pid), psutil.Process(worker.pid)]
+        processes += processes[1].children()
+        ports = {
+            link.laddr.port for one in processes for link in one.net_connections("inet") if link.status == "LISTEN"
+        }
+        assert len(ports) == 3  # scheduler, nanny, worker
+        assert intrude(ports) == []
+    finally:
+        services.stop()
+
+
 def test_the_same_attempts_succeed_where_a_link_is_plain(tmp_path):
     services, port = Services(tmp_path, data_folder=str(tmp_path), scheduler=""), free_port()
     try:
