@@ -50,7 +50,7 @@ from boresight.api.openapi import DESCRIPTION, TAGS, corrected
 from boresight.api.origins import SAFE_METHODS, OwnPages
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.ready import Answering, Proof, Ready
-from boresight.api.upkeep import Upkeep
+from boresight.api.upkeep import KeptHeads, Upkeep
 from boresight.api.watched import Watched
 from boresight.api.wellformed import WellFormed
 from boresight.errors import BoresightError
@@ -141,7 +141,8 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.sight = Sight(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
-    state.upkeep = Upkeep(state.engine, settings.session_limits, state.blobs)
+    kept = KeptHeads(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
+    state.upkeep = Upkeep(state.engine, settings.session_limits, state.blobs, kept)
     state.blobs.tell_corrupt = state.upkeep.suspect
     state.secret_box = settings.secret_box
     state.deliveries = Deliveries(state.engine, settings.targets, state.secret_box)

@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Policy
+from boresight.services.kept_heads import refuse_place
 from boresight.services.sessions import SessionLimits
 from boresight.services.webhook_targets import Targets, read_hosts
 from boresight.store.blob_places import BlobPlace, parse_address
@@ -100,6 +101,10 @@ SETTINGS = (
     Setting("approvals", "1", "people", "Approvals that a request needs; two at least where a gate is waived.", int),
     Setting("approval_days", "30", "d", "A request that nobody decided on expires after so long.", float),
     Setting("rollback_days", "3", "d", "The same for a request to go back to a former baseline.", float),
+    Setting(
+        "audit_head_file", "", "path", "Gets each new head of the audit log, a line each; outside the data folder.", str
+    ),
+    Setting("audit_head_minutes", "5", "min", "How often the head is written there, and told to webhooks.", float),
     Setting("secure_cookies", "0", "0 or 1", "1 = the session cookie is sent over HTTPS only.", int),
 )
 
@@ -137,6 +142,8 @@ class Settings:
     approvals: int
     approval_days: float
     rollback_days: float
+    audit_head_file: str
+    audit_head_minutes: float
     secure_cookies: int
 
     @property
@@ -176,6 +183,15 @@ class Settings:
     def secret_box(self) -> SecretBox:
         """What encrypts the secrets that the database keeps for later use."""
         return SecretBox(Path(self.webhook_key or self.data_folder / "webhooks.key").expanduser())
+
+    @property
+    def kept_head_file(self) -> Path | None:
+        """Where the head of the audit log is kept; None where it is not."""
+        if not self.audit_head_file:
+            return None
+        file = Path(self.audit_head_file).expanduser()
+        refuse_place(file, self.data_folder)
+        return file
 
     @property
     def catalogue_folder(self) -> Path:

@@ -125,7 +125,7 @@ def test_a_tail_that_was_cut_leaves_rows_without_seals_and_misses_the_head(store
     head = _found(store).head
     _by_hand(store, "DELETE FROM audit WHERE id = 4")
     found = _found(store, head)
-    assert (found.met, found.misfit) == (False, Misfit("sensors/1", "inserted", None))
+    assert (found.unmet, found.misfit) == ([head], Misfit("sensors/1", "inserted", None))
 
 
 def test_a_later_seal_stands_for_the_row(store: Engine) -> None:

@@ -20,11 +20,21 @@ import logging
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from boresight.api.rounds import Rounds
 from boresight.errors import BoresightError
-from boresight.services import api_keys, audit, sessions, watch
-from boresight.services.conditions import CHAIN, FILES, Condition, chain_condition, files_condition
+from boresight.services import api_keys, audit, sessions, watch, webhooks
+from boresight.services.conditions import (
+    CHAIN,
+    FILES,
+    HEAD,
+    Condition,
+    chain_condition,
+    files_condition,
+    head_condition,
+)
+from boresight.services.kept_heads import KeptHead, read_head, write_head
 from boresight.services.sessions import SessionLimits
 from boresight.store import files
 from boresight.store.blobs import BlobStore
@@ -39,6 +49,14 @@ PATIENCE_S = (
 REST = 20.0
 READ_S = 1.0
 LATE = 3.0  # rounds without a new finding, after which the last one is stale
+
+
+@dataclass(frozen=True)
+class KeptHeads:
+    """Where the head of the audit log is kept besides, None nowhere, and how often it is written there and told."""
+
+    file: Path | None
+    every_s: float
 
 
 @dataclass(frozen=True)
@@ -77,12 +95,19 @@ class Upkeep:
         How long log-ins last.
     blobs
         The stored files; those of a folder are read again, those of an object store are looked at where somebody found one bad.
+    kept
+        Where the head of the audit log is kept besides.
     """
 
-    def __init__(self, database: Engine, limits: SessionLimits, blobs: BlobStore) -> None:
+    def __init__(
+        self, database: Engine, limits: SessionLimits, blobs: BlobStore, kept: KeptHeads | None = None
+    ) -> None:
         self._database = database
         self._limits = limits
         self._blobs = blobs
+        self._kept = kept or KeptHeads(None, 0.0)
+        self._head_kept_s = float("-inf")
+        self._head_fault = ""
         self._suspects: set[str] = set()
         self._read_to = ""
         self._used_utc: dict[str, str] = {}
@@ -94,7 +119,7 @@ class Upkeep:
         self._pause_s = ROUND_S
         self._rounds = Rounds(
             "upkeep",
-            [self.write_uses, self.tidy_sessions, self._verify_when_due, self.read_files, self.watch],
+            [self.write_uses, self.tidy_sessions, self._verify_when_due, self.keep_head, self.read_files, self.watch],
             lambda: ROUND_S,
         )
 
@@ -158,13 +183,44 @@ class Upkeep:
         """Walk the chain and every row that it seals."""
         began_s = time.monotonic()
         with reading(self._database) as session:
-            report = audit.verify(session)
+            report = audit.verify(session, kept=self._read_head())
         self._looked_s = time.monotonic()
         self._pause_s = max(ROUND_S, REST * (self._looked_s - began_s))
         state = "verified" if report.ok else "broken"
         if state != self._found.state and not report.ok:
             log.critical("The audit log does not hold: %s", report.sentence)
         self._found = Light(state, report.last_id, utc_now(), report.sentence)
+
+    def _read_head(self) -> KeptHead | None:
+        """Return the head that is kept elsewhere; what cannot be read is told by an alarm, and is no finding about the chain."""
+        try:
+            return None if self._kept.file is None else read_head(self._kept.file)
+        except BoresightError as error:
+            self._head_fault = str(error)
+            return None
+
+    def keep_head(self) -> None:
+        """Write the head elsewhere when it is due and has moved, and tell webhooks; never over a head that the chain has lost."""
+        if self._found.state != "verified" or time.monotonic() - self._head_kept_s < self._kept.every_s:
+            return
+        with reading(self._database) as session:
+            head = audit.newest_head(session)
+            if (before := self._read_head()) is not None and not audit.holds(session, before):
+                self.verify()  # records were lost since the last walk
+                return
+            told = webhooks.is_head_told(session, head)
+        if self._kept.file is not None and head is not None:
+            try:
+                if before != head:
+                    write_head(self._kept.file, head)
+                self._head_fault = ""
+            except BoresightError as error:
+                self._head_fault = str(error)
+                log.warning("%s", error)
+        if head is not None and not told:
+            with writing(self._database) as session:
+                webhooks.tell_head(session, head)
+        self._head_kept_s = time.monotonic()
 
     def suspect(self, sha256: str) -> None:
         """Look at a stored file now, which somebody found corrupt."""
@@ -218,7 +274,7 @@ class Upkeep:
             for sha256, size in named
             if (what := files.wrong_with(self._blobs, sha256, size, again=False)) is not None
         ]
-        found = {FILES: files_condition(wrong)}
+        found = {FILES: files_condition(wrong), HEAD: head_condition(self._head_fault)}
         if self._found.state in {"verified", "broken"}:
             found[CHAIN] = chain_condition(self._found.state, self._found.sentence)
         return found

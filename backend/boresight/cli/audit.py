@@ -26,8 +26,12 @@ def audit() -> None:
 @click.option("--no-blobs", is_flag=True, help="Leave the stored files out; otherwise every one of them is read.")
 @click.pass_context
 def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
-    """Walk the whole chain, every row that it seals and every stored file; exit code 1 when one is not as it was written."""
+    """Walk the whole chain, every row that it seals and every stored file; exit code 1 when one is not as it was written.
+
+    The head that the server keeps in BORESIGHT_AUDIT_HEAD_FILE must be in the chain too.
+    """
     from boresight.services import audit as chain
+    from boresight.services.kept_heads import read_head
     from boresight.store.blobs import open_blobs
     from boresight.store.sessions import open_engine, reading
 
@@ -36,7 +40,8 @@ def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
     try:
         _require_schema(engine)  # and change nothing: a migration may stumble over what is to be named here
         with reading(engine) as session:
-            found = chain.verify(session, head, None if no_blobs else open_blobs(settings.blob_place))
+            kept = None if settings.kept_head_file is None else read_head(settings.kept_head_file)
+            found = chain.verify(session, head, None if no_blobs else open_blobs(settings.blob_place), kept=kept)
     finally:
         engine.dispose()
     if not found.ok:

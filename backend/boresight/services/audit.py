@@ -15,6 +15,7 @@ from typing import Any
 
 from boresight.errors import NotFoundError
 from boresight.services.actors import Actor
+from boresight.services.kept_heads import KeptHead
 from boresight.store import audit as rows
 from boresight.store import chain, files, verification
 from boresight.store.audit import Sought
@@ -106,6 +107,18 @@ def append(
     )
 
 
+def newest_head(session: Session) -> KeptHead | None:
+    """Return number, hash and time of the newest record, to be kept elsewhere; None where there is none."""
+    newest = next(iter(rows.records(session, before_id=None, sought=Sought(), limit=1)), None)
+    return None if newest is None else KeptHead(newest.id, newest.hash, newest.at_utc)
+
+
+def holds(session: Session, kept: KeptHead) -> bool:
+    """Whether the record that a kept head is of is there, as it was."""
+    record = rows.record(session, kept.id)
+    return record is not None and record.hash == kept.hash
+
+
 def head(session: Session) -> str:
     """Return the head of the chain, to be carried by exports."""
     chain.write_out(session)
@@ -172,7 +185,12 @@ def _time(text: str | None) -> str | None:
 
 
 def verify(
-    session: Session, expected_head: str | None = None, blobs: BlobStore | None = None, *, again: bool = True
+    session: Session,
+    expected_head: str | None = None,
+    blobs: BlobStore | None = None,
+    *,
+    kept: KeptHead | None = None,
+    again: bool = True,
 ) -> ChainReport:
     """Walk the whole chain, every sealed row, journal and stored file, and name the first that is not as it was written.
 
@@ -182,10 +200,12 @@ def verify(
         A head from an earlier export; not finding it means that the tail was cut and rewritten.
     blobs
         The stored files; None leaves them out.
+    kept
+        The head that is kept elsewhere; not finding it means that records were lost or rewritten.
     again
         Read every file, also those that this process has seen to be intact.
     """
-    found = verification.verify(session, expected_head)
+    found = verification.verify(session, expected_head, None if kept is None else kept.hash)
     looked_at = [] if blobs is None else list(files.bad_files(session, blobs, again=again))
     bad = [str(one) for one in looked_at if one is not None]
     misfit = found.misfit or next(iter(found.guards), None) if found.broken_id is None else None
@@ -195,7 +215,7 @@ def verify(
         records=found.records,
         head=found.head,
         first_broken_id=broken_id,
-        sentence=_sentence(found, expected_head, None if blobs is None else len(looked_at), bad),
+        sentence=_sentence(found, kept, None if blobs is None else len(looked_at), bad),
         rows=found.rows,
         first_broken_row=None if misfit is None else misfit.row,
         last_id=found.last_id,
@@ -204,7 +224,7 @@ def verify(
     )
 
 
-def _sentence(found: Findings, expected_head: str | None, looked_at: int | None, bad: Sequence[str]) -> str:
+def _sentence(found: Findings, kept: KeptHead | None, looked_at: int | None, bad: Sequence[str]) -> str:
     """Say in words what was found, the worst of it."""
     count = found.records
     if found.broken_id is not None:
@@ -212,9 +232,14 @@ def _sentence(found: Findings, expected_head: str | None, looked_at: int | None,
             f"Record {found.broken_id} is not as it was written, or it was renumbered, or one before it was removed; "
             f"{count} before it are."
         )
-    if found.misfit is None and not found.met:
+    if found.misfit is None and found.unmet:
+        lost = (
+            f": record {kept.id}, which was written before {kept.at_utc}" if kept and kept.hash in found.unmet else ""
+        )
+        what = "it was cut, rewritten" if lost else "it was rewritten"
         return (
-            f"The chain of {count} records holds together, but the head {expected_head} is not in it: it was rewritten."
+            f"The chain of {count} records holds together, but the head {found.unmet[0]} is not in it{lost}: {what}, or is of an "
+            "older state of the disk."
         )
     if (misfit := found.misfit or next(iter(found.guards), None)) is not None:
         others = max(0, found.misfits - 1) + len(found.guards[0 if found.misfit else 1 :])

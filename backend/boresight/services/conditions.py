@@ -6,6 +6,7 @@
 `AGE`      caution  the baseline is older than `fleet.OLD_DAYS`
 `MISMATCH` critical a read-back of one of the sensor's sets did not match what was sent
 `CHAIN`    critical the audit log, or a row that it seals, is not as it was written
+`HEAD`     serious  the head of the audit log cannot be written to where it is kept
 `FILES`    critical a stored file that rows name was altered on the disk, or is missing
 ========== ======== ==========================================================================================
 
@@ -28,6 +29,7 @@ from boresight.store.sessions import Session, utc_text
 
 CHAIN = "audit/CHAIN"
 FILES = "blobs/FILES"
+HEAD = "audit/HEAD"
 FILES_NAMED = 100
 
 
@@ -79,6 +81,11 @@ def source_of(sensor_id: int, kind: str) -> str:
 def chain_condition(state: str, sentence: str) -> Condition | None:
     """Return what is wrong with the audit log, from what its last verification found."""
     return Condition(CHAIN, None, "CHAIN", "critical", sentence) if state == "broken" else None
+
+
+def head_condition(fault: str) -> Condition | None:
+    """Return that the head cannot be kept; None where it can."""
+    return Condition(HEAD, None, "HEAD", "serious", fault) if fault else None
 
 
 def files_condition(bad: Sequence[BadFile]) -> Condition | None:

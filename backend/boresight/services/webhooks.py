@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, refuse_key, require_role
+from boresight.services.kept_heads import KeptHead
 from boresight.services.webhook_messages import kind_of, message_id, told
 from boresight.services.webhook_secrets import new_secret, readable_ids
 from boresight.services.webhook_targets import Targets, parsed, refuse_address
@@ -37,6 +38,7 @@ MESSAGES_A_TURN = 5  # to one webhook, so that none takes the places of the othe
 LONGEST_OVERLAP_HOURS = 168.0
 HOUR_S = 3600.0
 TRIAL = "boresight.trial"
+HEAD = "audit.head"
 
 
 @dataclass(frozen=True)
@@ -246,6 +248,33 @@ def queue_new(session: Session) -> int:
 def is_any_due(session: Session, box: SecretBox) -> bool:
     """Whether there is a message to be delivered from here, or one to be made."""
     return rows.is_any_untold(session) or bool(rows.due(session, utc_now(), 1, among=readable_ids(session, box)))
+
+
+def is_head_told(session: Session, head: KeptHead | None) -> bool:
+    """Whether every webhook that asked for heads of the audit log by name was told of this one."""
+    return head is None or all(
+        rows.is_told(session, webhook.id, HEAD, head.hash) for webhook in _asked_for_heads(session)
+    )
+
+
+def tell_head(session: Session, head: KeptHead) -> int:
+    """Queue a message with a head of the audit log for whoever asked for it by name; returns how many."""
+    asked = [webhook for webhook in _asked_for_heads(session) if not rows.is_told(session, webhook.id, HEAD, head.hash)]
+    content = {
+        "type": HEAD,
+        "at_utc": head.at_utc,
+        "object": f"audit/{head.id}",
+        "action": "head",
+        "actor": "Boresight",
+    }
+    for webhook in asked:
+        _queue(session, webhook, None, {**content, "data": {"id": head.id, "audit_hash": head.hash}})
+    return len(asked)
+
+
+def _asked_for_heads(session: Session) -> list[Webhook]:
+    """Return the webhooks that named heads: one that is told everything else is not told of every minute too."""
+    return [webhook for webhook in rows.webhooks(session, enabled_only=True) if HEAD in webhook.actions]
 
 
 def take_due(session: Session, limit: int, box: SecretBox) -> list[Message]:

@@ -30,7 +30,7 @@ from sqlalchemy.orm import ORMExecuteState, Session
 from boresight.store import journals, seals
 from boresight.store.documents import canonical
 from boresight.store.tables import AuditRecord
-from boresight.store.times import utc_now
+from boresight.store.times import seconds_between, utc_now
 
 FIRST_HASH = "0" * 64
 TEXTS = ("at_utc", "actor", "credential", "action", "object", "reason", "request_id")
@@ -39,6 +39,7 @@ NUMBERS = ("id", "actor_id")
 COLUMNS = (*NUMBERS, *TEXTS, *DOCUMENTS, "previous_hash", "hash")
 HASHED = tuple(sorted({*COLUMNS} - {"id", "previous_hash", "hash"}))  # sorted as canonical JSON sorts its keys
 LEFT_OUT_WHEN_NULL = ("rows", "roles")  # absent from the records of before there were seals
+SET_BACK_S = 2.0
 PENDING = "audit records that wait for the commit"
 WRITTEN = "audit records were written"
 
@@ -101,6 +102,8 @@ def write_out(session: Session) -> None:
     records = session.info.pop(PENDING, None)
     if not records:
         return
+    if (back := _ran_back(session, records[0].at_utc)) is not None:
+        records.insert(0, back)
     records[-1].rows = {**seals.take(session), **journals.heads(session)} or None
     last_id, previous = newest(session)
     for record_id, record in enumerate(records, start=last_id + 1):
@@ -109,6 +112,24 @@ def write_out(session: Session) -> None:
         session.add(record)
     session.flush()
     session.info[WRITTEN] = True
+
+
+def _ran_back(session: Session, at_utc: str) -> AuditRecord | None:
+    """Return a record that the clock ran backwards, where it did since the newest one by more than clocks are set by."""
+    before = session.scalar(sa.select(AuditRecord.at_utc).order_by(AuditRecord.id.desc()).limit(1))
+    if before is None or seconds_between(at_utc, before) <= SET_BACK_S:
+        return None
+    return AuditRecord(
+        at_utc=at_utc,
+        actor="Boresight",
+        credential="system",
+        action="clock ran backwards",
+        object="clock",
+        before={"at_utc": before},
+        after={"at_utc": at_utc},
+        reason=f"The clock was set back by {seconds_between(at_utc, before):.0f} s since the record before.",
+        roles=[],
+    )
 
 
 def write_before_reading(state: ORMExecuteState) -> None:

@@ -17,6 +17,12 @@ def utc_after(seconds: float) -> str:
     return utc_text(datetime.now(UTC) + timedelta(seconds=seconds))
 
 
+def seconds_between(earlier: str, later: str) -> float:
+    """Return the seconds from one time of the store to another."""
+    first, second = (datetime.fromisoformat(text) for text in (earlier, later))
+    return (second - first).total_seconds()
+
+
 def utc_text(moment: datetime) -> str:
     """Return a moment as the store writes it; one without a zone is UTC already."""
     moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

@@ -70,8 +70,8 @@ class Findings:
         Its number; 0 where there is none.
     broken_id
         The first record that is not as it was written; then no row is looked at.
-    met
-        Whether the expected head is in the chain.
+    unmet
+        Heads that were expected, and are not in the chain.
     rows
         How many sealed rows were looked at.
     misfits
@@ -86,7 +86,7 @@ class Findings:
     head: str = chain.FIRST_HASH
     last_id: int = 0
     broken_id: int | None = None
-    met: bool = False
+    unmet: list[str] = field(default_factory=list)
     rows: int = 0
     misfits: int = 0
     misfit: Misfit | None = None
@@ -95,16 +95,18 @@ class Findings:
     @property
     def ok(self) -> bool:
         """Whether everything is as it was written."""
-        return self.broken_id is None and self.misfit is None and self.met and not self.guards
+        return self.broken_id is None and self.misfit is None and not self.unmet and not self.guards
 
 
-def verify(session: Session, expected_head: str | None) -> Findings:
+def verify(session: Session, *expected_heads: str | None) -> Findings:
     """Walk along the whole chain, then through every sealed table."""
-    found = Findings(met=expected_head in (None, chain.FIRST_HASH))
+    found = Findings(
+        unmet=[head for head in dict.fromkeys(expected_heads) if head is not None and head != chain.FIRST_HASH]
+    )
     with closing(sqlite3.connect("")) as scratch:  # a file without a name, in memory while it is small
         for statement in SCRATCH:
             scratch.execute(statement)
-        _walk(session, scratch, found, expected_head)
+        _walk(session, scratch, found)
         for name in seals.SEALED if found.broken_id is None else ():
             for misfit in _misfits(session, scratch, found, name):
                 _count(found, misfit)
@@ -116,7 +118,7 @@ def verify(session: Session, expected_head: str | None) -> Findings:
     return found
 
 
-def _walk(session: Session, scratch: sqlite3.Connection, found: Findings, expected_head: str | None) -> None:
+def _walk(session: Session, scratch: sqlite3.Connection, found: Findings) -> None:
     """Check every record against the one before, and gather the seals."""
     with closing(audit.walk(session)) as records:
         for record in records:
@@ -126,7 +128,8 @@ def _walk(session: Session, scratch: sqlite3.Connection, found: Findings, expect
             if record["rows"] is not None:
                 scratch.executemany(PUT, _seals_in(record["rows"], record["id"]))
             found.records, found.head, found.last_id = found.records + 1, record["hash"], record["id"]
-            found.met = found.met or found.head == expected_head
+            if found.head in found.unmet:
+                found.unmet.remove(found.head)
 
 
 def _seals_in(text: str, record_id: int) -> Iterator[tuple[str, int, str | None, int]]:

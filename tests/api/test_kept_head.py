@@ -1,0 +1,178 @@
+"""The head of the audit log kept elsewhere: written when it moved, missed when records vanish, and never the reason of a crash."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from boresight.api.upkeep import KeptHeads, Upkeep
+from boresight.errors import RefusedInputError
+from boresight.services import alarms, audit
+from boresight.services.actors import COMMAND_LINE
+from boresight.services.kept_heads import KeptHead, read_head, write_head
+from boresight.services.sessions import SessionLimits
+from boresight.services.webhooks import HEAD
+from boresight.settings import read_settings
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, migrate, open_engine, reading, utc_now, writing
+from boresight.store.tables import Webhook, WebhookDelivery
+from tests.stores import url_in
+
+LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Engine]:
+    (tmp_path / "data").mkdir()
+    store = open_engine(url_in(tmp_path / "data"))
+    migrate(store)
+    _count(store, 3)
+    yield store
+    store.dispose()
+
+
+def _count(store: Engine, times: int) -> None:
+    for number in range(times):
+        with writing(store) as session:
+            audit.append(session, COMMAND_LINE, "counted", f"numbers/{number}")
+
+
+def _upkeep(store: Engine, file: Path | None, every_s: float = 0.0) -> Upkeep:
+    folder = Path(str(store.url.database)).parent if store.dialect.name == "sqlite" else Path("/nowhere")
+    return Upkeep(store, LIMITS, BlobStore(folder / "blobs"), KeptHeads(file, every_s))
+
+
+def _round(upkeep: Upkeep) -> None:
+    upkeep.verify()
+    upkeep.keep_head()
+    upkeep.watch()
+
+
+def _kinds(store: Engine) -> list[str]:
+    with reading(store) as session:
+        return [row.kind for row in alarms.list_alarms(session) if row.active]
+
+
+def test_the_head_is_written_when_it_moved_and_on_its_schedule(store: Engine, tmp_path: Path) -> None:
+    file = tmp_path / "heads"
+    upkeep = _upkeep(store, file)
+    for _ in range(2):
+        _round(upkeep)
+    _count(store, 1)
+    _round(upkeep)
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    assert [line["id"] for line in lines] == [3, 4]
+    with reading(store) as session:
+        assert lines[-1]["hash"] == audit.head(session)
+    rarely = _upkeep(store, tmp_path / "other", every_s=300.0)
+    _round(rarely)
+    _count(store, 1)
+    _round(rarely)
+    assert len((tmp_path / "other").read_text().splitlines()) == 1
+
+
+@pytest.mark.sqlite("it is its write-ahead log that is damaged")
+def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_kept_head(
+    store: Engine, tmp_path: Path
+) -> None:
+    store.dispose()  # what was written so far is in the file
+    path, file = Path(str(store.url.database)), tmp_path / "heads"
+    with closing(sqlite3.connect(path)) as open_reader:  # keeps the log from being folded into the file
+        open_reader.execute("PRAGMA wal_autocheckpoint=0")
+        open_reader.execute("SELECT count(*) FROM audit").fetchall()
+        _count(store, 10)
+        _round(_upkeep(store, file))
+        damaged = tmp_path / "damaged" / path.name
+        damaged.parent.mkdir()
+        for end in ("", "-wal"):
+            shutil.copy(f"{path}{end}", f"{damaged}{end}")
+    log = bytearray(Path(f"{damaged}-wal").read_bytes())
+    log[32 : 32 + 4096] = bytes(byte ^ 0xFF for byte in log[32 : 32 + 4096])
+    Path(f"{damaged}-wal").write_bytes(log)
+    engine = open_engine(f"sqlite:///{damaged}")
+    try:
+        with reading(engine) as session:
+            alone, found = audit.verify(session), audit.verify(session, kept=read_head(file))
+        assert (alone.ok, alone.records) == (True, 3)  # ten are gone, and the chain holds
+        assert (found.ok, "record 13" in found.sentence) == (False, True)
+        upkeep = _upkeep(engine, file)
+        _count(engine, 1)
+        _round(upkeep)
+        assert read_head(file).id == 13  # not written over
+        assert "CHAIN" in _kinds(engine)
+    finally:
+        engine.dispose()
+
+
+def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(store: Engine, tmp_path: Path) -> None:
+    file, lost = tmp_path / "heads", KeptHead(9, "f" * 64, utc_now())
+    upkeep = _upkeep(store, file)
+    _round(upkeep)
+    write_head(file, lost)
+    upkeep.keep_head()
+    upkeep.watch()
+    assert read_head(file) == lost
+    assert _kinds(store) == ["CHAIN"]
+
+
+def test_a_head_that_cannot_be_written_is_an_alarm_that_returns(store: Engine, tmp_path: Path) -> None:
+    file = tmp_path / "absent" / "heads"
+    upkeep = _upkeep(store, file)
+    _round(upkeep)
+    assert _kinds(store) == ["HEAD"]
+    file.parent.mkdir()
+    _round(upkeep)
+    assert _kinds(store) == []
+    assert read_head(file) is not None
+
+
+def test_a_webhook_that_asked_for_heads_gets_each_once(store: Engine) -> None:
+    with writing(store) as session:
+        for label, actions in (("heads", [HEAD]), ("all", [])):
+            session.add(
+                Webhook(label=label, url="https://x.example", actions=actions, secret="s", created_utc=utc_now())
+            )
+        audit.append(session, COMMAND_LINE, "made", "webhooks/1")
+    upkeep = _upkeep(store, None)
+    for _ in range(2):
+        _round(upkeep)
+    with reading(store) as session:
+        newest = audit.newest_head(session)
+        sent = [row for row in session.query(WebhookDelivery).all() if f'"{HEAD}"' in row.body]
+    assert [(row.webhook_id, json.loads(row.body)["data"]["audit_hash"]) for row in sent] == [(1, newest.hash)]
+
+
+def test_a_torn_line_is_passed_over_and_not_written_into(tmp_path: Path) -> None:
+    file, heads = tmp_path / "heads", [KeptHead(number, f"{number:064d}", utc_now()) for number in (1, 2)]
+    assert read_head(file) is None
+    write_head(file, heads[0])
+    with file.open("ab") as stream:
+        stream.write(b'{"id": 2, "ha')
+    assert read_head(file) == heads[0]
+    write_head(file, heads[1])
+    assert read_head(file) == heads[1]
+    (tmp_path / "other").write_text("no head\n")
+    with pytest.raises(RefusedInputError, match="holds no head"):
+        read_head(tmp_path / "other")
+
+
+def test_a_file_in_the_data_folder_is_refused(tmp_path: Path) -> None:
+    inside = {"BORESIGHT_DATA_FOLDER": str(tmp_path), "BORESIGHT_AUDIT_HEAD_FILE": str(tmp_path / "x" / "heads")}
+    with pytest.raises(RefusedInputError, match="in the data folder"):
+        _ = read_settings(inside).kept_head_file
+
+
+def test_a_clock_that_runs_backwards_is_a_record_of_its_own(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("boresight.store.chain.utc_now", lambda: "2020-01-01T00:00:00.000000Z")
+    _count(store, 2)
+    with reading(store) as session:
+        told = [row.action for row in audit.list_records(session)][::-1]
+        report = audit.verify(session)
+    assert told == ["counted", "counted", "counted", "clock ran backwards", "counted", "counted"]
+    assert report.ok
