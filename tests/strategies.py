@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyarrow as pa
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
@@ -133,5 +134,5 @@ def _unknown_columns(draw, n):
     names = st.text("abc_xyz", min_size=1, max_size=6).filter(
         lambda name: name not in (*REQUIRED_COLUMNS, *OPTIONAL_COLUMNS)
     )
-    cells = st.lists(st.text(letters, max_size=6), min_size=n, max_size=n)
+    cells = st.lists(st.text(letters, max_size=6), min_size=n, max_size=n).map(lambda texts: pa.chunked_array([texts]))
     return draw(st.dictionaries(names, cells, max_size=2))

@@ -21,6 +21,7 @@ from boresight.services.sessions import SessionLimits
 from boresight.services.webhook_targets import Targets, read_hosts
 from boresight.store.blob_places import BlobPlace, parse_address
 from boresight.store.secret_box import SecretBox
+from boresight.telemetry.limits import Limits
 
 log = logging.getLogger(__name__)
 
@@ -84,6 +85,8 @@ SETTINGS = (
     Setting("lease_s", "10", "s", "How long a run belongs to the server that claimed it without a renewal.", float),
     Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
     Setting("upload_limit_mb", "512", "MB", "Largest telemetry file that is accepted.", float),
+    Setting("telemetry_rows", "50000000", "rows", "Most detections of a telemetry file, compressed or not.", int),
+    Setting("telemetry_columns", "1000", "columns", "Most columns of a telemetry file.", int),
     Setting("session_hours", "12", "h", "A log-in ends after so long.", float),
     Setting(
         "session_idle_minutes", "60", "min", "A log-in that is not used for so long ends too; 0 = it does not.", float
@@ -131,6 +134,8 @@ class Settings:
     lease_s: float
     max_attempts: int
     upload_limit_mb: float
+    telemetry_rows: int
+    telemetry_columns: int
     session_hours: float
     session_idle_minutes: float
     login_attempts: int
@@ -161,6 +166,11 @@ class Settings:
     def session_limits(self) -> SessionLimits:
         """How long log-ins last."""
         return SessionLimits(self.session_hours * 3600, self.session_idle_minutes * 60)
+
+    @property
+    def telemetry_limits(self) -> Limits:
+        """How much a telemetry file may hold."""
+        return Limits(rows=self.telemetry_rows, columns=self.telemetry_columns)
 
     @property
     def computing_threads(self) -> int:

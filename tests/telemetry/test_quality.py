@@ -7,6 +7,7 @@ import json
 import re
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 
@@ -170,7 +171,7 @@ CASES = [
     ),
     ("TEMPERATURE_RANGE", "CAUTION", {"temperature_c": lambda t: t.temperature_c + t.frame}, ROWS, []),
     ("SIGMA_MISSING", "NORMAL", {"sigma_px": with_rows(np.full(ROWS, 0.1), {6: np.nan})}, 1, [8]),
-    ("UNKNOWN_COLUMNS", "NORMAL", {"unknown": {"flux": ["1"] * ROWS}}, 1, []),
+    ("UNKNOWN_COLUMNS", "NORMAL", {"unknown": {"flux": pa.chunked_array([["1"] * ROWS])}}, 1, []),
     (
         "UNKNOWN_STARS_WITH_DIRECTION",
         "NORMAL",
@@ -275,7 +276,10 @@ def test_stars_that_stay_in_place_do_not_make_detections_hot_pixels(telemetry, s
 
 def test_the_worst_finding_comes_first(telemetry, sensor):
     troubled = dataclasses.replace(
-        telemetry, unknown={"flux": ["1"] * ROWS}, velocity_m_s=None, row_px=with_rows(telemetry.row_px, {7: 900.0})
+        telemetry,
+        unknown={"flux": pa.chunked_array([["1"] * ROWS])},
+        velocity_m_s=None,
+        row_px=with_rows(telemetry.row_px, {7: 900.0}),
     )
 
     report = quality_report(troubled, sensor, Stars())

@@ -122,4 +122,4 @@ def test_a_column_may_be_called_as_a_signature_is(read, first):
     cells = [[*row[:4], "7", *row[4:]] for row in cells]
     moved = "\n".join(",".join(line[k] for k in order) for line in [names, *cells])
 
-    assert read(moved, "pass.csv").unknown[first] == ["7"] * len(rows)
+    assert read(moved, "pass.csv").unknown[first].to_pylist() == ["7"] * len(rows)

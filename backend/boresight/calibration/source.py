@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from boresight.telemetry.chunks import CHUNK_FRAMES, read_chunks, rows_in
+from boresight.telemetry.limits import LIMITS, Limits
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.stretches import Stretch, stretches
@@ -33,6 +34,8 @@ class TelemetryFile:
         Frames of a piece; nor does it on this.
     sha256
         Of its bytes, where they are known by it: whoever reads a stretch of it elsewhere holds the file against that.
+    limits
+        How much it may hold.
     """
 
     path: Path
@@ -40,6 +43,7 @@ class TelemetryFile:
     large_rows: int = LARGE_ROWS
     chunk_frames: int = CHUNK_FRAMES
     sha256: str | None = None
+    limits: Limits = LIMITS
 
     def about_rows(self) -> int:
         """How many rows it has; a guess from its size where it is text."""
@@ -56,12 +60,12 @@ class TelemetryFile:
 
     def read(self) -> Telemetry:
         """Read all of it; refuses as `telemetry.readers.read_telemetry`."""
-        return read_telemetry(self.path, self.name)
+        return read_telemetry(self.path, self.name, self.limits)
 
     def stretches(self) -> list[Stretch]:
         """Cut it into parts that can be read apart; none where it must be read from its start."""
-        return stretches(self.path, self.name or self.path.name, self.chunk_frames, self.sha256)
+        return stretches(self.path, self.name or self.path.name, self.chunk_frames, self.sha256, self.limits)
 
     def chunks(self) -> Iterator[Telemetry]:
         """Read it piece by piece; refuses as `telemetry.chunks.read_chunks`, at the end."""
-        return read_chunks(self.path, self.name, frames=self.chunk_frames)
+        return read_chunks(self.path, self.name, frames=self.chunk_frames, limits=self.limits)

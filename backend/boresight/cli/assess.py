@@ -70,7 +70,7 @@ def _frames(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any]:
     from boresight.telemetry.detector import check_against_sensor
     from boresight.telemetry.readers import read_telemetry
 
-    stars = read_telemetry(telemetry)
+    stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
     check_against_sensor(stars, sensor)
     report("loading the star catalogue")
     return stars, load_catalogue(read_settings().catalogue_folder)

@@ -64,8 +64,9 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
     from boresight.telemetry.sensors import read_sensor
 
     sensor = read_sensor(sensor_file)
-    stars = TelemetryFile(telemetry).opened()
-    held_out = None if validate is None else TelemetryFile(validate).opened()
+    limits = read_settings().telemetry_limits
+    stars = TelemetryFile(telemetry, limits=limits).opened()
+    held_out = None if validate is None else TelemetryFile(validate, limits=limits).opened()
     report("loading the star catalogue")
     catalogue = load_catalogue(read_settings().catalogue_folder)
     report("building arcs and loading the compiled loops")

@@ -25,10 +25,11 @@ def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
     from boresight.telemetry.sensors import read_sensor
 
     check_writable(json_file)
+    settings = read_settings()
     with progress("reading the telemetry") as report:
         sensor = read_sensor(sensor_file)
-        found = QualityParts(sensor, load_catalogue(read_settings().catalogue_folder))
-        for part in read_chunks(telemetry):
+        found = QualityParts(sensor, load_catalogue(settings.catalogue_folder))
+        for part in read_chunks(telemetry, limits=settings.telemetry_limits):
             found.add(part)
             report(f"reading the telemetry, up to frame {part.frame[-1]}")
         quality = found.report()

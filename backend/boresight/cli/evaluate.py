@@ -79,7 +79,7 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
         (sensor.initial, None) if against is None else read_parameters(against, sensor),
         read_parameters(choices["parameters"], sensor),
     ]
-    stars = read_telemetry(telemetry)
+    stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
     off = check_against_sensor(stars, sensor)
     report("loading the star catalogue")
     catalogue = load_catalogue(folder)

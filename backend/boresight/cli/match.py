@@ -86,7 +86,7 @@ def _match(
     settings = CalibrationSettings(match="rematch", leave_out_doubles=choices["leave_out_doubles"])
     sensor, folder = read_sensor(sensor_file), read_settings().catalogue_folder
     x, P = (sensor.initial, None) if parameters is None else read_parameters(parameters, sensor)
-    stars = read_telemetry(telemetry)
+    stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
     off = check_against_sensor(stars, sensor)
     report("loading the star catalogue")
     catalogue = load_catalogue(folder)
@@ -94,7 +94,10 @@ def _match(
     P = ground_covariance(sensor, settings.initial_sigma_scale) if P is None else P
     matches = rematch(stars, sensor, catalogue, x, P, settings, folder)
     seen = sighting_of(stars, sensor, matches, x, settings) if choices["flight"] else None
-    table, found = read_table(telemetry, telemetry.name), matched_stars(matches, seen)[0]
+    table, found = (
+        read_table(telemetry, telemetry.name, read_settings().telemetry_limits),
+        matched_stars(matches, seen)[0],
+    )
     with opened_for_writing(out) as stream:
         write_with_stars(table, found, stream, out.suffix.lower())
     document = match_report(stars, sensor, matches, seen)

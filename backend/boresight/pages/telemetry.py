@@ -189,7 +189,8 @@ def _prepared(request: Request, actor: Actor, upload: Upload) -> Iterator[Prepar
     state = request.app.state
     with reading(state.engine) as session:
         document = sensors.get_sensor(session, upload.number("sensor_id")).document
-    with telemetry_sets.prepared(document, state.catalogue(), upload.path, upload.file_name) as ready:
+    limits = state.settings.telemetry_limits
+    with telemetry_sets.prepared(document, state.catalogue(), upload.path, upload.file_name, limits) as ready:
         state.blobs.send_ahead(ready.original, ready.table)
         yield ready
 

@@ -35,6 +35,7 @@ from boresight.store.blobs import BlobStore
 from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import GateReport, Waiver
+from boresight.telemetry.limits import STORED
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor
 
@@ -113,7 +114,7 @@ def _seen(
     incumbent = case.candidate if case.incumbent is None else case.incumbent
     try:
         settings = CalibrationSettings.parse(case.settings or {})
-        frames = read_telemetry(blobs.path(sha256), f"{name}.parquet")
+        frames = read_telemetry(blobs.path(sha256), f"{name}.parquet", STORED)
         return held_out_scores(frames, sensor, catalogue, incumbent, case.candidate, settings, cache_folder), ""
     except CorruptFileError:
         raise  # no evidence is made of, or in spite of, a file that was altered

@@ -26,6 +26,7 @@ from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import TelemetrySet
 from boresight.telemetry.chunks import read_chunks
+from boresight.telemetry.limits import LIMITS, STORED, Limits
 from boresight.telemetry.quality_parts import QualityParts
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.schema import Telemetry
@@ -67,7 +68,11 @@ class Prepared:
 
 @contextmanager
 def prepared(
-    sensor_document: Mapping[str, Any], catalogue: Catalogue | None, path: Path, file_name: str
+    sensor_document: Mapping[str, Any],
+    catalogue: Catalogue | None,
+    path: Path,
+    file_name: str,
+    limits: Limits = LIMITS,
 ) -> Iterator[Prepared]:
     """Read and check an uploaded file, without the database.
 
@@ -81,6 +86,8 @@ def prepared(
         Where the uploaded bytes are now.
     file_name
         As the sender called it; its suffix says what it is.
+    limits
+        How much it may hold.
 
     Raises
     ------
@@ -90,7 +97,7 @@ def prepared(
     sensor, name = parse_sensor(sensor_document), _base_name(file_name)
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table.parquet"
-        quality = _checked(path, name, sensor, catalogue, table)
+        quality = _checked(path, name, sensor, catalogue, table, limits)
         yield Prepared(
             original=path,
             table=table,
@@ -103,11 +110,13 @@ def prepared(
         )
 
 
-def _checked(path: Path, name: str, sensor: Sensor, catalogue: Catalogue | None, table: Path) -> dict[str, Any]:
+def _checked(
+    path: Path, name: str, sensor: Sensor, catalogue: Catalogue | None, table: Path, limits: Limits
+) -> dict[str, Any]:
     """Read a file in chunks into the table that is worked on; returns its quality report. A large file is never whole in memory."""
     quality = QualityParts(sensor, catalogue)
     with ParquetParts(table) as parts:
-        for chunk in read_chunks(path, name):
+        for chunk in read_chunks(path, name, limits=limits):
             parts.write(chunk)
             quality.add(chunk)
     quality.off_detector.refuse()
@@ -290,7 +299,7 @@ def load_telemetry(session: Session, blobs: BlobStore, set_id: int) -> Telemetry
         When there is no such set, or its bytes are missing.
     """
     row = get_telemetry_set(session, set_id)
-    return read_telemetry(blobs.path(row.table_sha256))
+    return read_telemetry(blobs.path(row.table_sha256), limits=STORED)
 
 
 def _subject(row: TelemetrySet) -> str:

@@ -16,6 +16,8 @@ from boresight.telemetry.schema import COLUMN_GROUPS, OPTIONAL_COLUMNS, REQUIRED
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+#: Columns that a refusal names.
+_LISTED = 30
 Values = TypeVar("Values", IntArray, FloatArray)
 
 
@@ -23,7 +25,8 @@ def check_columns(present: Sequence[str], faults: Faults) -> None:
     """Find missing columns, and groups of which a part is given."""
     for column in REQUIRED_COLUMNS:
         if column not in present:
-            faults.add(f"the column is missing: add it, the file has {', '.join(present) or 'none'}", column=column)
+            listed = ", ".join([*present[:_LISTED], "..."] if len(present) > _LISTED else present)
+            faults.add(f"the column is missing: add it, the file has {listed or 'none'}", column=column)
     for group in COLUMN_GROUPS:
         missing = [column for column in group if column not in present]
         if len(missing) < len(group):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.telemetry.exposures import Exposures, exposures_of, repeats_within
+from boresight.telemetry.limits import LIMITS
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import Telemetry
 
@@ -30,9 +31,12 @@ class Checks:
     ----------
     subject
         The file's name, as the refusal names it.
+    most_stars
+        That an exposure may have.
     """
 
-    def __init__(self, subject: str) -> None:
+    def __init__(self, subject: str, most_stars: int = LIMITS.stars) -> None:
+        self._most_stars = most_stars
         self._order, self._torn, self._others = Faults(subject), Faults(subject), Faults(subject)
         self._last_frame: int | None = None
 
@@ -49,6 +53,7 @@ class Checks:
         _check_order(telemetry, self._last_frame, self._order)
         self._last_frame = int(telemetry.frame[-1])
         _check_torn(telemetry, exposures, self._torn)
+        _check_stars(telemetry, exposures, self._most_stars, self._others)
         _check_repeated_stars(telemetry, exposures, self._others)
         _check_repeated_centroids(telemetry, exposures, self._others)
         _check_directions(telemetry, self._others)
@@ -91,6 +96,20 @@ def _check_torn(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> N
         lambda entry: (
             f"exposure {telemetry.exposure[entry]} of frame {telemetry.frame[entry]} was interrupted by another: "
             "sort the rows by frame and exposure"
+        ),
+    )
+
+
+def _check_stars(telemetry: Telemetry, exposures: Exposures, most: int, faults: Faults) -> None:
+    """Find exposures of more detections than can be compared with one another."""
+    full = np.zeros(len(telemetry), dtype=np.bool_)
+    full[exposures.start[exposures.count > most]] = True
+    faults.add_entries(
+        full,
+        "exposure",
+        lambda entry: (
+            f"exposure {telemetry.exposure[entry]} of frame {telemetry.frame[entry]} has over {most:,} detections: raise the "
+            "detection threshold, or number the exposures"
         ),
     )
 

@@ -21,18 +21,21 @@ from boresight.telemetry.checks import Checks
 from boresight.telemetry.comma_separated import csv_tables
 from boresight.telemetry.formats import format_at
 from boresight.telemetry.json_lines import json_tables
+from boresight.telemetry.limits import LIMITS, Limits
 from boresight.telemetry.parquet import parquet_tables, rows_of_parquet
 from boresight.telemetry.refusals import Faults
-from boresight.telemetry.schema import Telemetry, joined, rows_of
+from boresight.telemetry.schema import Telemetry, bytes_of, joined, rows_of
 from boresight.telemetry.tables import Tables
 
 #: Frames of a chunk: with 24 detections each about 100,000 rows, 15 MB.
 CHUNK_FRAMES = 4096
-#: Rows that wait for their frame to be whole. One frame of so many is a file whose frames are not numbered.
-MOST_ROWS = 1_000_000
+#: Rows that wait for their frame to be whole, and their bytes. One frame of so many is a file whose frames are not numbered.
+MOST_ROWS, MOST_BYTES = 1_000_000, 200_000_000
 
 
-def read_chunks(path: Path, name: str | None = None, *, frames: int = CHUNK_FRAMES) -> Iterator[Telemetry]:
+def read_chunks(
+    path: Path, name: str | None = None, *, frames: int = CHUNK_FRAMES, limits: Limits = LIMITS
+) -> Iterator[Telemetry]:
     """Read a telemetry file in parts of whole frames.
 
     Parameters
@@ -44,6 +47,8 @@ def read_chunks(path: Path, name: str | None = None, *, frames: int = CHUNK_FRAM
         Parquet; without one a file is what its bytes are.
     frames
         Of a part; the last one has fewer, and so have parts of frames with thousands of detections.
+    limits
+        How much the file may hold.
 
     Returns
     -------
@@ -57,17 +62,18 @@ def read_chunks(path: Path, name: str | None = None, *, frames: int = CHUNK_FRAM
         the first fault have come out by then, so whoever must not use half a file waits for the end.
     """
     name = name or path.name
-    return chunks_of(open_tables(path, name), name, frames)
+    return chunks_of(open_tables(path, name, limits), name, frames, limits)
 
 
-def chunks_of(tables: Tables, name: str, frames: int) -> Iterator[Telemetry]:
+def chunks_of(tables: Tables, name: str, frames: int, limits: Limits = LIMITS) -> Iterator[Telemetry]:
     """Read tables in parts of whole frames, as `read_chunks` reads a file."""
     absent = Faults(name)
     check_columns(tables.columns, absent)
-    cells, checks, rows = Faults(name, tables.first_row), Checks(name), 0
+    cells, checks, rows = Faults(name, tables.first_row), Checks(name, limits.stars), 0
     waiting = _Waiting(frames, name)
     for table in tables.read():
         rows += table.num_rows
+        limits.refuse_rows(name, rows)
         if absent.count or tables.form.found or not table.num_rows:
             continue
         part = arrays_of(_with_every_column(table, tables.columns), cells)
@@ -93,15 +99,15 @@ def rows_in(path: Path) -> int | None:
     return rows_of_parquet(path, path.name) if format_at(path, path.name) == "Parquet" else None
 
 
-def open_tables(path: Path, name: str, *, as_text: bool = False) -> Tables:
+def open_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool = False) -> Tables:
     """Open a telemetry file as tables; `as_text` reads CSV and JSON Lines as text cells. Refuses as `read_chunks`."""
     match format_at(path, name):
         case "Parquet":
-            return parquet_tables(path, name)
+            return parquet_tables(path, name, limits)
         case "JSON Lines":
-            return json_tables(path, name, as_text=as_text)
+            return json_tables(path, name, limits, as_text=as_text)
         case _:
-            return csv_tables(path, name, as_text=as_text)
+            return csv_tables(path, name, limits, as_text=as_text)
 
 
 def _sound(parts: Iterator[Telemetry], checks: Checks) -> Iterator[Telemetry]:
@@ -145,7 +151,7 @@ class _Waiting:
         self._parts.append(part)
         if self._changes >= self._frames:
             yield from self._cut(self._frames)
-        if sum(map(len, self._parts)) > MOST_ROWS:
+        if sum(map(len, self._parts)) > MOST_ROWS or sum(map(bytes_of, self._parts)) > MOST_BYTES:
             self._refuse_endless()
             yield from self._cut(self._changes)
 
@@ -165,9 +171,11 @@ class _Waiting:
         self._changes = len(changes) - (len(seams) - 1) * frames
 
     def _refuse_endless(self) -> None:
-        """Refuse a frame of so many rows that its number means nothing."""
-        if not self._changes:
-            raise RefusedInputError(
-                f"{self._name}: frame {self._parts[0].frame[0]} has over {MOST_ROWS:,} rows: give every reading of the star "
-                "tracker a frame number of its own."
-            )
+        """Refuse a frame of so many rows that its number means nothing, or of too many bytes."""
+        if self._changes:
+            return
+        frame, many = self._parts[0].frame[0], sum(map(len, self._parts)) > MOST_ROWS
+        size = f"{MOST_ROWS:,} rows" if many else f"{MOST_BYTES / 1e6:,.0f} MB"
+        raise RefusedInputError(
+            f"{self._name}: frame {frame} has over {size}: give every reading of the star tracker a frame number of its own."
+        )

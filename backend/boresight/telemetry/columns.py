@@ -126,13 +126,26 @@ def times(column: pa.ChunkedArray, name: str, faults: Faults) -> NDArray[np.date
     return moments
 
 
-def texts(column: pa.ChunkedArray) -> list[str]:
-    """Return a column nobody interprets as (n,) texts, empty where absent."""
-    cells = _plain(column)
+def texts(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return a column nobody interprets as (n,) texts, empty where absent; a dictionary stays one, of texts."""
+    if not pa.types.is_dictionary(column.type):
+        return pa.chunked_array([_texts(_plain(column))], pa.string())
+    chunks = [
+        pa.DictionaryArray.from_arrays(
+            chunk.indices.cast(pa.int32()).fill_null(len(chunk.dictionary)),
+            pa.concat_arrays([_texts(chunk.dictionary), pa.array([""] if chunk.null_count else [], pa.string())]),
+        )
+        for chunk in column.chunks
+    ]
+    return pa.chunked_array(chunks, pa.dictionary(pa.int32(), pa.string()))
+
+
+def _texts(cells: pa.Array) -> pa.Array:
+    """Return values of any type as texts, empty where absent."""
     try:
-        return list(pc.cast(cells, pa.string()).fill_null("").to_pylist())
+        return pc.cast(cells, pa.string()).fill_null("")
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # nested cells and raw bytes have no text of their own
-        return [orjson.dumps(cell, default=str).decode() for cell in cells.to_pylist()]
+        return pa.array([orjson.dumps(cell, default=str).decode() for cell in cells.to_pylist()], pa.string())
 
 
 def _plain(column: pa.ChunkedArray) -> pa.Array:

@@ -17,10 +17,12 @@ from itertools import chain
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
 
 from boresight.errors import RefusedInputError
 from boresight.telemetry.formats import worth_threads
+from boresight.telemetry.limits import LIMITS, Limits
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import FLOAT_COLUMNS, INTEGER_COLUMNS
 from boresight.telemetry.tables import FormFaults, Tables
@@ -32,7 +34,7 @@ FIRST_ROW = 2
 _CELL = re.compile(rb'(?:"(?:[^"]|"")*+"[^,]*+|(?!")[^,]*+)(?:,|$)')
 
 
-def csv_tables(path: Path, name: str, *, as_text: bool = False) -> Tables:
+def csv_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool = False) -> Tables:
     """Open a CSV file whose known columns are read as numbers or, in a piece where some cell is not one, as text.
 
     Parameters
@@ -41,20 +43,22 @@ def csv_tables(path: Path, name: str, *, as_text: bool = False) -> Tables:
         Where it is.
     name
         Its name, for refusals.
+    limits
+        How much it may hold.
     as_text
         Read every cell as text.
 
     Raises
     ------
     RefusedInputError
-        For a header that is unusable, and for a file without rows.
+        For a header that is unusable or beyond the limits, and for a file without rows.
     """
     form = FormFaults(name)
-    pieces = text_pieces(path, name)
+    pieces = text_pieces(path, name, limits)
     first = next(pieces)
     header_line, _, rows = first.partition(b"\n")
     try:
-        header = _header(name, header_line)
+        header = _header(name, header_line, limits)
     except RefusedInputError:
         for _ in pieces:  # text of another encoding comes first
             pass
@@ -68,12 +72,14 @@ def csv_tables(path: Path, name: str, *, as_text: bool = False) -> Tables:
     return Tables(
         columns=tuple(header),
         first_row=FIRST_ROW,
-        read=partial(_tables, chain([rows], pieces), header, form, as_text=as_text),
+        read=partial(_tables, chain([rows], pieces), header, form, limits, as_text=as_text),
         form=form,
     )
 
 
-def _tables(pieces: Iterator[bytes], header: list[str], form: FormFaults, *, as_text: bool) -> Iterator[pa.Table]:
+def _tables(
+    pieces: Iterator[bytes], header: list[str], form: FormFaults, limits: Limits, *, as_text: bool
+) -> Iterator[pa.Table]:
     """Yield a table a piece; of a piece with rows that do not fit the header, none."""
     row = FIRST_ROW
     types = {} if as_text else _types(header)
@@ -83,8 +89,9 @@ def _tables(pieces: Iterator[bytes], header: list[str], form: FormFaults, *, as_
         is_open = _cells_in(text[text.rfind(b"\n") + 1 :]) is None  # of any other line Arrow's rows would tell
         table = None if form.found or is_open else _table(text, header, types)
         if table is not None and table.num_rows == rows:
+            look_for_long_cells(table, row, limits, form.rows)
             yield table
-        else:
+        elif not form.has_blank_rows:
             _look_at_lines(text, len(header), row, form.rows)
             if not form.found:
                 form.rows.add("this is not CSV: write cells separated by commas, a row a line")
@@ -97,20 +104,39 @@ def _types(header: list[str]) -> dict[str, pa.DataType]:
     return typed | {column: pa.int64() for column in header if column in INTEGER_COLUMNS}
 
 
-def _header(name: str, line: bytes) -> list[str]:
+def look_for_long_cells(table: pa.Table, first_row: int, limits: Limits, faults: Faults) -> None:
+    """Find texts that are longer than may be."""
+    for column in table.column_names:
+        cells = table[column]
+        if pa.types.is_string(cells.type) and (pc.max(pc.binary_length(cells)).as_py() or 0) > limits.cell_bytes:
+            length = pc.binary_length(cells).fill_null(0).to_numpy()
+            for entry in (length > limits.cell_bytes).nonzero()[0].tolist():
+                detail = f"is a text of {length[entry]:,} bytes, at most {limits.cell_bytes:,} are read: shorten it"
+                faults.add(detail, row=first_row + entry, column=column)
+
+
+def _header(name: str, line: bytes, limits: Limits) -> list[str]:
     """Return the column names, stripped of blanks; refuse nameless and repeated ones and other separators."""
+    limits.refuse_columns(name, line.count(b",") + 1)  # at most: a comma may be part of a name
     text = line.decode()
-    header = [column.strip() for column in next(csv.reader([text]), [])]
     faults = Faults(name)
+    try:
+        header = [column.strip() for column in next(csv.reader([text]), [])]
+    except csv.Error as error:  # a name is longer than any cell that the library reads
+        faults.add("a name is too long to be read: give every column a short name", row=1)
+        raise faults.refusal() from error
     for separator, spelled in ((";", "semicolons"), ("\t", "tabs")):
         if len(header) == 1 and separator in text:
             faults.add(f"columns are separated by {spelled}: save the file with commas", row=1)
+    seen: set[str] = set()
     for number, column in enumerate(header, start=1):
         if not column:
             faults.add(f"column {number} has no name: name it or leave it out", row=1)
-        elif column in header[: number - 1]:
+        elif column in seen:
             faults.add("is there twice: leave one out", row=1, column=column)
+        seen.add(column)
     faults.refuse()
+    limits.refuse_names(name, tuple(header))
     return header
 
 

@@ -7,6 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path, PurePath
 from typing import BinaryIO
 
+import numpy as np
+from numpy.typing import NDArray
+
 from boresight.errors import RefusedInputError
 from boresight.telemetry.signatures import refuse_no_json, refuse_other_kinds
 
@@ -135,19 +138,19 @@ def text_of(name: str, data: bytes) -> bytes:
     return data[: end_of_last_row(data)]
 
 
-def blank_rows(text: bytes) -> list[int]:
-    """Return the numbers of the rows that hold nothing, counted as an editor does."""
+def blank_rows(text: bytes) -> NDArray[np.int64]:
+    """Return the numbers (n,) of the rows that hold nothing, counted as an editor does."""
     if b"\n\n" not in text and not text.startswith(b"\n"):
-        return []
-    return [number for number, line in enumerate(text.split(b"\n"), start=1) if not line]
+        return np.empty(0, np.int64)
+    ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
+    return np.flatnonzero(np.diff(ends, prepend=-1, append=len(text)) == 1) + 1
 
 
 def end_of_last_row(data: bytes) -> int:
-    """Return where the last row ends that is not blank."""
-    end = len(data)
-    while (line := data.rfind(b"\n", 0, end)) >= 0 and not data[line:end].strip():
-        end = line
-    return end
+    """Return where the last row ends that is not blank; 0 where every row is."""
+    last = len(data.rstrip())
+    end = data.find(b"\n", last)
+    return (len(data) if end < 0 else end) if last else 0
 
 
 def _is_wide_text(data: bytes) -> bool:

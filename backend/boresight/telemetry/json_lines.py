@@ -20,7 +20,10 @@ import orjson
 import pyarrow as pa
 import pyarrow.json as arrow_json
 
+from boresight.errors import RefusedInputError
+from boresight.telemetry.comma_separated import look_for_long_cells
 from boresight.telemetry.formats import worth_threads
+from boresight.telemetry.limits import LIMITS, Limits
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import FLOAT_COLUMNS, INTEGER_COLUMNS
 from boresight.telemetry.tables import FormFaults, Tables
@@ -29,13 +32,14 @@ from boresight.telemetry.text_pieces import text_pieces
 #: There is no header.
 FIRST_ROW = 1
 
-_MOST_COLUMNS = 1000
+#: Cells of a piece of text: so many in any case, else one a byte, for a cell that is written takes six.
+_LEAST_CELLS = 1_000_000
 _TYPES = {column: pa.float64() for column in FLOAT_COLUMNS} | {column: pa.int64() for column in INTEGER_COLUMNS}
 _TYPES["time_utc"] = pa.string()
 _KEYS = {column: re.compile(rf'"{column}"\s*:'.encode()) for column in _TYPES}
 
 
-def json_tables(path: Path, name: str, *, as_text: bool = False) -> Tables:
+def json_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool = False) -> Tables:
     """Open a JSON Lines file whose known columns are read as numbers or, in a piece where some cell is not one, as text.
 
     Parameters
@@ -44,51 +48,57 @@ def json_tables(path: Path, name: str, *, as_text: bool = False) -> Tables:
         Where it is.
     name
         Its name, for refusals.
+    limits
+        How much it may hold.
     as_text
         Read every cell as text.
 
     Raises
     ------
     RefusedInputError
-        For blank lines and lines that are not one JSON object.
+        For blank lines, lines that are not one JSON object, and what is beyond the limits.
     """
     form = FormFaults(name)
-    tables = _tables(path, name, form, as_text=as_text)
+    tables = _tables(path, name, form, limits, as_text=as_text)
     first = next(tables)
-    columns, is_all = dict.fromkeys(first.column_names), True
+    columns, is_all, rows = dict.fromkeys(first.column_names), True, first.num_rows
     for table in tables:
-        columns, is_all = columns | dict.fromkeys(table.column_names), False
+        columns, is_all, rows = columns | dict.fromkeys(table.column_names), False, rows + table.num_rows
+        limits.refuse_rows(name, rows)
+        limits.refuse_columns(name, len(columns))
     form.refuse()
+    limits.refuse_names(name, tuple(columns))
     known = [column for column in _TYPES if column in columns]
     return Tables(
         columns=(*known, *(column for column in columns if column not in _TYPES)),
         first_row=FIRST_ROW,
-        read=partial(iter, (first,)) if is_all else partial(_tables, path, name, form, as_text=as_text),
+        read=partial(iter, (first,)) if is_all else partial(_tables, path, name, form, limits, as_text=as_text),
         form=form,
     )
 
 
-def _tables(path: Path, name: str, form: FormFaults, *, as_text: bool) -> Iterator[pa.Table]:
+def _tables(path: Path, name: str, form: FormFaults, limits: Limits, *, as_text: bool) -> Iterator[pa.Table]:
     """Yield a table a piece."""
     row = FIRST_ROW
-    for text in text_pieces(path, name):
+    for text in text_pieces(path, name, limits):
         form.look_for_blank_rows(text, row)
         rows = text.count(b"\n") + 1
-        table = None if as_text else _typed(text)
+        table = None if as_text else _typed(text, name, limits)
         if table is None or table.num_rows != rows:
-            table = _line_by_line(text, row, form.rows)
+            table = _line_by_line(text, row, form.rows, name, limits)
+        look_for_long_cells(table, row, limits, form.rows)
         yield table
         row += rows
 
 
-def _typed(text: bytes) -> pa.Table | None:
+def _typed(text: bytes, name: str, limits: Limits) -> pa.Table | None:
     """Read with the known columns typed; None when some cell does not fit."""
     known = {column: kind for column, kind in _TYPES.items() if _KEYS[column].search(text)}
     table = _read(text, known, "error")
     if table is not None:
         return table
     table = _read(text, known, "ignore")  # there are other columns, or some cell does not fit
-    return None if table is None else _with_other_columns(table, text)
+    return None if table is None else _with_other_columns(table, text, name, limits)
 
 
 def _read(text: bytes, types: dict[str, pa.DataType], others: str) -> pa.Table | None:
@@ -105,10 +115,10 @@ def _read(text: bytes, types: dict[str, pa.DataType], others: str) -> pa.Table |
         return None
 
 
-def _with_other_columns(table: pa.Table, text: bytes) -> pa.Table | None:
+def _with_other_columns(table: pa.Table, text: bytes, name: str, limits: Limits) -> pa.Table | None:
     """Add the columns the contract does not name, as text; None when a line cannot be read by itself."""
     faults = Faults("")
-    other = _line_by_line(text, FIRST_ROW, faults)
+    other = _line_by_line(text, FIRST_ROW, faults, name, limits)
     if faults.count or other.num_rows != table.num_rows:
         return None
     for column in other.column_names:
@@ -117,24 +127,34 @@ def _with_other_columns(table: pa.Table, text: bytes) -> pa.Table | None:
     return table
 
 
-def _line_by_line(text: bytes, first_row: int, faults: Faults) -> pa.Table:
+def _line_by_line(text: bytes, first_row: int, faults: Faults, name: str, limits: Limits) -> pa.Table:
     """Read every cell as text, noting lines that are not one object."""
-    objects = []
+    columns: dict[str, list[str | None]] = {}
+    rows, most_cells = 0, max(_LEAST_CELLS, len(text))
     for row, line in enumerate(text.split(b"\n"), start=first_row):
         try:
             cells = _json(line)
         except orjson.JSONDecodeError as error:
             faults.add(f"is not JSON ({error.msg}): write one object a line, without NaN", row=row)
             continue
-        if isinstance(cells, dict):
-            objects.append(cells)
-        else:
+        if not isinstance(cells, dict):
             faults.add("is not a JSON object: write one object a line, its keys the columns", row=row)
-    columns = dict.fromkeys(key for cells in objects for key in cells)
-    if len(columns) > _MOST_COLUMNS:
-        faults.add(f"there are over {_MOST_COLUMNS} different keys: give every object the same ones")
-        columns = {}
-    return pa.table({key: pa.array([_text(cells.get(key)) for cells in objects], pa.string()) for key in columns})
+            continue
+        for key, cell in cells.items():
+            column = columns.setdefault(key, [])
+            if len(column) < rows:
+                column += [None] * (rows - len(column))
+            column.append(_text(cell))
+        rows += 1
+        if len(columns) > limits.columns or len(columns) * rows > most_cells:
+            limits.refuse_columns(name, len(columns))
+            raise RefusedInputError(
+                f"{name}: row {row}: {len(columns):,} different keys came up to here, of which a line has few: give every "
+                "object the same keys."
+            )
+    return pa.table(
+        {key: pa.array(cells + [None] * (rows - len(cells)), pa.string()) for key, cells in columns.items()}
+    )
 
 
 def _json(line: bytes) -> Any:

@@ -1,33 +1,82 @@
-"""Reading Parquet, the form in which telemetry is kept."""
+"""Reading Parquet, the form in which telemetry is kept.
+
+A small file can stand for any number of rows, and for texts of any length: it is compressed, and repeats are written once. So
+what it takes when it is read is told from its footer and from the header of every page (`parquet_pages`) before anything is
+decompressed, and held to `Limits`; texts are read as they are written, each different one once, and their lengths added up.
+"""
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as arrow_parquet
 
 from boresight.errors import RefusedInputError
 from boresight.telemetry.formats import worth_threads
+from boresight.telemetry.limits import LIMITS, Limits
+from boresight.telemetry.parquet_pages import DELTA_BYTE_ARRAY, DamagedPageError, Page, pages_of
 from boresight.telemetry.refusals import Faults
+from boresight.telemetry.schema import FLOAT_COLUMNS, INTEGER_COLUMNS, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from boresight.telemetry.tables import FormFaults, Tables
 
 #: There is no header; a viewer counts from 1.
 FIRST_ROW = 1
 
-_MOST_ROWS = 100_000_000
-#: Decoded at a time, however large the groups are in which the file was compressed.
+#: Decoded at a time, however large the groups are in which the file was compressed; fewer where rows are long.
 _BATCH_ROWS = 131_072
+_BATCH_BYTES = 32_000_000
+#: But so many cells, for each batch costs some microseconds a column.
+_BATCH_CELLS = 65_536
 #: Read at a time of each column, so that a group of rows as large as the file is not in memory either.
 _BUFFER_BYTES = 1_000_000
+#: A footer has some 100 bytes a column and group of rows; parsed it takes ten times as much.
+_FOOTER_BYTES = 8_000_000
+_TAIL_BYTES = 8
+_MOST_CHUNKS = 100_000
+#: Pages of fewer values than this, on the whole, beside the first: a header each is read, and programs write thousands.
+_LEAST_VALUES, _FIRST_PAGES = 500, 20_000
+#: Pages that are open together: one of each column, and its different texts.
+_OPEN_BYTES = 256_000_000
+#: Decimals and identifiers have 16 or 32.
+_FIXED_BYTES = 32
+#: Of a text in a column of numbers or times.
+_NUMBER_BYTES = 128
+_NUMBER = 8
+_DEEPEST_SCHEMA = 16
 
 
-def parquet_tables(path: Path, name: str, rows: range | None = None) -> Tables:
+@dataclass(frozen=True)
+class Layout:
+    """What a file's footer and page headers say of how it can be read.
+
+    Parameters
+    ----------
+    columns
+        Names.
+    rows
+        How many.
+    texts
+        Columns of texts or bytes, which are read as the different ones and a number each row.
+    batch_rows
+        Rows that are decoded at a time.
+    """
+
+    columns: tuple[str, ...]
+    rows: int
+    texts: tuple[str, ...]
+    batch_rows: int
+
+
+def parquet_tables(path: Path, name: str, limits: Limits = LIMITS) -> Tables:
     """Open a Parquet file.
 
     Parameters
@@ -36,47 +85,230 @@ def parquet_tables(path: Path, name: str, rows: range | None = None) -> Tables:
         Where it is.
     name
         Its name, for refusals.
-    rows
-        Which are read; None is all.
+    limits
+        How much it may hold.
 
     Raises
     ------
     RefusedInputError
-        When the file is truncated or damaged, has a column twice, claims more rows than can be worked on, or none.
+        When the file is truncated or damaged, has a column twice or one of lists, or holds more than the limits let pass.
     """
-    with open_parquet(path, name) as file:
-        columns, count = file.schema_arrow.names, file.metadata.num_rows
-    _refuse_repeated_columns(name, columns)
-    if count > _MOST_ROWS:
-        raise RefusedInputError(f"{name} has {count} rows: split it below {_MOST_ROWS}.")
-    rows = range(count) if rows is None else rows
-    read = partial(_tables, path, name, rows)
-    return Tables(columns=tuple(columns), first_row=FIRST_ROW + rows.start, read=read, form=FormFaults(name))
+    layout = layout_of(path, name, limits)
+    return rows_of_file(path, name, layout, range(layout.rows), limits)
+
+
+def rows_of_file(path: Path, name: str, layout: Layout, rows: range, limits: Limits = LIMITS) -> Tables:
+    """Open some rows of a file whose layout was looked at."""
+    read = partial(_tables, path, name, layout, rows, limits)
+    return Tables(columns=layout.columns, first_row=FIRST_ROW + rows.start, read=read, form=FormFaults(name))
 
 
 def rows_of_parquet(path: Path, name: str) -> int:
-    """Return how many rows a Parquet file says it has; refuses as `parquet_tables`."""
+    """Return how many rows a Parquet file says it has; refuses what is damaged."""
     with open_parquet(path, name) as file:
         return int(file.metadata.num_rows)
 
 
-def _tables(path: Path, name: str, rows: range) -> Iterator[pa.Table]:
-    """Yield the rows, a batch at a time."""
+def layout_of(path: Path, name: str, limits: Limits = LIMITS) -> Layout:
+    """Look at footer and page headers, and refuse what is beyond the limits.
+
+    Raises
+    ------
+    RefusedInputError
+        As `parquet_tables`.
+    """
     with open_parquet(path, name) as file:
-        for batch in _batches(file, rows, threads=worth_threads(path.stat().st_size)):
+        metadata, schema = file.metadata, file.schema_arrow
+        limits.refuse_columns(name, metadata.num_columns)
+        limits.refuse_names(name, tuple(schema.names))
+        limits.refuse_rows(name, metadata.num_rows)
+        _refuse_columns(name, file)
+        size = path.stat().st_size
+        limits.refuse_expansion(name, metadata.num_rows * metadata.num_columns * _NUMBER, size)
+        texts = tuple(field.name for field in schema if _is_text(field.type))
+        row_bytes = _look_at_pages(path, name, file, set(texts), limits)
+    least = max(_BATCH_CELLS // max(len(schema.names), 1), 1)
+    batch_rows = min(_BATCH_ROWS, max(least, int(_BATCH_BYTES / max(row_bytes, 1.0))))
+    return Layout(tuple(schema.names), metadata.num_rows, texts, batch_rows)
+
+
+def _refuse_columns(name: str, file: arrow_parquet.ParquetFile) -> None:
+    """Refuse columns that are there twice, hold several values a row, or values without a bound."""
+    faults = Faults(name)
+    schema, columns = file.schema_arrow, set[str]()
+    for field in schema:
+        if field.name in columns:
+            faults.add("is there twice: leave one out", column=field.name)
+        columns.add(field.name)
+        if pa.types.is_nested(field.type):
+            known = field.name in {*INTEGER_COLUMNS, *FLOAT_COLUMNS}
+            wanted = "numbers are expected" if known else "one value a row is expected"
+            kind = str(field.type)
+            faults.add(
+                f"holds {kind if len(kind) < 80 else 'nested values'} where {wanted}: write it as numbers or as text",
+                column=field.name,
+            )
+    faults.refuse()
+    for place, field in enumerate(schema):
+        column = file.schema.column(place)
+        bytes_of_any_length = column.physical_type == "BYTE_ARRAY" and not _is_text(field.type)
+        if bytes_of_any_length or column.length > _FIXED_BYTES:
+            faults.add(
+                f"holds {field.type} in {'bytes of any length' if bytes_of_any_length else f'{column.length:,} bytes a value'}: "
+                "write it as floating point, or as text",
+                column=field.name,
+            )
+    faults.refuse()
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    """Whether values are texts or bytes of any length, each for itself or by a dictionary."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(
+        pa.types.is_string(kind)
+        or pa.types.is_large_string(kind)
+        or pa.types.is_string_view(kind)
+        or pa.types.is_binary(kind)
+        or pa.types.is_large_binary(kind)
+        or pa.types.is_binary_view(kind)
+    )
+
+
+def _look_at_pages(path: Path, name: str, file: arrow_parquet.ParquetFile, texts: set[str], limits: Limits) -> float:
+    """Walk the headers of all pages; returns the most bytes that a row takes in memory.
+
+    Raises
+    ------
+    RefusedInputError
+        When headers are damaged, or what they announce is beyond the limits.
+    """
+    metadata, names = file.metadata, file.schema_arrow.names
+    if metadata.num_row_groups * len(names) > _MOST_CHUNKS:
+        raise RefusedInputError(
+            f"{name} is cut into {metadata.num_row_groups:,} groups of rows, at most {_MOST_CHUNKS // len(names):,} are read of "
+            f"{len(names):,} columns: write it in groups of 65,536 rows."
+        )
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    if sum(group.num_rows for group in groups) != metadata.num_rows:
+        raise _damaged(name)
+    walk = _Walk(name, names, texts, limits, path.stat().st_size, metadata.num_rows, len(groups))
+    try:
+        with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            for group in groups:
+                walk.look_at(data, group)
+    except DamagedPageError as error:
+        raise _damaged(name) from error
+    return sum(walk.widths.values())
+
+
+class _Walk:
+    """What the pages of a file add up to, a group of rows after the other."""
+
+    def __init__(
+        self, name: str, columns: list[str], texts: set[str], limits: Limits, size: int, rows: int, groups: int
+    ) -> None:
+        self.widths = dict.fromkeys(columns, float(_NUMBER))
+        self._name, self._texts, self._limits, self._size = name, texts, limits, size
+        self._pages, self._bytes = 0, 0
+        self._most_pages = _FIRST_PAGES + (groups + rows // _LEAST_VALUES) * len(columns)
+
+    def look_at(self, data: mmap.mmap, group: arrow_parquet.RowGroupMetaData) -> None:
+        """Add the pages of the next group."""
+        together = 0
+        for place, column in enumerate(self.widths):
+            largest = {True: 0, False: 0}
+            for page in _pages(data, group.column(place), group.num_rows):
+                self._count(page)
+                largest[page.is_dictionary] = max(largest[page.is_dictionary], page.uncompressed_bytes)
+                if column in self._texts:
+                    width = _text_width(self._name, column, page, self._limits)
+                    self.widths[column] = max(self.widths[column], width)
+            together += sum(largest.values())
+        if together > _OPEN_BYTES:
+            raise RefusedInputError(
+                f"{self._name} has pages of {together / 1e6:,.0f} MB that must be read together, at most {_OPEN_BYTES / 1e6:,.0f} "
+                "MB are: write it in groups of 65,536 rows and pages of about a megabyte."
+            )
+
+    def _count(self, page: Page) -> None:
+        self._pages += 1
+        self._bytes += page.uncompressed_bytes
+        if self._pages > self._most_pages:
+            raise RefusedInputError(
+                f"{self._name} is cut into over {self._most_pages:,} pages: write it in pages of about a megabyte."
+            )
+        self._limits.refuse_expansion(self._name, self._bytes, self._size)
+
+
+def _pages(data: mmap.mmap, chunk: arrow_parquet.ColumnChunkMetaData, rows: int) -> Iterator[Page]:
+    """The pages of one column of a group of rows."""
+    if chunk.num_values != rows:
+        raise DamagedPageError("a column has another number of rows than its group")
+    start, dictionary = chunk.data_page_offset, chunk.dictionary_page_offset
+    if chunk.has_dictionary_page and dictionary is not None and (0 < dictionary < start or not start):
+        start = dictionary  # a group of no rows has nothing after it
+    return pages_of(data, start, chunk.total_compressed_size)
+
+
+def _text_width(name: str, column: str, page: Page, limits: Limits) -> float:
+    """The most bytes that a text of a page takes on average; refuses longer ones than may be."""
+    if page.encoding == DELTA_BYTE_ARRAY:
+        raise RefusedInputError(
+            f"{name}: column {column}: its texts are written by their differences (DELTA_BYTE_ARRAY), so that their length cannot "
+            "be told beforehand: write them with a dictionary, or plain."
+        )
+    width = page.uncompressed_bytes / max(page.values, 1)
+    if page.values and width > limits.cell_bytes + 2 * _NUMBER:
+        raise RefusedInputError(
+            f"{name}: column {column}: its texts are over {limits.cell_bytes:,} bytes long: shorten them, or leave the column out."
+        )
+    return _NUMBER if page.is_dictionary else width
+
+
+def _tables(path: Path, name: str, layout: Layout, rows: range, limits: Limits) -> Iterator[pa.Table]:
+    """Yield the rows, a batch at a time."""
+    size, texts = path.stat().st_size, 0
+    with open_parquet(path, name, layout.texts) as file:
+        row = FIRST_ROW + rows.start
+        for batch in _batches(file, rows, layout.batch_rows, threads=worth_threads(size)):
+            for column in layout.texts:
+                texts += _text_bytes(name, column, batch.column(column), row, limits)
+            limits.refuse_expansion(name, texts, size)
             batch.validate(full=True)  # text that is not UTF-8 would only be noticed where it is used
             yield pa.Table.from_batches([batch])
+            row += len(batch)
 
 
-def _batches(file: arrow_parquet.ParquetFile, rows: range, *, threads: bool) -> Iterator[pa.RecordBatch]:
+def _text_bytes(name: str, column: str, cells: pa.Array, row: int, limits: Limits) -> int:
+    """How many bytes the texts of some cells have; refuses those that are too long."""
+    if pa.types.is_dictionary(cells.type):
+        lengths = pc.take(pc.binary_length(cells.dictionary), cells.indices)
+    else:
+        lengths = pc.binary_length(cells)
+    most = _NUMBER_BYTES if column in {*REQUIRED_COLUMNS, *OPTIONAL_COLUMNS} else limits.cell_bytes
+    if (pc.max(lengths).as_py() or 0) > most:
+        faults = Faults(name, row)
+        length = lengths.fill_null(0).to_numpy(zero_copy_only=False)
+        faults.add_entries(
+            length > most,
+            column,
+            lambda entry: f"is a text of {length[entry]:,} bytes, at most {most:,} are read: shorten it",
+        )
+        faults.refuse()
+    return int(pc.sum(lengths).as_py() or 0)
+
+
+def _batches(
+    file: arrow_parquet.ParquetFile, rows: range, batch_rows: int, *, threads: bool
+) -> Iterator[pa.RecordBatch]:
     """Yield the batches of these rows, from the groups that hold them; of the last group only what is wanted is decoded."""
     starts = np.cumsum([0, *(file.metadata.row_group(k).num_rows for k in range(file.metadata.num_row_groups))])
     first, last = np.searchsorted(starts, [rows.start, rows.stop], side="right") - 1
     reading = partial(file.iter_batches, use_threads=threads)
-    whole = reading(batch_size=_BATCH_ROWS, row_groups=list(range(first, last)))
+    whole = reading(batch_size=batch_rows, row_groups=list(range(first, last)))
     if left := rows.stop - int(starts[last]):
         whole = chain(
-            whole, islice(reading(batch_size=min(left, _BATCH_ROWS), row_groups=[last]), -(-left // _BATCH_ROWS))
+            whole, islice(reading(batch_size=min(left, batch_rows), row_groups=[last]), -(-left // batch_rows))
         )
     skip, wanted = rows.start - int(starts[first]), len(rows)
     for batch in whole:
@@ -87,20 +319,40 @@ def _batches(file: arrow_parquet.ParquetFile, rows: range, *, threads: bool) -> 
 
 
 @contextmanager
-def open_parquet(path: Path, name: str) -> Iterator[arrow_parquet.ParquetFile]:
-    """Open a file, refusing one that is damaged wherever that shows, while it is open too."""
+def open_parquet(path: Path, name: str, texts: tuple[str, ...] = ()) -> Iterator[arrow_parquet.ParquetFile]:
+    """Open a file, refusing one that is damaged wherever that shows, while it is open too; `texts` come as dictionaries."""
+    _refuse_footer(path, name)
     try:
-        with arrow_parquet.ParquetFile(path, buffer_size=_BUFFER_BYTES, pre_buffer=False) as file:
+        with arrow_parquet.ParquetFile(
+            path,
+            read_dictionary=list(texts),
+            buffer_size=_BUFFER_BYTES,
+            pre_buffer=False,
+            thrift_string_size_limit=_FOOTER_BYTES,
+            thrift_container_size_limit=_MOST_CHUNKS,
+            schema_depth_limit=_DEEPEST_SCHEMA,
+            arrow_extensions_enabled=False,
+        ) as file:
             yield file
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise _damaged(name) from error
+
+
+def _damaged(name: str) -> RefusedInputError:
+    return RefusedInputError(
+        f"{name} is a truncated or damaged Parquet file, or an encrypted one: download or export it again."
+    )
+
+
+def _refuse_footer(path: Path, name: str) -> None:
+    """Refuse a footer that is larger than that of any telemetry; it is parsed whole."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - _TAIL_BYTES, 0))
+        tail = file.read(_TAIL_BYTES)
+    footer = int.from_bytes(tail[:4], "little")
+    if tail[4:] == b"PAR1" and footer > _FOOTER_BYTES:
         raise RefusedInputError(
-            f"{name} is a truncated or damaged Parquet file: download or export it again."
-        ) from error
-
-
-def _refuse_repeated_columns(name: str, columns: list[str]) -> None:
-    faults = Faults(name)
-    for number, column in enumerate(columns):
-        if column in columns[:number]:
-            faults.add("is there twice: leave one out", column=column)
-    faults.refuse()
+            f"{name} has a footer of {footer / 1e6:,.0f} MB, at most {_FOOTER_BYTES / 1e6:,.0f} MB are read: write fewer "
+            "columns, in groups of 65,536 rows."
+        )

@@ -9,6 +9,7 @@ second, fourth, ... is kept. The report of such a set says so in a finding of it
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ class QualityParts:
     def add(self, part: Telemetry) -> None:
         """Take the next whole frames."""
         if self._seen % self._stride == 0:
-            self._kept.append(part)
+            self._kept.append(replace(part, unknown={name: cells.slice(0, 0) for name, cells in part.unknown.items()}))
         self._seen += 1
         evidence = Evidence(part, self._sensor, self._catalogue)
         self._frames.add(evidence)

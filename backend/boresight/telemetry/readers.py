@@ -13,6 +13,7 @@ import pyarrow as pa
 from boresight.telemetry.arrays import arrays_of, check_columns, scale_quaternions
 from boresight.telemetry.checks import Checks
 from boresight.telemetry.chunks import open_tables, read_chunks
+from boresight.telemetry.limits import LIMITS, Limits
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.writers import write_csv, write_parquet
@@ -20,7 +21,7 @@ from boresight.telemetry.writers import write_csv, write_parquet
 __all__ = ["read_table", "read_telemetry", "write_csv", "write_parquet"]
 
 
-def read_telemetry(path: Path, name: str | None = None) -> Telemetry:
+def read_telemetry(path: Path, name: str | None = None, limits: Limits = LIMITS) -> Telemetry:
     """Read a telemetry file.
 
     Parameters
@@ -30,16 +31,18 @@ def read_telemetry(path: Path, name: str | None = None) -> Telemetry:
     name
         What its sender called it, and refusals call it; None for the name it has. The suffix says CSV, JSON Lines or
         Parquet; without one a file is what its bytes are.
+    limits
+        How much it may hold.
 
     Raises
     ------
     RefusedInputError
         When the file cannot be used; the first twenty faults name row and column.
     """
-    return joined(list(read_chunks(path, name)))
+    return joined(list(read_chunks(path, name, limits=limits)))
 
 
-def read_table(path: Path, name: str) -> pa.Table:
+def read_table(path: Path, name: str, limits: Limits = LIMITS) -> pa.Table:
     """Return the columns of a telemetry file as they stand in it.
 
     Raises
@@ -47,13 +50,19 @@ def read_table(path: Path, name: str) -> pa.Table:
     RefusedInputError
         When it is no table; what its cells hold is not looked at.
     """
-    tables = open_tables(path, name)
+    tables = open_tables(path, name, limits)
     parts = list(tables.read())
     if any(part.schema != parts[0].schema for part in parts):  # some cell is no number: then every cell is a text
-        tables = open_tables(path, name, as_text=True)
+        tables = open_tables(path, name, limits, as_text=True)
         parts = list(tables.read())
     tables.form.refuse()
-    return pa.concat_tables(parts, promote_options="default")
+    plain = [part.cast(pa.schema([_plain(field) for field in part.schema])) for part in parts]
+    return pa.concat_tables(plain, promote_options="default")
+
+
+def _plain(field: pa.Field) -> pa.Field:
+    """A column's type without a dictionary."""
+    return field.with_type(field.type.value_type) if pa.types.is_dictionary(field.type) else field
 
 
 def telemetry_of(table: pa.Table, faults: Faults) -> Telemetry:

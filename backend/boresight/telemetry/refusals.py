@@ -1,6 +1,7 @@
 """Collecting what is wrong with an input before refusing it, so that one reading names every fault.
 
-The first twenty faults are kept and the rest counted: a file exported in the wrong units has one fault a row. A file read
+The first twenty faults are kept and the rest counted: a file exported in the wrong units has one fault a row; what has a
+hundred thousand is refused there and then. A file read
 in parts collects into the same faults part by part, `first_row` moving on: which faults are kept does not depend on the parts.
 """
 
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from boresight.errors import Fault, RefusedInputError
 
 MOST_FAULTS = 20
+#: Faults that are met one by one are not looked for beyond so many: each costs some microseconds.
+MOST_COUNTED = 100_000
 _MOST_HELD = 50 * MOST_FAULTS
 
 
@@ -33,11 +36,21 @@ class Faults:
         self.first_row = first_row
         self.count = 0
         self._kept: list[Fault] = []
+        self._last: int | None = None  # row from which on a fault is none of the first, once there are enough
 
     def add(self, detail: str, *, column: str | None = None, row: int | None = None) -> None:
-        """Add one fault; `row` as an editor counts."""
+        """Add one fault; `row` as an editor counts.
+
+        Raises
+        ------
+        RefusedInputError
+            When there are more than are counted.
+        """
         self.count += 1
-        self._keep([Fault(row, column, detail)])
+        if self.count > MOST_COUNTED:
+            self.refuse()
+        if self._last is None or (row or 0) < self._last:
+            self._keep([Fault(row, column, detail)])
 
     def add_entries(self, wrong: NDArray[np.bool_], column: str | None, detail: Callable[[int], str]) -> None:
         """Add a fault for every entry of the (n,) mask; `detail` writes the sentence of one entry."""
@@ -58,18 +71,22 @@ class Faults:
         RefusedInputError
             Its sentence is the first fault and the number of the others; its faults are the first twenty.
         """
-        if not self.count:
-            return
+        if self.count:
+            raise self.refusal()
+
+    def refusal(self) -> RefusedInputError:
+        """Return what `refuse` raises, of at least one fault."""
         kept = _first(self._kept)
         others = self.count - 1
         more = f" (and {others} more {'fault' if others == 1 else 'faults'})" if others else ""
-        raise RefusedInputError(f"{self.subject}: {kept[0]}{more}", tuple(kept))
+        return RefusedInputError(f"{self.subject}: {kept[0]}{more}", tuple(kept))
 
     def _keep(self, faults: list[Fault]) -> None:
         """Hold faults, and of very many only those that can be among the first."""
         self._kept += faults
         if len(self._kept) > _MOST_HELD:
             self._kept = _first(self._kept)
+            self._last = self._kept[-1].row or 0
 
 
 def _first(faults: list[Fault]) -> list[Fault]:

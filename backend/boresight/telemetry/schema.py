@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
@@ -77,7 +78,7 @@ class Telemetry:
     velocity_m_s
         (n_rows, 3) satellite velocity, GCRS, or None.
     unknown
-        Columns the contract does not name, kept as they came.
+        Columns the contract does not name, kept as texts, empty where absent; of repeated texts each once.
     first_row
         Row of the first entry in its file, counted as an editor does: 2 after a header line, 1 in JSON Lines.
     """
@@ -95,7 +96,7 @@ class Telemetry:
     quaternion: FloatArray | None = None
     velocity_m_s: FloatArray | None = None
     temperature_c: FloatArray | None = None
-    unknown: dict[str, list[str]] = field(default_factory=dict)
+    unknown: dict[str, pa.ChunkedArray] = field(default_factory=dict)
     first_row: int = 2
 
     def __len__(self) -> int:
@@ -109,7 +110,7 @@ def rows_of(telemetry: Telemetry, rows: slice) -> Telemetry:
         return telemetry
     arrays = {item.name: getattr(telemetry, item.name) for item in fields(telemetry)}
     parts = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
-    unknown = {name: values[rows] for name, values in telemetry.unknown.items()}
+    unknown = {name: cells.slice(rows.start, rows.stop - rows.start) for name, cells in telemetry.unknown.items()}
     return replace(telemetry, **parts, unknown=unknown, first_row=telemetry.first_row + rows.start)
 
 
@@ -119,5 +120,14 @@ def joined(parts: Sequence[Telemetry]) -> Telemetry:
         return parts[0]
     names = [item.name for item in fields(Telemetry) if isinstance(getattr(parts[0], item.name), np.ndarray)]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    unknown = {name: [cell for part in parts for cell in part.unknown[name]] for name in parts[0].unknown}
+    unknown = {
+        name: pa.chunked_array([chunk for part in parts for chunk in part.unknown[name].chunks], cells.type)
+        for name, cells in parts[0].unknown.items()
+    }
     return replace(parts[0], **arrays, unknown=unknown)
+
+
+def bytes_of(telemetry: Telemetry) -> int:
+    """How many bytes a set takes in memory."""
+    arrays = sum(value.nbytes for value in vars(telemetry).values() if isinstance(value, np.ndarray))
+    return arrays + sum(int(cells.nbytes) for cells in telemetry.unknown.values())

@@ -23,7 +23,8 @@ from boresight import integrity
 from boresight.errors import CorruptFileError
 from boresight.telemetry.chunks import chunks_of
 from boresight.telemetry.formats import format_at
-from boresight.telemetry.parquet import open_parquet, parquet_tables
+from boresight.telemetry.limits import LIMITS, Limits
+from boresight.telemetry.parquet import Layout, layout_of, open_parquet, rows_of_file
 from boresight.telemetry.schema import Telemetry
 
 #: A stretch has frames for so many parts, so that its head that is read twice is a small share of it.
@@ -40,6 +41,8 @@ class Stretch:
         The file, and what refusals call it.
     begins, ends
         Its rows begins <= k < ends.
+    layout, limits
+        Of the whole file.
     sha256
         Of the file's bytes, where they are known by it.
     """
@@ -48,6 +51,8 @@ class Stretch:
     name: str
     begins: int
     ends: int
+    layout: Layout
+    limits: Limits = LIMITS
     sha256: str | None = None
 
     def chunks(self, frames: int) -> Iterator[Telemetry]:
@@ -64,10 +69,11 @@ class Stretch:
                 self.sha256,
             )
         rows = range(self.begins, self.ends)
-        return chunks_of(parquet_tables(self.path, self.name, rows), self.name, frames)
+        tables = rows_of_file(self.path, self.name, self.layout, rows, self.limits)
+        return chunks_of(tables, self.name, frames, self.limits)
 
 
-def stretches(path: Path, name: str, frames: int, sha256: str | None = None) -> list[Stretch]:
+def stretches(path: Path, name: str, frames: int, sha256: str | None = None, limits: Limits = LIMITS) -> list[Stretch]:
     """Cut a file into stretches of at least `PARTS * frames` frames.
 
     Returns
@@ -78,13 +84,16 @@ def stretches(path: Path, name: str, frames: int, sha256: str | None = None) -> 
     Raises
     ------
     RefusedInputError
-        When the file is damaged, has a column twice, or too many rows.
+        When the file is damaged, has a column twice, or holds more than the limits let pass.
     """
-    if format_at(path, name) != "Parquet" or "frame" not in parquet_tables(path, name).columns:
+    if format_at(path, name) != "Parquet":
+        return []
+    layout = layout_of(path, name, limits)
+    if "frame" not in layout.columns:
         return []
     with open_parquet(path, name) as file:
         cuts = _cuts(file, PARTS * frames)
-    return [Stretch(path, name, begins, ends, sha256) for begins, ends in pairwise(cuts)]
+    return [Stretch(path, name, begins, ends, layout, limits, sha256) for begins, ends in pairwise(cuts)]
 
 
 def _cuts(file: arrow_parquet.ParquetFile, least: int) -> list[int]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import pyarrow as pa
 
 from boresight.telemetry.formats import blank_rows
-from boresight.telemetry.refusals import Faults
+from boresight.telemetry.refusals import MOST_FAULTS, Faults
 
 
 class FormFaults:
@@ -26,10 +26,17 @@ class FormFaults:
         """Whether there is something to refuse."""
         return bool(self._blank.count or self.rows.count)
 
+    @property
+    def has_blank_rows(self) -> bool:
+        """Whether rows are blank, so that nothing else will be told."""
+        return bool(self._blank.count)
+
     def look_for_blank_rows(self, text: bytes, first_row: int) -> None:
         """Collect the blank rows of a piece of text whose first row has this number."""
-        for row in blank_rows(text):
+        rows = blank_rows(text)
+        for row in rows[:MOST_FAULTS].tolist():
             self._blank.add("is blank: delete it", row=row + first_row - 1)
+        self._blank.count += max(len(rows) - MOST_FAULTS, 0)
 
     def refuse(self) -> None:
         """Raise what was collected.

@@ -120,7 +120,18 @@ def contract_table(telemetry: Telemetry) -> pa.Table:
     for name, values in _optional_numbers(telemetry).items():
         if values is not None:
             columns[name] = pa.array(values, mask=np.isnan(values))
-    return pa.table(columns | {name: pa.array(cells, pa.string()) for name, cells in telemetry.unknown.items()})
+    return pa.table(columns | {name: _compact(cells) for name, cells in telemetry.unknown.items()})
+
+
+def _compact(cells: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return texts with dictionaries of those texts alone that are used: a slice brings the dictionary of all it was cut from."""
+    if not pa.types.is_dictionary(cells.type):
+        return cells
+    chunks = []
+    for chunk in cells.chunks:
+        used, place = np.unique(chunk.indices.to_numpy(), return_inverse=True)
+        chunks.append(pa.DictionaryArray.from_arrays(place.astype(np.int32), chunk.dictionary.take(pa.array(used))))
+    return pa.chunked_array(chunks, cells.type)
 
 
 def _optional_numbers(telemetry: Telemetry) -> dict[str, FloatArray | None]:

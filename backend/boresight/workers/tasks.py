@@ -29,6 +29,7 @@ from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blob_places import BlobPlace
 from boresight.store.blobs import BlobStore, open_blobs
 from boresight.store.queued_runs import Claimed
+from boresight.telemetry.limits import STORED
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
 from boresight.workers.link import Link
@@ -178,7 +179,7 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
 
 def _table(blobs: BlobStore, sha256: str) -> TelemetryFile:
     """Find a table of telemetry, held against its address."""
-    return TelemetryFile(blobs.path(sha256), sha256=sha256)
+    return TelemetryFile(blobs.path(sha256), sha256=sha256, limits=STORED)
 
 
 def _ended(run_id: int, attempt: int, state: str, reason: str | None, log: list[str] | None = None) -> Outcome:
@@ -212,7 +213,7 @@ def _function(dotted: str) -> Callable[..., dict[str, Any]]:
 @lru_cache(maxsize=TABLES)
 def _telemetry(path: Path) -> Telemetry:
     """Read a table; the few newest are kept, for a group often has several runs of one. Its content never changes."""
-    return TelemetryFile(path).read()
+    return TelemetryFile(path, limits=STORED).read()
 
 
 @cache

@@ -12,8 +12,17 @@ from boresight.telemetry.findings.finding import Finding, counted, row_numbers
 from boresight.telemetry.sensors import Sensor
 
 BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 _CLOSE_PX = 2.0
+#: A cell whose diagonal is the limit, and the cells around one that come as near.
+_CELL_PX = _CLOSE_PX / 2**0.5
+_AROUND = [(row, col) for row in range(-2, 3) for col in range(-2, 3) if (row, col) != (0, 0)]
+#: Detections that are sorted together, of whole exposures.
+_TOGETHER = 100_000
+#: Beyond this a number is no place on a detector.
+_FARTHEST_PX = 1e9
 _STUCK_EXPOSURES = 5
 _STUCK_SHARE = 0.05
 _POOR_CELLS = 0.5
@@ -133,19 +142,76 @@ def _marked(evidence: Evidence, entries: NDArray[np.int64]) -> BoolArray:
 
 
 def _close_to_another(evidence: Evidence) -> BoolArray:
-    """Return (n_rows,) whether another detection of the exposure is nearer than the limit; sweeps over sorted rows."""
+    """Return (n_rows,) whether another detection of the exposure is nearer than the limit.
+
+    Few have another in the same rows of pixels, and fewer in the same columns too. Those are sorted into cells in which any two
+    are near each other; one that is alone in its cell is held against the 24 cells around, each of which has at most 24 such
+    neighbours, so that the work is linear, however the detections crowd.
+    """
     telemetry, exposure = evidence.telemetry, evidence.exposures.of_entry
-    order = np.lexsort((telemetry.row_px, exposure))
-    row_px, col_px, exposure = telemetry.row_px[order], telemetry.col_px[order], exposure[order]
-    close = np.zeros(len(order), dtype=np.bool_)
-    for step in range(1, len(order)):
-        near = (exposure[step:] == exposure[:-step]) & (row_px[step:] - row_px[:-step] < _CLOSE_PX)
-        if not near.any():
-            break
-        pair = near & (np.hypot(row_px[step:] - row_px[:-step], col_px[step:] - col_px[:-step]) < _CLOSE_PX)
-        close[order[step:][pair]] = True
-        close[order[:-step][pair]] = True
-    return close
+    far = np.maximum(np.abs(telemetry.row_px), np.abs(telemetry.col_px)) > _FARTHEST_PX
+    entries = np.flatnonzero(~far)
+    for values in (telemetry.row_px, telemetry.col_px, telemetry.row_px):
+        entries = entries[_near_in_line(exposure[entries], values[entries])]
+    cuts = np.searchsorted(exposure[entries], exposure[entries[::_TOGETHER]])
+    parts = np.split(entries, np.unique(cuts)[1:])
+    near = [part[_near(exposure[part], telemetry.row_px[part], telemetry.col_px[part])] for part in parts]
+    return _marked(evidence, np.concatenate(near))
+
+
+def _near(of: IntArray, row: FloatArray, col: FloatArray) -> BoolArray:
+    """Return (n,) whether another centroid of the exposure is nearer than the limit."""
+    row_cell, col_cell = (np.floor(values / _CELL_PX).astype(np.int64) for values in (row, col))
+    order = np.lexsort((col_cell, row_cell, of))
+    row, col, of, row_cell, col_cell = row[order], col[order], of[order], row_cell[order], col_cell[order]
+    ranks = _Ranks(of, row_cell, col_cell)
+    near = ranks.count[ranks.of_entry] > 1
+    alone = np.flatnonzero(~near)
+    for row_step, col_step in _AROUND:
+        begins, n = ranks.find(of[alone], row_cell[alone] + row_step, col_cell[alone] + col_step)
+        one = np.repeat(alone, n)
+        other = np.repeat(begins - np.cumsum(n) + n, n) + np.arange(len(one))
+        near[one[np.hypot(row[one] - row[other], col[one] - col[other]) < _CLOSE_PX]] = True
+    found = np.zeros(len(of), dtype=np.bool_)
+    found[order] = near
+    return found
+
+
+def _near_in_line(exposure: IntArray, values: FloatArray) -> BoolArray:
+    """Return (n,) whether another of the exposure is near along one axis."""
+    order = np.lexsort((values, exposure))
+    near = (np.diff(exposure[order]) == 0) & (np.diff(values[order]) < _CLOSE_PX)
+    found = np.zeros(len(values), dtype=np.bool_)
+    found[order[1:][near]] = True
+    found[order[:-1][near]] = True
+    return found
+
+
+class _Ranks:
+    """Cells of exposures that hold something, of entries sorted by exposure, row and column."""
+
+    def __init__(self, exposure: IntArray, row_cell: IntArray, col_cell: IntArray) -> None:
+        self._rows, row = np.unique(row_cell, return_inverse=True)
+        self._cols, col = np.unique(col_cell, return_inverse=True)
+        self._keys, self._begins, self.of_entry, self.count = np.unique(
+            self._key(exposure, row, col), return_index=True, return_inverse=True, return_counts=True
+        )
+
+    def _key(self, exposure: IntArray, row: IntArray, col: IntArray) -> IntArray:
+        return np.asarray((exposure * len(self._rows) + row) * len(self._cols) + col)
+
+    def find(self, exposure: IntArray, row_cell: IntArray, col_cell: IntArray) -> tuple[IntArray, IntArray]:
+        """First entry of cells (n,), and how many they hold."""
+        (row, row_there), (col, col_there) = _place(self._rows, row_cell), _place(self._cols, col_cell)
+        key, there = _place(self._keys, self._key(exposure, row, col))
+        there &= row_there & col_there
+        return self._begins[key], np.where(there, self.count[key], 0)
+
+
+def _place(known: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:
+    """Places of values among sorted ones, and whether they are there."""
+    place = np.minimum(np.searchsorted(known, wanted), max(len(known) - 1, 0))
+    return place, known[place] == wanted
 
 
 def _returning(evidence: Evidence, rows: BoolArray) -> BoolArray:
