@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from boresight.calibration.trust.residuals import sightings
-from boresight.calibration.trust.stars import star_table, stars
+from boresight.calibration.trust.stars import StarTable, _merged, star_table, stars
 from boresight.estimation.consistency import chi_square
 from boresight.sky.doubles import phrases, star_flags
 from tests.calibration.judged import case, field, simulated
@@ -128,3 +128,21 @@ def test_telemetry_without_star_numbers_has_residuals_but_no_table_of_stars(sens
     assert trust["stars"] is None
     assert trust["unavailable"]["stars"].endswith("give star_id.")
     assert trust["residuals"]["star_id"] is None
+
+
+def _table(star_id, z):
+    n = len(star_id)
+    pairs, ones = np.zeros((n, 2)), np.ones(n)
+    star_id, counts = np.array(star_id), np.ones(n, np.int64)
+    return StarTable(star_id, counts, pairs, pairs, np.array(z, float), ones, ones, ones, np.zeros(n, np.bool_))
+
+
+def test_stars_that_have_a_residual_only_before_or_only_after_keep_what_is_known_of_them():
+    before, after = _table([1, 2, 5], [1, 20, 3]), _table([1, 4], [0.5, 7])
+
+    merged = _merged(before, after, np.array([False, True, False]))
+
+    assert merged.star_id.tolist() == [1, 2, 4, 5]
+    assert merged.z.tolist() == [0.5, 20, 7, 3]
+    assert merged.suspect.tolist() == [False, True, False, False]
+    assert merged.displacement_rad.shape == (4, 2)

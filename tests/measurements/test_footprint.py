@@ -2,6 +2,7 @@
 
 import pytest
 
+from boresight.measurements import ledger as ledgers
 from boresight.measurements.footprint import measure
 from boresight.measurements.ledger import Ledger
 from boresight.services import runs
@@ -71,7 +72,7 @@ def test_a_table_s_bytes_are_pages_and_an_empty_one_has_no_rows(tmp_path):
 
 
 def test_all_that_was_queued_for_the_clock_is_taken_away_however_many_pages_it_fills(tmp_path, monkeypatch):
-    monkeypatch.setattr(runs, "LONGEST_PAGE", 2)
+    monkeypatch.setattr(ledgers, "RUNS_AT_ONCE", 2)
     with Ledger(tmp_path, "") as ledger:
         ledger.register(1)
         ledger.store(10)

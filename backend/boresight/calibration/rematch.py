@@ -214,13 +214,16 @@ class Rematcher:
     def _identifier(self, detections: Detections, x: FloatArray, rows: slice) -> matching.Identify | None:
         """Lost-in-space identification of one exposure of these detections, which are in the triad already.
 
-        None where a corner of the detector has no direction under x: such a field of view matches no pattern.
+        None where a corner of the detector has no direction under x, or the field of view is none of a star tracker: such a field
+        matches no pattern.
         """
         magnitude = None if self._telemetry.magnitude is None else self._telemetry.magnitude[rows]
         sensor, camera = self._sensor, CAMERA_MODELS[self._sensor.camera_model]
         if camera.blind_corner(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is not None:
             return None
         field_deg = identification.field_of_view_deg(camera, x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+        if not identification.FIELDS_DEG[0] <= field_deg <= identification.FIELDS_DEG[1]:
+            return None
 
         def identify(exposure: int) -> FloatArray | None:
             of = np.arange(*detections.row_start[exposure : exposure + 2])

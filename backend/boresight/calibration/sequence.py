@@ -24,7 +24,7 @@ from boresight.errors import CancelledError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters import FILTERS, Tuning
-from boresight.estimation.filters.history import FilterState, start
+from boresight.estimation.filters.history import FilterHistory, FilterState, start
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -90,7 +90,7 @@ def run_sequential(
     cancelled: Asked,
 ) -> Course:
     """Run a filter over frames; returns its history, empty where no frame has stars."""
-    run_filter, n_frames = FILTERS[settings.method], frames.n_frames
+    n_frames = frames.n_frames
     first_tuning, tuning = _tunings(settings)
     state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
     course = Course(state)
@@ -103,13 +103,21 @@ def run_sequential(
         if arcs.n_exposures:
             chunk = weighed(arcs, problem.camera, course.last.x)
             tuned = tuning if course else first_tuning
-            part = run_filter(chunk, course.last, parameters.free, parameters.scale, tuned)
+            part = _filtered(chunk, course.last, parameters, settings, tuned)
             course.append(part, arcs.frame)
             listen(_on_its_way(course), last / n_frames, f"frame {arcs.frame[-1]}: {last} of {n_frames} frames")
             if not course.finite:
                 break
         _keep_pace(began, last, settings.replay_frames_per_s, cancelled)
     return course
+
+
+def _filtered(
+    arcs: ArcSet, state: FilterState, parameters: Parameters, settings: CalibrationSettings, tuning: Tuning
+) -> FilterHistory:
+    """Run the filter over frames; one that runs away ends at numbers that are none, which its history says."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return FILTERS[settings.method](arcs, state, parameters.free, parameters.scale, tuning)
 
 
 def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
@@ -182,7 +190,7 @@ def _first_frames(
         if done == frames.n_frames or wanted >= MOST_START_ARCS_PER_PARAMETER * n_free:
             return pooled, done
         chunk = weighed(pooled, problem.camera, state.x)
-        ended = FILTERS[settings.method](chunk, state, parameters.free, parameters.scale, tuning)
+        ended = _filtered(chunk, state, parameters, settings, tuning)
         if not ended.finite or _bend(pooled, problem, parameters, settings, ended.last) < BENT:
             return pooled, done
         wanted *= 2

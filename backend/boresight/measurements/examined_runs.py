@@ -43,10 +43,7 @@ def examined(constellation: Constellation, first: int, count: int) -> dict[str, 
 
 def _rows(session: Session) -> list[Run]:
     """Read all runs, oldest first."""
-    rows: list[Run] = []
-    while page := runs.list_runs(session, before_id=rows[-1].id if rows else None, limit=runs.LONGEST_PAGE):
-        rows += page
-    return rows[::-1]
+    return runs.list_runs(session)[::-1]
 
 
 def _is_good(session: Session, constellation: Constellation, row: Run) -> bool:

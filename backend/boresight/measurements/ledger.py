@@ -33,6 +33,8 @@ LEASE_S, LOOK_EVERY_S, STALLED_S = 10.0, 0.05, 300.0
 SENSOR = 1
 #: Rows from which on a table's bytes a row say something.
 ENOUGH_ROWS = 40
+#: Queued runs that one transaction cancels.
+RUNS_AT_ONCE = 500
 NAME, PASSWORD = "analyst", "analyst-of-the-ledger"  # of a store that is removed with the measurement
 
 
@@ -161,7 +163,7 @@ class Ledger:
         """Take what is queued away again."""
         while True:
             with writing(self._engine) as session:
-                queued = [row.id for row in runs.list_runs(session, state="QUEUED", limit=runs.LONGEST_PAGE)]
+                queued = [row.id for row in runs.list_runs(session, state="QUEUED", limit=RUNS_AT_ONCE)]
                 for number in queued:
                     runs.cancel(session, self._analyst, number)
             if not queued:

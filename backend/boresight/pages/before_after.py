@@ -56,8 +56,7 @@ class BeforeAfter:
 
 def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAfter | None:
     """Return what the newest finished run of a sensor would change, one with a validation set first; None without a run."""
-    finished = runs.list_runs(session, sensor_id=sensor_id, state="SUCCEEDED", limit=LOOKED_AT)
-    for run in sorted(finished, key=lambda run: run.validation_set_id is None):  # stable: newest first in each half
+    for run in runs.newest_finished(session, sensor_id, LOOKED_AT):
         try:
             result = runs.result(session, blobs, run.id)
         except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one

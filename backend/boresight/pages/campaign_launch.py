@@ -26,7 +26,7 @@ from boresight.pages.launch_data import LONGEST_NUMBER, Origin
 from boresight.pages.launch_form import Typed, typed_form
 from boresight.pages.methods import METHODS, NUMBERS, WORDS
 from boresight.pages.rendering import redirect, render
-from boresight.services import campaigns, presets, sensors, telemetry_sets
+from boresight.services import campaigns, lists, presets, sensors, telemetry_sets
 from boresight.services.actors import Actor
 from boresight.services.campaign_places import MOST_SENSORS, Member
 from boresight.services.sensors import Choices
@@ -72,9 +72,10 @@ def _offer(session: Session, given: FormData | QueryParams) -> Offered:
     chosen = {one for member in members for one in (member.telemetry_set_id, member.validation_set_id)}
     keep = [one for one in chosen if isinstance(one, int)]
     found: dict[int, Sets] = {}
+    every = lists.count(session, "telemetry", {"in_use": True}) <= MOST_SETS if choices.is_all else False
     for row in (
-        telemetry_sets.list_telemetry_sets(session, limit=MOST_SETS)
-        if choices.is_all
+        telemetry_sets.list_telemetry_sets(session)
+        if every
         else telemetry_sets.sets_of(session, choices.names, newest=NEWEST_SETS, keep=keep)
     ):
         getattr(found.setdefault(row.sensor_id, Sets()), row.purpose).append(row)

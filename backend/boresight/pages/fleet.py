@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from boresight.pages.states import LEVELS
-from boresight.services import alarms, approvals, fleet, sensors
+from boresight.services import alarms, fleet, lists, sensors
 from boresight.store.marks import Mark, Marks
 from boresight.store.sessions import Engine, Session, reading
 
@@ -45,7 +45,7 @@ def worst_standing(standings: Sequence[fleet.Standing]) -> Standing:
 
 def fleet_standing(session: Session) -> tuple[Standing, int, int]:
     """Return how the fleet stands, how many requests wait for a signature, and how many alarms to be acknowledged."""
-    waiting = len(approvals.list_approvals(session, state="OPEN"))
+    waiting = lists.count(session, "approvals", {"state": "OPEN"})
     return worst_standing(fleet.standings(session)), waiting, alarms.unacknowledged(session)
 
 

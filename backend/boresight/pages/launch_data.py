@@ -180,9 +180,7 @@ def newest_sets(session: Session, sensor_id: int | None) -> dict[str, str]:
     """Choose the newest set of either purpose for a sensor."""
     if sensor_id is None:
         return {}
-    newest: dict[str, str] = {}
-    for known in telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id):
-        newest.setdefault(known.purpose, str(known.id))
+    newest = {known.purpose: str(known.id) for known in telemetry_sets.sets_of(session, [sensor_id], newest=1)}
     return {
         "sensor_id": str(sensor_id),
         "telemetry_set_id": newest.get("calibration", ""),

@@ -18,7 +18,7 @@ from boresight.services import alarms, approvals, audit, fleet, lists, parameter
 from boresight.services.actors import Actor, Policy
 from boresight.services.fleet import SensorTile, Standing
 from boresight.store.sessions import Session
-from boresight.store.tables import TERMINAL_RUN_STATES, Alarm, Approval
+from boresight.store.tables import TERMINAL_RUN_STATES, Alarm
 
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
@@ -38,46 +38,67 @@ class Action:
     label: str
 
 
-def _signatures(
-    session: Session, actor: Actor, opened: Sequence[Approval], sets: Mapping[int, Any], policy: Policy
-) -> Iterator[Action]:
-    """Yield the open requests that this person may sign now."""
-    for request in opened:
-        if approvals.why_not_sign(session, actor, request.id, policy=policy) is None:
-            name = sets[request.parameter_set_id].name
-            yield Action("standby", f"{name} waits for your signature.", f"/approvals/{request.id}", "Review")
+@dataclass(frozen=True)
+class Waiting:
+    """What of one kind waits: how much, and the first of it."""
+
+    count: int
+    first: Sequence[Action]
 
 
-def _alarms(session: Session, actor: Actor) -> Iterator[Action]:
-    """Yield the alarms that wait for whoever may handle them."""
+def _signatures(session: Session, actor: Actor, policy: Policy) -> Waiting:
+    """Find the open requests that this person may sign now."""
+    signatory = approvals.signatory(session, actor, policy=policy)
+    if signatory is None:
+        return Waiting(0, ())
+    return _requests(session, {"open_to": signatory}, "standby", "waits for your signature", "Review")
+
+
+def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> Waiting:
+    """Count the requests that a list is narrowed to, and write the newest of them."""
+    newest = lists.page_of(session, "approvals", where, "-request", limit=MOST_ACTIONS)
+    sets = parameter_sets.heads_of(session, [request.parameter_set_id for request in newest])
+    first = [
+        Action(level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}", label)
+        for request in newest
+    ]
+    return Waiting(lists.count(session, "approvals", where), first)
+
+
+def _alarms(session: Session, actor: Actor) -> Waiting:
+    """Find the alarms that wait for whoever may handle them."""
     if not actor.roles.intersection(alarms.HANDLERS):
-        return
-    for alarm in alarms.list_alarms(session, alarms.Sought(state="unacknowledged")):
+        return Waiting(0, ())
+    newest = alarms.list_alarms(session, alarms.Sought(state="unacknowledged"), limit=MOST_ACTIONS)
+    first = []
+    for alarm in newest:
         gist = alarm.sentence.split(". ", maxsplit=1)[0].rstrip(".")
-        yield Action(alarm.level, f"Alarm {alarm.id}: {gist}.", f"/alarms/{alarm.id}", "Handle")
+        first.append(Action(alarm.level, f"Alarm {alarm.id}: {gist}.", f"/alarms/{alarm.id}", "Handle"))
+    return Waiting(alarms.unacknowledged(session), first)
 
 
-def _promotions(session: Session, actor: Actor) -> Iterator[Action]:
+def _promotions(session: Session, actor: Actor) -> Iterator[Waiting]:
     """Yield what an operator may do: promote what is approved, record what became of a new baseline."""
     if "operator" not in actor.roles:
         return
-    for row in parameter_sets.list_parameter_sets(session, ground_state="APPROVED"):
-        yield Action("standby", f"{row.name} is approved and can be promoted.", f"/parameter-sets/{row.id}", "Promote")
-    for row in parameter_sets.list_parameter_sets(session, ground_state="BASELINE"):
-        if row.run_id is not None and row.onboard_state == "NOT SENT":
-            sentence = f"{row.name} is the baseline; nothing is recorded of it on board."
-            yield Action("standby", sentence, f"/parameter-sets/{row.id}", "Record")
+    yield _sets(session, {"state": "APPROVED"}, "is approved and can be promoted", "Promote")
+    unsent = {"state": "BASELINE", "board": "NOT SENT", "of_a_run": True}
+    yield _sets(session, unsent, "is the baseline; nothing is recorded of it on board", "Record")
 
 
-def _own_requests(session: Session, actor: Actor) -> Iterator[Action]:
+def _sets(session: Session, where: Mapping[str, Any], words: str, label: str) -> Waiting:
+    """Count the parameter sets that a list is narrowed to, and write the newest of them."""
+    newest = lists.page_of(session, "parameter-sets", where, "-set", limit=MOST_ACTIONS)
+    first = [Action("standby", f"{row.name} {words}.", f"/parameter-sets/{row.id}", label) for row in newest]
+    return Waiting(lists.count(session, "parameter-sets", where), first)
+
+
+def _own_requests(session: Session, actor: Actor) -> Iterator[Waiting]:
     """Yield this person's requests that came back."""
+    if actor.user_id is None:
+        return
     for state, words in (("STALE", "went stale: evaluate again"), ("REJECTED", "was refused: read why")):
-        own = {"state": state, "submitted_by": actor.user_id}
-        came_back = lists.page_of(session, "approvals", own, "-request", limit=20)
-        sets = parameter_sets.heads_of(session, [request.parameter_set_id for request in came_back])
-        for request in came_back:
-            name = sets[request.parameter_set_id].name
-            yield Action("caution", f"{name} {words}.", f"/approvals/{request.id}", "Read")
+        yield _requests(session, {"state": state, "submitted_by": actor.user_id}, "caution", words, "Read")
 
 
 def _calibrations(session: Session, tiles: Sequence[SensorTile], actor: Actor) -> Iterator[Action]:
@@ -132,9 +153,10 @@ class Desk:
     tiles
         The sensors that are drawn: all, or of a large fleet those that stand worst.
     courses, waiting
-        By sensor: how its calibrations went lately, and its open request.
-    actions
-        What waits for the person who looks; of calibrations, those of the sensors that are drawn.
+        By sensor that is drawn: how its calibrations went lately, and the number of its open request.
+    signatures, actions
+        What waits for the person who looks: requests to sign, and everything, these among it; of calibrations, those of the sensors
+        that are drawn.
     queue
         How many runs are in each state.
     """
@@ -142,8 +164,9 @@ class Desk:
     standings: Sequence[Standing]
     tiles: Sequence[SensorTile]
     courses: Mapping[int, Course]
-    waiting: Mapping[int, Approval]
-    actions: Sequence[Action]
+    waiting: Mapping[int, int]
+    signatures: Waiting
+    actions: Waiting
     queue: Mapping[str, int]
 
     @property
@@ -167,7 +190,7 @@ def drawn_of(standings: Sequence[Standing]) -> Sequence[Standing]:
 def _courses(session: Session, tiles: Sequence[SensorTile]) -> dict[int, Course]:
     """Return how each sensor's calibrations went lately."""
     summaries = fleet.recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
-    drifting = {alarm.sensor_id: alarm for alarm in alarms.list_alarms(session, alarms.Sought(kind="DRIFT"), limit=500)}
+    drifting = alarms.open_of_sensors(session, "DRIFT", [tile.sensor.id for tile in tiles])
     return {tile.sensor.id: _course(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id)) for tile in tiles}
 
 
@@ -181,17 +204,19 @@ def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
     """Gather the fleet's work for a person."""
     standings = fleet.standings(session)
     tiles = fleet.tiles(session, drawn_of(standings))
-    opened = approvals.list_approvals(session, state="OPEN")
-    sets = parameter_sets.heads_of(session, [request.parameter_set_id for request in opened])
-    actions = [
-        *_alarms(session, actor),
-        *_signatures(session, actor, opened, sets, policy),
+    signatures = _signatures(session, actor, policy)
+    calibrations = list(_calibrations(session, tiles, actor))
+    kinds = [
+        _alarms(session, actor),
+        signatures,
         *_promotions(session, actor),
         *_own_requests(session, actor),
-        *_calibrations(session, tiles, actor),
+        Waiting(len(calibrations), calibrations),
     ]
-    waiting = {sets[request.parameter_set_id].sensor_id: request for request in opened}
-    return Desk(standings, tiles, _courses(session, tiles), waiting, actions, runs.count_by_state(session))
+    first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
+    actions = Waiting(sum(kind.count for kind in kinds), first)
+    waiting = approvals.newest_open(session, [tile.sensor.id for tile in tiles])
+    return Desk(standings, tiles, _courses(session, tiles), waiting, signatures, actions, runs.count_by_state(session))
 
 
 @dataclass(frozen=True)
@@ -244,9 +269,9 @@ def overview_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
         "overview.html",
         desk=desk,
         counts=_counts(desk.standings),
-        actions=desk.actions[:MOST_ACTIONS],
-        more_actions=max(len(desk.actions) - MOST_ACTIONS, 0),
-        waiting_for_me=sum(action.label == "Review" for action in desk.actions),
+        actions=desk.actions.first,
+        more_actions=desk.actions.count - len(desk.actions.first),
+        waiting_for_me=desk.signatures.count,
         events=_events(session, desk.standings),
         workers=request.app.state.workers.state() if request.app.state.workers else None,
         may_register=bool({"analyst", "administrator"} & actor.roles),

@@ -31,8 +31,6 @@ from boresight.store.tables import Approval, ParameterSet
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-SETS_A_SENSOR = 10_000  # more than a sensor is ever given
-
 
 @dataclass(frozen=True)
 class Action:
@@ -126,8 +124,7 @@ def incumbent_of(session: Session, row: ParameterSet, requests: Sequence[Approva
 def bound_incumbent(session: Session, row: ParameterSet, request: Approval | None) -> ParameterSet | None:
     """Return the set that was baseline when a request was made; None where the request names none."""
     sha256 = request.bound.get("incumbent_sha256") if request is not None else None
-    fleet_sets = parameter_sets.list_parameter_sets(session, sensor_id=row.sensor_id, limit=SETS_A_SENSOR)
-    return next((known for known in fleet_sets if known.sha256 == sha256 and known.id != row.id), None)
+    return None if sha256 is None else parameter_sets.other_with_document(session, row, sha256)
 
 
 @router.get("/parameter-sets/{set_id:int}", response_class=HTMLResponse)

@@ -23,7 +23,7 @@ MOST_SHOWN = 500
 @router.get("/presets", response_class=HTMLResponse)
 def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """List every preset, each with what it changes of the usual settings."""
-    saved = presets.list_presets(session, archived=True, limit=MOST_SHOWN)
+    saved = presets.list_presets(session, archived=True)
     usual = CalibrationSettings().document()
     changes = {offer.key: differences(usual, offer.settings) for offer in presets.BUILT_IN}
     changes |= {str(row.id): differences(usual, row.document) for row in saved}

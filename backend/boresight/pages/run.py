@@ -161,8 +161,7 @@ def gates_of(session: Session, made: ParameterSet | None) -> dict[str, Any] | No
 
 def parameter_set_of(session: Session, run: Run) -> ParameterSet | None:
     """Return the set that was made from a run, if one was."""
-    made = parameter_sets.list_parameter_sets(session, sensor_id=run.sensor_id)
-    return next((known for known in made if known.run_id == run.id), None)
+    return parameter_sets.set_of_run(session, run.id)
 
 
 @router.post("/runs/{run_id:int}/parameter-set")

@@ -16,7 +16,6 @@ from boresight.services import runs
 from boresight.store.sessions import Session
 from boresight.store.tables import Run, RunEvent
 
-LONGEST_QUEUE = 500
 LAST_LINES = 5
 SILENT_S = 30.0  # a worker reports four times a second, or at every frame of a slow replay
 WHAT_TO_TRY = (
@@ -153,9 +152,8 @@ def clock(text: str | None) -> str:
 
 def _queue_sentence(session: Session, run: Run, workers: Mapping[str, Any] | None) -> str:
     """Say how many runs are in front, and what the first of them waits for."""
-    waiting = runs.list_runs(session, state="QUEUED", before_id=run.id, limit=LONGEST_QUEUE)
-    more = "at least " if len(waiting) == LONGEST_QUEUE else ""
-    place = f"Position {more}{len(waiting) + 1} in the queue." if waiting else "Next in the queue."
+    before = runs.place_in_queue(session, run.id)
+    place = f"Position {before + 1} in the queue." if before else "Next in the queue."
     return f"{place} {_waits_for(session, workers)}"
 
 

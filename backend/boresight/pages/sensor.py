@@ -26,14 +26,14 @@ from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import line_of, read_names
 from boresight.pages.sensors import read_document
 from boresight.pages.trend import LEVEL_OF_ANSWER
-from boresight.services import alarms, gates, notes, parameter_sets, runs, sensors, telemetry_sets, uplinks
+from boresight.services import alarms, gates, lists, notes, parameter_sets, runs, sensors, telemetry_sets, uplinks
 from boresight.services.actors import Actor
 from boresight.services.advice import advise
 from boresight.services.trend import trend_of
 from boresight.store.sessions import Session, reading, utc_now
 from boresight.store.tables import ParameterSet, Sensor, Uplink
 
-RUNS_SHOWN = 10
+RUNS_SHOWN, SETS_SHOWN = 10, 100
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -145,7 +145,9 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
         sensor, baseline = sensors.get_sensor(session, sensor_id), parameter_sets.baseline_of(session, sensor_id)
         newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
         names = read_names(session, newest)
-        sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id)
+        sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN)
+        promotions = uplinks.promotions_of(session, sensor_id)
+        promoted = parameter_sets.heads_of(session, {one.parameter_set_id for one in promotions})
         values = baseline_values(sensor, baseline)
         advice = advise(trend_of(session, sensor_id))
         return render(
@@ -162,13 +164,15 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
             measured=baseline is not None and baseline.run_id is not None,
             optics=optics_of(sensor.document["detector"], {it.name: it.value for it in values}),
             sets=sets,
-            set_names={row.id: row.name for row in sets},
+            set_names={number: head.name for number, head in promoted.items()},
             advice=advice,
             answer_level=LEVEL_OF_ANSWER[advice.answer],
             open_alarms=alarms.list_alarms(session, alarms.Sought(sensor_id=sensor_id)),
             notes=notes.list_notes(session, actor, "sensors", sensor_id),
-            promotions=uplinks.promotions_of(session, sensor_id),
-            telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id),
+            promotions=promotions,
+            telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN),
+            sets_in_all=lists.count(session, "parameter-sets", {"sensor": sensor_id}),
+            telemetry_in_all=lists.count(session, "telemetry", {"sensor": sensor_id, "in_use": True}),
             runs=[line_of(run, names) for run in newest],
             change=before_after(session, request.app.state.blobs, sensor_id),
             as_of=_as_of(session, sensor_id, at),

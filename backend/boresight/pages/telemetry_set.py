@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -18,10 +18,9 @@ from boresight.pages.drawings import Drawing, detector_map, histogram, number_ba
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import line_of, read_names
 from boresight.services import runs, telemetry_sets
-from boresight.store.sessions import Session
-from boresight.store.tables import Blob, Run, TelemetrySet
+from boresight.store.tables import Blob
 
-RUNS_SEARCHED = 500
+RUNS_SHOWN = 100
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -72,17 +71,11 @@ def _edge_of_data(radial: Mapping[str, Any]) -> tuple[float, str] | None:
     return None if largest is None else (largest, "no data beyond: distortion is extrapolated there")
 
 
-def _users(session: Session, row: TelemetrySet) -> Sequence[Run]:
-    """Return the runs that fitted or validated with a set, newest first."""
-    found = runs.list_runs(session, sensor_id=row.sensor_id, limit=RUNS_SEARCHED)
-    return [run for run in found if row.id in {run.telemetry_set_id, run.validation_set_id}]
-
-
 @router.get("/telemetry/{set_id}", response_class=HTMLResponse)
 def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set with its quality report."""
     row = telemetry_sets.get_telemetry_set(session, set_id)
-    used_by = _users(session, row)
+    used_by, uses = runs.runs_of_set(session, row.id, RUNS_SHOWN)
     names = read_names(session, used_by, sensors_of=[row])
     blob = session.get(Blob, row.original_sha256)
     return render(
@@ -94,6 +87,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
         names=names,
         size_bytes=blob.size_bytes if blob else None,
         runs=[line_of(run, names) for run in used_by],
+        uses=uses,
         is_analyst="analyst" in actor.roles,
     )
 

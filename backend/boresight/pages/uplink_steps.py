@@ -32,7 +32,6 @@ from boresight.store.tables import Package, ParameterSet, Uplink
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-RECORDS_SHOWN = 200
 NO_ROLE = (
     "Recording what is on board needs the role operator. An administrator can give it, on the page Users and keys."
 )
@@ -57,7 +56,7 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
     """Render the page, with the refusal of a step and what was typed."""
     with reading(request.app.state.engine) as session:
         row = parameter_sets.get_parameter_set(session, set_id)
-        records = uplinks.list_uplinks(session, parameter_set_id=set_id, limit=RECORDS_SHOWN)
+        records = uplinks.list_uplinks(session, parameter_set_id=set_id)
         built = packages.list_packages(session, parameter_set_id=set_id)
         exported = exported_of(built, records)
         names = read_names(session)

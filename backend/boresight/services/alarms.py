@@ -13,7 +13,7 @@ What raises an alarm and returns it to normal is in `watch`; here is what people
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
@@ -213,7 +213,7 @@ def get_alarm(session: Session, alarm_id: int) -> Alarm:
 
 
 def list_alarms(
-    session: Session, sought: Sought | None = None, *, before_id: int | None = None, limit: int = 100
+    session: Session, sought: Sought | None = None, *, before_id: int | None = None, limit: int | None = None
 ) -> Sequence[Alarm]:
     """Return a page of alarms, newest first; those that are closed only when sought.
 
@@ -226,6 +226,11 @@ def list_alarms(
     if sought.state is not None and sought.state not in STATES:
         raise RefusedInputError(f"There is no alarm state {sought.state!r}; choose from {', '.join(STATES)}.")
     return rows.alarms(session, sought, before_id=before_id, limit=limit)
+
+
+def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> dict[int, Alarm]:
+    """Return the newest alarm of a kind that is not closed of each of some sensors that has any, by sensor."""
+    return {row.sensor_id: row for row in rows.open_of_sensors(session, kind, sensor_ids) if row.sensor_id is not None}
 
 
 def events_of(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:

@@ -12,7 +12,7 @@ console's owner stands beside it, and the log-in of the console stays whose it w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from boresight.errors import (
     ConflictError,
@@ -25,11 +25,12 @@ from boresight.services.actors import POLICY, Actor, Policy, require_person
 from boresight.services.discussions import assign, openings_of, record_opening, remark, remarks_of
 from boresight.services.evidence import refuse_blocked, shown_sha256
 from boresight.services.passwords import password_by
-from boresight.services.signers import Signer, refuse_signer, second_persons, signers_of
+from boresight.services.signers import Signer, refuse_signer, refuse_who_never_signs, second_persons, signers_of
 from boresight.services.staleness import any_due, expire_due, is_expired, refuse_expired, refuse_moved
 from boresight.services.transitions import get_approval, move, require_seen, resting_state, who_changed
 from boresight.services.words import refuse_control_characters
 from boresight.store import approvals as rows
+from boresight.store.lists import Signatory
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Approval, ParameterSet, Signature
 
@@ -40,6 +41,7 @@ __all__ = [
     "expire_due",
     "get_approval",
     "list_approvals",
+    "newest_open",
     "openings_of",
     "record_opening",
     "remark",
@@ -47,6 +49,7 @@ __all__ = [
     "shown_sha256",
     "sign",
     "sign_over_the_shoulder",
+    "signatory",
     "signatures_of",
     "who_may_sign",
     "why_not_sign",
@@ -61,10 +64,24 @@ def list_approvals(
     state: str | None = None,
     parameter_set_id: int | None = None,
     before_id: int | None = None,
-    limit: int = 100,
+    limit: int | None = None,
 ) -> Sequence[Approval]:
     """Return a page of requests, newest first; the next page starts before the last one's id."""
     return rows.approvals(session, state=state, parameter_set_id=parameter_set_id, before_id=before_id, limit=limit)
+
+
+def newest_open(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:
+    """Return the number of the newest open request of each of some sensors that has any, by sensor."""
+    return rows.newest_open(session, sensor_ids)
+
+
+def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Signatory | None:
+    """Return who would sign, to narrow the list of requests to those open to them; None where they may sign none at all."""
+    try:
+        user_id = refuse_who_never_signs(session, actor)
+    except ForbiddenError:
+        return None
+    return Signatory(user_id, utc_now(), policy.four_eyes)
 
 
 def signatures_of(session: Session, approval_id: int) -> Sequence[Signature]:

@@ -136,7 +136,7 @@ def list_records(
     before_id: int | None = None,
     subject: str | None = None,
     sought: Sought | None = None,
-    limit: int = 100,
+    limit: int | None = None,
 ) -> Sequence[AuditRecord]:
     """Return a page of records, newest first; the next page starts before the last one's id."""
     return rows.records(session, before_id=before_id, sought=sought or Sought(object=subject), limit=limit)

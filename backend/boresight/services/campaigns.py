@@ -204,7 +204,7 @@ def read_campaign(session: Session, campaign_id: int) -> CampaignView:
     return view_of(row, rows.counts(session, [row.id])[row.id])
 
 
-def list_campaigns(session: Session, *, before_id: int | None = None, limit: int = 50) -> list[CampaignView]:
+def list_campaigns(session: Session, *, before_id: int | None = None, limit: int | None = None) -> list[CampaignView]:
     """Return a page of campaigns with their counts, newest first; the next starts before the last one's id."""
     found = rows.campaigns(session, before_id=before_id, limit=limit)
     counted = rows.counts(session, [row.id for row in found])

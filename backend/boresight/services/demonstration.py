@@ -25,6 +25,7 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.sky.catalogue import Catalogue
+from boresight.store import telemetry_sets as set_rows
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.telemetry.readers import write_parquet
@@ -189,5 +190,4 @@ class _Fleet:
 
 def _oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
     """Return a sensor's oldest set of a purpose, of those in use or of all."""
-    found = telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id, purpose=purpose, archived=archived)
-    return min((row.id for row in found), default=None)
+    return set_rows.oldest_set(session, sensor_id, purpose, archived=archived)

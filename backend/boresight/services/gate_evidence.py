@@ -18,8 +18,6 @@ from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session
 from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
 
-MOST_SETS = 1000
-
 
 @dataclass(frozen=True)
 class Case:
@@ -111,8 +109,13 @@ def _held_out(
     behind = [run, None if incumbent is None or incumbent.run_id is None else session.get_one(Run, incumbent.run_id)]
     fitted = {known.telemetry_set_id for known in behind if known is not None}
     own = None if run is None or run.validation_set_id is None else session.get(TelemetrySet, run.validation_set_id)
-    others = telemetry_sets.sets(
-        session, sensor_id=row.sensor_id, purpose="validation", archived=False, before_id=None, limit=MOST_SETS
+    others = telemetry_sets.sets(  # of so many, one at least was not fitted
+        session,
+        sensor_id=row.sensor_id,
+        purpose="validation",
+        archived=False,
+        before_id=None,
+        limit=len(fitted) + 1,
     )
     candidates = [*([] if own is None else [own]), *others]
     return next((known for known in candidates if known.id not in fitted), None)

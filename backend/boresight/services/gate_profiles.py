@@ -94,7 +94,7 @@ def _default(sensor: Sensor) -> GateProfile:
 
 
 def list_profiles(
-    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int = 100
+    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None = None
 ) -> Sequence[GateProfile]:
     """Return a page of a sensor's profiles, newest first; the next page starts before the last one's number.
 

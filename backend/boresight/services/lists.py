@@ -10,12 +10,9 @@ from boresight.store import lists
 from boresight.store.lists import LISTS, Asked
 from boresight.store.sessions import Session
 
-PAGE = 50
-LONGEST_PAGE = 500
-
 
 def page_of(
-    session: Session, name: str, where: Mapping[str, Any], sort: str, *, before_id: int | None = None, limit: int = PAGE
+    session: Session, name: str, where: Mapping[str, Any], sort: str, *, before_id: int | None = None, limit: int
 ) -> list[Any]:
     """Return a page of a list; the next page is that before the last row's id.
 
@@ -33,7 +30,18 @@ def page_of(
     RefusedInputError
         When the list knows no such filter or order.
     """
-    return lists.page(session, name, _asked(name, where, sort, before_id), max(1, min(limit, LONGEST_PAGE + 1)))
+    return lists.page(session, name, _asked(name, where, sort, before_id), limit)
+
+
+def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
+    """Return how many rows a list has that is narrowed so.
+
+    Raises
+    ------
+    RefusedInputError
+        When the list knows no such filter.
+    """
+    return lists.count(session, name, _checked(name, where))
 
 
 def all_of(session: Session, name: str, where: Mapping[str, Any], sort: str) -> Iterator[Any]:
@@ -52,6 +60,12 @@ def _asked(name: str, where: Mapping[str, Any], sort: str, before_id: int | None
     known = LISTS[name]
     if sort.removeprefix("-") not in known.keys:
         raise RefusedInputError(f"The list is not sorted by {sort!r}; choose from {', '.join(known.keys)}.")
-    if strange := sorted(set(where) - set(known.filters)):
-        raise RefusedInputError(f"The list has no filter {', '.join(strange)}; choose from {', '.join(known.filters)}.")
-    return Asked(where, sort, before_id)
+    return Asked(_checked(name, where), sort, before_id)
+
+
+def _checked(name: str, where: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Refuse filters that a list does not know."""
+    known = LISTS[name].filters
+    if strange := sorted(set(where) - set(known)):
+        raise RefusedInputError(f"The list has no filter {', '.join(strange)}; choose from {', '.join(known)}.")
+    return where

@@ -141,7 +141,7 @@ def _inputs(session: Session, row: ParameterSet, definition: TableDefinition | N
 
 def _existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any]) -> Package | None:
     """Return the package that was built from the same inputs."""
-    for package in rows.packages(session, parameter_set_id=row.id):
+    for package in rows.packages(session, parameter_set_id=row.id, limit=None):
         if {key: value for key, value in package.inputs.items() if key != "first_built"} == inputs:
             return package
     return None
@@ -232,7 +232,7 @@ def list_packages(
     parameter_set_id: int | None = None,
     sensor_id: int | None = None,
     before_id: int | None = None,
-    limit: int = 100,
+    limit: int | None = None,
 ) -> Sequence[Package]:
     """Return a page of packages, newest first; the next page starts before the last one's id."""
     return rows.packages(

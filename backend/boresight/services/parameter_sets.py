@@ -45,10 +45,20 @@ def list_parameter_sets(
     sensor_id: int | None = None,
     ground_state: str | None = None,
     before_id: int | None = None,
-    limit: int = 100,
+    limit: int | None = None,
 ) -> Sequence[ParameterSet]:
     """Return a page of sets, newest first; the next page starts before the last one's id."""
     return rows.sets(session, sensor_id=sensor_id, ground_state=ground_state, before_id=before_id, limit=limit)
+
+
+def set_of_run(session: Session, run_id: int) -> ParameterSet | None:
+    """Return the set that was made from a run; None where none was."""
+    return rows.set_of_run(session, run_id)
+
+
+def other_with_document(session: Session, row: ParameterSet, sha256: str) -> ParameterSet | None:
+    """Return the newest other set of a set's sensor whose document has this hash."""
+    return rows.other_with_document(session, row, sha256)
 
 
 def heads_of(session: Session, set_ids: Collection[int]) -> dict[int, Any]:

@@ -138,7 +138,7 @@ def get_preset(session: Session, preset_id: int) -> Preset:
 
 
 def list_presets(
-    session: Session, *, archived: bool = False, before_id: int | None = None, limit: int = 100
+    session: Session, *, archived: bool = False, before_id: int | None = None, limit: int | None = None
 ) -> Sequence[Preset]:
     """Return a page of saved versions, newest first, the archived ones where asked."""
     return rows.presets(session, archived=archived, before_id=before_id, limit=limit)

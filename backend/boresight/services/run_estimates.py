@@ -20,6 +20,8 @@ FIRST_GUESS_S_PER_STAR = 5e-5
 #: How many times slower or faster than the guess a machine and a method may be.
 GUESS_SPREAD = 4.0
 START_S = 0.02
+#: The newest runs of a method that its pace is taken from.
+RUNS_TIMED = 20
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Timed:
 
 def timed_runs(session: Session, method: str) -> list[Timed]:
     """Return what the newest runs of a method took, newest first: of those that waited for no frames where there are any."""
-    timed = [run for run in recent_runs(session, method) if run[1].get("seconds") and run[1].get("stars")]
+    timed = [run for run in recent_runs(session, method, RUNS_TIMED) if run[1].get("seconds") and run[1].get("stars")]
     unthrottled = [run for run in timed if not _downlink_s(run[0], frames=1)]
     return [Timed(summary["stars"], _computed_s(settings, summary)) for settings, summary in unthrottled or timed]
 

@@ -23,9 +23,6 @@ from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 from boresight.store.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, Sensor
 
-PAGE = 50
-LONGEST_PAGE = 500
-
 
 def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     session: Session,
@@ -122,7 +119,7 @@ def list_runs(
     method: str | None = None,
     telemetry_set_id: int | None = None,
     before_id: int | None = None,
-    limit: int = PAGE,
+    limit: int | None = None,
 ) -> list[Run]:
     """Return a page of runs, newest first; the next page starts before the last one's id.
 
@@ -138,7 +135,22 @@ def list_runs(
     where = {name: value for name, value in where.items() if value is not None}
     if asked:
         where["state"] = asked
-    return run_lists.page_of_runs(session, where=where, before_id=before_id, limit=max(1, min(limit, LONGEST_PAGE)))
+    return run_lists.page_of_runs(session, where=where, before_id=before_id, limit=limit)
+
+
+def runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
+    """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
+    return run_lists.runs_of_set(session, telemetry_set_id, limit)
+
+
+def newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
+    """Return a sensor's newest runs that succeeded, those with a validation set before all others."""
+    return run_lists.newest_finished(session, sensor_id, limit)
+
+
+def place_in_queue(session: Session, run_id: int) -> int:
+    """Return how many runs are in front of one that waits."""
+    return run_lists.count_queued_before(session, run_id)
 
 
 def count_by_state(session: Session) -> dict[str, int]:
@@ -197,8 +209,8 @@ def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
     return document | ordered
 
 
-def log_lines(session: Session, run_id: int, *, after_id: int = 0) -> list[RunEvent]:
-    """Return a run's log in order, from the line after `after_id`.
+def log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | None = None) -> list[RunEvent]:
+    """Return a run's log in order, from the line after `after_id`: all of it, or at most `limit` lines.
 
     Raises
     ------
@@ -206,4 +218,4 @@ def log_lines(session: Session, run_id: int, *, after_id: int = 0) -> list[RunEv
         When there is no such run.
     """
     get_run(session, run_id)
-    return run_events.events_of_run(session, run_id, after_id)
+    return run_events.events_of_run(session, run_id, after_id, limit)

@@ -75,6 +75,23 @@ def parts_of(session: Session, approval: Approval) -> list[Part]:
     return [Part(user_id, role, deed) for user_id, role, deed in done if user_id is not None]
 
 
+def refuse_who_never_signs(session: Session, actor: Actor) -> int:
+    """Refuse whoever may sign no request at all, with the reason; returns the person's number.
+
+    Raises
+    ------
+    ForbiddenError
+        When this is no person, no approver, an administrator, or somebody whose password another set.
+    """
+    user_id = require_person(actor, "sign")
+    if "administrator" in actor.roles:
+        raise ForbiddenError("An administrator cannot sign; an approver who is no administrator must.")
+    require_role(actor, "approver")
+    if session.get_one(User, user_id).must_change_password:
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
+    return user_id
+
+
 def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Policy) -> None:
     """Refuse whoever is not a second person, with the reason.
 
@@ -85,12 +102,7 @@ def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Po
     ConflictError
         When this person signed already.
     """
-    user_id = require_person(actor, "sign")
-    if "administrator" in actor.roles:
-        raise ForbiddenError("An administrator cannot sign; an approver who is no administrator must.")
-    require_role(actor, "approver")
-    if session.get_one(User, user_id).must_change_password:
-        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
+    user_id = refuse_who_never_signs(session, actor)
     own = [part for part in parts_of(session, approval) if part.user_id == user_id] if policy.four_eyes else []
     if own:
         raise ForbiddenError(f"You {_listed(own)}; another approver must sign.")

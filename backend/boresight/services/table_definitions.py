@@ -46,7 +46,7 @@ def get_definition(session: Session, table_definition_id: int) -> TableDefinitio
 
 
 def list_definitions(
-    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int = 100
+    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None = None
 ) -> Sequence[TableDefinition]:
     """Return a page of a sensor's definitions, newest first; the next page starts before the last one's number."""
     get_sensor(session, sensor_id)

@@ -273,7 +273,7 @@ def list_telemetry_sets(
     purpose: str | None = None,
     archived: bool = False,
     before_id: int | None = None,
-    limit: int = 100,
+    limit: int | None = None,
 ) -> Sequence[TelemetrySet]:
     """Return a page of sets, newest first, with the archived ones where asked; the next starts before the last id."""
     return rows.sets(session, sensor_id=sensor_id, purpose=purpose, archived=archived, before_id=before_id, limit=limit)

@@ -248,7 +248,7 @@ def list_uplinks(
     parameter_set_id: int | None = None,
     sensor_id: int | None = None,
     before_id: int | None = None,
-    limit: int = 100,
+    limit: int | None = None,
 ) -> Sequence[Uplink]:
     """Return a page of records, newest first; the next page starts before the last one's id."""
     return rows.uplinks(

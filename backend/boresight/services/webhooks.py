@@ -192,7 +192,7 @@ def enable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
 
 
 def list_deliveries(
-    session: Session, actor: Actor, webhook_id: int, *, before_id: int | None = None, limit: int = 100
+    session: Session, actor: Actor, webhook_id: int, *, before_id: int | None = None, limit: int | None = None
 ) -> Sequence[WebhookDelivery]:
     """Return a page of what was sent or is to be sent to a webhook, newest first."""
     get_webhook(session, actor, webhook_id)

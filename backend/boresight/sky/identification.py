@@ -57,6 +57,8 @@ RATIO_ERROR = 0.003
 PATTERNS_AT_20_DEG, FEWEST_PATTERNS = 500, 50
 #: Patterns of an image tried before it is given up: work and not time, so that every machine gives the same answer.
 MOST_TRIED = 200_000
+#: Fields of view that are asked for, across the longer side: those that a sensor file may describe.
+FIELDS_DEG = (0.1, 175.0)
 _FIELD_STEP_DEG = 0.5
 _making = threading.Lock()
 

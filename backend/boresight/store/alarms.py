@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import sqlalchemy as sa
 
+from boresight.store.documents import among
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Alarm, AlarmEvent, Note, Sensor
 
@@ -47,7 +48,7 @@ def _states() -> Mapping[str | None, Sequence[sa.ColumnElement[bool]]]:
     }
 
 
-def alarms(session: Session, sought: Sought, *, before_id: int | None, limit: int) -> Sequence[Alarm]:
+def alarms(session: Session, sought: Sought, *, before_id: int | None, limit: int | None) -> Sequence[Alarm]:
     """Return a page of alarms, newest first."""
     query = sa.select(Alarm).where(*_states()[sought.state]).order_by(Alarm.id.desc()).limit(limit)
     if sought.sensor_id is not None:
@@ -63,6 +64,12 @@ def alarms(session: Session, sought: Sought, *, before_id: int | None, limit: in
 def open_alarms(session: Session) -> dict[str, Alarm]:
     """Return every alarm that is not closed, by its source."""
     return {row.source: row for row in session.scalars(sa.select(Alarm).where(Alarm.closed_utc.is_(None)))}
+
+
+def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> Sequence[Alarm]:
+    """Return the alarms of a kind about some sensors that are not closed, oldest first."""
+    query = sa.select(Alarm).where(Alarm.closed_utc.is_(None), Alarm.kind == kind, among(Alarm.sensor_id, sensor_ids))
+    return session.scalars(query.order_by(Alarm.id)).all()
 
 
 def count_unacknowledged(session: Session) -> int:

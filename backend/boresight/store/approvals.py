@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import sqlalchemy as sa
 
+from boresight.store.documents import among
 from boresight.store.sessions import Session
 from boresight.store.tables import (
     Approval,
@@ -43,7 +44,7 @@ def _undecided() -> sa.Select[Approval]:
 
 
 def approvals(
-    session: Session, *, state: str | None, parameter_set_id: int | None, before_id: int | None, limit: int
+    session: Session, *, state: str | None, parameter_set_id: int | None, before_id: int | None, limit: int | None
 ) -> Sequence[Approval]:
     """Return a page of requests, newest first."""
     query = sa.select(Approval).order_by(Approval.id.desc()).limit(limit)
@@ -54,6 +55,13 @@ def approvals(
     if before_id is not None:
         query = query.where(Approval.id < before_id)
     return session.scalars(query).all()
+
+
+def newest_open(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:
+    """Return the number of the newest open request of each of some sensors that has any, by sensor."""
+    query = sa.select(ParameterSet.sensor_id, sa.func.max(Approval.id)).join(Approval)
+    query = query.where(Approval.state == "OPEN", among(ParameterSet.sensor_id, sensor_ids))
+    return {row[0]: row[1] for row in session.execute(query.group_by(ParameterSet.sensor_id))}
 
 
 def signatures(session: Session, approval_id: int) -> Sequence[Signature]:

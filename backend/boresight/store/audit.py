@@ -55,7 +55,7 @@ def newest_of(
     return session.scalar(query.order_by(AuditRecord.id.desc()).limit(1))
 
 
-def records(session: Session, *, before_id: int | None, sought: Sought, limit: int) -> Sequence[AuditRecord]:
+def records(session: Session, *, before_id: int | None, sought: Sought, limit: int | None) -> Sequence[AuditRecord]:
     """Return records, newest first, older than a cursor and only those sought."""
     query = sa.select(AuditRecord).order_by(AuditRecord.id.desc()).limit(limit)
     if before_id is not None:

@@ -80,7 +80,7 @@ def find_campaign(session: Session, campaign_id: int) -> Campaign | None:
     return session.get(Campaign, campaign_id)
 
 
-def campaigns(session: Session, *, before_id: int | None, limit: int) -> Sequence[Campaign]:
+def campaigns(session: Session, *, before_id: int | None, limit: int | None) -> Sequence[Campaign]:
     """Return a page of campaigns, newest first."""
     query = sa.select(Campaign).order_by(Campaign.id.desc()).limit(limit)
     return session.scalars(query if before_id is None else query.where(Campaign.id < before_id)).all()

@@ -11,7 +11,7 @@ from boresight.store.tables import GateProfile, GateReport, Run, Waiver
 
 
 def profiles(
-    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int = 100
+    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None
 ) -> Sequence[GateProfile]:
     """Return a page of a sensor's profiles, newest first."""
     query = sa.select(GateProfile).where(GateProfile.sensor_id == sensor_id)

@@ -21,7 +21,18 @@ from sqlalchemy.orm import defer
 
 from boresight.store.documents import MOST_NUMBER, among, number_in, text_in
 from boresight.store.sessions import Session
-from boresight.store.tables import Approval, AuditRecord, ParameterSet, Run, Sensor, TelemetrySet, User
+from boresight.store.tables import (
+    Approval,
+    AuditRecord,
+    Campaign,
+    CampaignRun,
+    ParameterSet,
+    Run,
+    Sensor,
+    Signature,
+    TelemetrySet,
+    User,
+)
 
 ROWS_A_READ = 500
 Condition = Callable[[Any], sa.ColumnElement[bool]]
@@ -47,6 +58,15 @@ class List:
     keys: Mapping[str, Any]
     filters: Mapping[str, Condition]
     unread: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Signatory:
+    """Who would sign now, and whether who had a part in a set may not."""
+
+    user_id: int
+    now_utc: str
+    four_eyes: bool
 
 
 @dataclass(frozen=True)
@@ -91,6 +111,22 @@ def _sets_in_use() -> Any:
     """Return the expression of how many of a sensor's telemetry sets are not archived."""
     in_use = sa.and_(TelemetrySet.sensor_id == Sensor.id, TelemetrySet.archived_utc.is_(None))
     return sa.select(sa.func.count()).select_from(TelemetrySet).where(in_use).correlate(Sensor).scalar_subquery()
+
+
+def _open_to(who: Signatory) -> sa.ColumnElement[bool]:
+    """Keep to the open requests that somebody may sign: as `services.signers` says of one, for many at once."""
+    signed = sa.select(Signature.id).where(Signature.approval_id == Approval.id, Signature.user_id == who.user_id)
+    unexpired = sa.or_(Approval.expires_utc.is_(None), Approval.expires_utc > who.now_utc)
+    signable = sa.and_(Approval.state == "OPEN", unexpired, ~signed.exists())
+    if not who.four_eyes:
+        return signable
+    in_campaign = sa.select(CampaignRun.id).join(Campaign, Campaign.id == CampaignRun.campaign_id)
+    in_campaign = in_campaign.where(CampaignRun.run_id == ParameterSet.run_id, Campaign.launched_by == who.user_id)
+    launched = sa.select(Run.id).where(Run.id == ParameterSet.run_id, Run.launched_by == who.user_id)
+    own = sa.or_(ParameterSet.created_by == who.user_id, launched.exists(), in_campaign.exists())
+    of_set = sa.select(ParameterSet.id).where(ParameterSet.id == Approval.parameter_set_id, own)
+    submitted = sa.and_(Approval.submitted_by.is_not(None), Approval.submitted_by == who.user_id)
+    return sa.and_(signable, ~submitted, ~of_set.exists())
 
 
 _final, _initial = (number_in(Run.summary, f"rms_{when}_arc_rad") for when in ("final", "initial"))
@@ -174,6 +210,7 @@ LISTS = {
             "sensor_name": _of_sensor_named(ParameterSet.sensor_id),
             "state": _is(ParameterSet.ground_state),
             "board": _is(ParameterSet.onboard_state),
+            "of_a_run": lambda _: ParameterSet.run_id.is_not(None),
             "q": _holds(ParameterSet.name, ParameterSet.sha256),
         },
     ),
@@ -189,6 +226,7 @@ LISTS = {
         {
             "state": _is(Approval.state),
             "submitted_by": _is(Approval.submitted_by),
+            "open_to": _open_to,
             "q": _holds(Approval.reason),
         },
     ),
@@ -210,6 +248,13 @@ def page(session: Session, name: str, asked: Asked, limit: int) -> list[Any]:
     """Return the rows of a page, at most `limit`."""
     known = LISTS[name]
     return _rows(session, known, session.scalars(_ids(session, known, asked).limit(limit)).all())
+
+
+def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
+    """Return how many rows of a list fit its filters."""
+    known = LISTS[name]
+    narrowed = sa.select(sa.func.count()).select_from(known.table)
+    return session.scalar(narrowed.where(*(known.filters[key](value) for key, value in where.items()))) or 0
 
 
 def walk(session: Session, name: str, asked: Asked) -> Iterator[Any]:

@@ -16,7 +16,7 @@ def packages(
     parameter_set_id: int | None = None,
     sensor_id: int | None = None,
     before_id: int | None = None,
-    limit: int = 100,
+    limit: int | None,
 ) -> Sequence[Package]:
     """Return a page of packages, newest first."""
     query = sa.select(Package).order_by(Package.id.desc()).limit(limit)

@@ -39,6 +39,12 @@ def baseline(session: Session, sensor_id: int) -> ParameterSet | None:
     return session.scalar(query.where(ParameterSet.ground_state == "BASELINE"))
 
 
+def other_with_document(session: Session, row: ParameterSet, sha256: str) -> ParameterSet | None:
+    """Return the newest other set of a set's sensor whose document has this hash."""
+    query = sa.select(ParameterSet).where(ParameterSet.sensor_id == row.sensor_id, ParameterSet.sha256 == sha256)
+    return session.scalar(query.where(ParameterSet.id != row.id).order_by(ParameterSet.id.desc()).limit(1))
+
+
 def active_set(session: Session, sensor_id: int) -> ParameterSet | None:
     """Return the set that was read back as active on board."""
     query = sa.select(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
@@ -46,7 +52,7 @@ def active_set(session: Session, sensor_id: int) -> ParameterSet | None:
 
 
 def sets(
-    session: Session, *, sensor_id: int | None, ground_state: str | None, before_id: int | None, limit: int
+    session: Session, *, sensor_id: int | None, ground_state: str | None, before_id: int | None, limit: int | None
 ) -> Sequence[ParameterSet]:
     """Return a page of sets, newest first."""
     query = sa.select(ParameterSet).order_by(ParameterSet.id.desc()).limit(limit)

@@ -15,7 +15,7 @@ def newest_of_name(session: Session, name: str) -> Preset | None:
     return session.scalar(sa.select(Preset).where(Preset.name == name).order_by(Preset.number.desc()).limit(1))
 
 
-def presets(session: Session, *, archived: bool, before_id: int | None, limit: int) -> Sequence[Preset]:
+def presets(session: Session, *, archived: bool, before_id: int | None, limit: int | None) -> Sequence[Preset]:
     """Return versions of presets, newest first; with the archived ones where asked."""
     query = sa.select(Preset).order_by(Preset.id.desc()).limit(limit)
     if not archived:

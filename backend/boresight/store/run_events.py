@@ -33,8 +33,8 @@ def write_events(session: Session, lines: Sequence[Line]) -> None:
         session.execute(sa.insert(RunEvent), journals.chained(session, RunEvent, given))
 
 
-def events_of_run(session: Session, run_id: int, after_id: int = 0, limit: int = 1000) -> list[RunEvent]:
-    """Return the log of one run in order, from the line after `after_id`."""
+def events_of_run(session: Session, run_id: int, after_id: int, limit: int | None) -> list[RunEvent]:
+    """Return the log of one run in order, from the line after `after_id`; at most `limit` lines, None for all."""
     query = sa.select(RunEvent).where(RunEvent.run_id == run_id, RunEvent.id > after_id)
     return list(session.scalars(query.order_by(RunEvent.id).limit(limit)))
 
@@ -44,6 +44,6 @@ def newest_event_id(session: Session) -> int:
     return session.scalar(sa.select(sa.func.max(RunEvent.id))) or 0
 
 
-def events_after(session: Session, after_id: int, limit: int = 500) -> list[RunEvent]:
+def events_after(session: Session, after_id: int, limit: int) -> list[RunEvent]:
     """Return the log lines of all runs in order, from the line after `after_id`."""
     return list(session.scalars(sa.select(RunEvent).where(RunEvent.id > after_id).order_by(RunEvent.id).limit(limit)))

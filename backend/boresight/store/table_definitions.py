@@ -16,7 +16,7 @@ def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | N
 
 
 def definitions(
-    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int = 100
+    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None
 ) -> Sequence[TableDefinition]:
     """Return a page of a sensor's definitions, newest first."""
     query = sa.select(TableDefinition).where(TableDefinition.sensor_id == sensor_id)

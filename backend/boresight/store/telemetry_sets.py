@@ -19,7 +19,13 @@ def set_with_bytes(session: Session, sensor_id: int, original_sha256: str) -> Te
 
 
 def sets(
-    session: Session, *, sensor_id: int | None, purpose: str | None, archived: bool, before_id: int | None, limit: int
+    session: Session,
+    *,
+    sensor_id: int | None,
+    purpose: str | None,
+    archived: bool,
+    before_id: int | None,
+    limit: int | None,
 ) -> Sequence[TelemetrySet]:
     """Return a page of sets, newest first."""
     query = sa.select(TelemetrySet).order_by(TelemetrySet.id.desc()).limit(limit)
@@ -32,6 +38,13 @@ def sets(
     if before_id is not None:
         query = query.where(TelemetrySet.id < before_id)
     return session.scalars(query).all()
+
+
+def oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
+    """Return the number of a sensor's oldest set of a purpose, of those in use or of all."""
+    query = sa.select(sa.func.min(TelemetrySet.id))
+    query = query.where(TelemetrySet.sensor_id == sensor_id, TelemetrySet.purpose == purpose)
+    return session.scalar(query if archived else query.where(TelemetrySet.archived_utc.is_(None)))
 
 
 def heads_of(session: Session, sensor_ids: Collection[int], newest: int, set_ids: Collection[int]) -> list[Any]:

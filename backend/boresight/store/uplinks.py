@@ -11,7 +11,7 @@ from boresight.store.tables import ParameterSet, Uplink
 
 
 def uplinks(
-    session: Session, *, parameter_set_id: int | None, sensor_id: int | None, before_id: int | None, limit: int
+    session: Session, *, parameter_set_id: int | None, sensor_id: int | None, before_id: int | None, limit: int | None
 ) -> Sequence[Uplink]:
     """Return a page of records, newest first."""
     query = sa.select(Uplink).order_by(Uplink.id.desc()).limit(limit)

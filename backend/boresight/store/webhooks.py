@@ -42,7 +42,9 @@ def is_told(session: Session, webhook_id: int, kind: str, text: str) -> bool:
     return body is not None and text in body
 
 
-def deliveries(session: Session, *, webhook_id: int, before_id: int | None, limit: int) -> Sequence[WebhookDelivery]:
+def deliveries(
+    session: Session, *, webhook_id: int, before_id: int | None, limit: int | None
+) -> Sequence[WebhookDelivery]:
     """Return a page of a webhook's deliveries, newest first."""
     query = sa.select(WebhookDelivery).where(WebhookDelivery.webhook_id == webhook_id)
     if before_id is not None:

@@ -99,7 +99,8 @@ def _joined(table: pa.Table, names: tuple[str, ...], faults: Faults) -> FloatArr
 
 def _velocity(table: pa.Table, faults: Faults) -> FloatArray | None:
     km_s = _joined(table, ("vx_km_s", "vy_km_s", "vz_km_s"), faults)
-    return None if km_s is None else km_s * 1e3
+    with np.errstate(over="ignore"):  # a speed beyond all numbers is refused as one
+        return None if km_s is None else km_s * 1e3
 
 
 def _star_ids(table: pa.Table, faults: Faults) -> IntArray | None:

@@ -20,6 +20,7 @@ FloatArray = NDArray[np.float64]
 
 _QUATERNION_TOLERANCE = 1e-3
 _FASTEST_M_S = 100e3
+_SIGMA_PX = (1e-6, 1e4)
 
 
 class Checks:
@@ -56,9 +57,10 @@ class Checks:
         _check_stars(telemetry, exposures, self._most_stars, self._others)
         _check_repeated_stars(telemetry, exposures, self._others)
         _check_repeated_centroids(telemetry, exposures, self._others)
-        _check_directions(telemetry, self._others)
-        _check_quaternions(telemetry, self._others)
-        _check_velocities(telemetry, self._others)
+        with np.errstate(over="ignore"):  # the length of what is beyond all numbers is infinite, and refused
+            _check_directions(telemetry, self._others)
+            _check_quaternions(telemetry, self._others)
+            _check_velocities(telemetry, self._others)
         _check_noise(telemetry, self._others)
 
     def refuse(self) -> None:
@@ -186,7 +188,7 @@ def _check_velocities(telemetry: Telemetry, faults: Faults) -> None:
 
 
 def _check_noise(telemetry: Telemetry, faults: Faults) -> None:
-    """Find standard deviations that are not positive."""
+    """Find standard deviations that are none of a centroid's; of less, or more, no weight can be computed."""
     sigma_px = telemetry.sigma_px
     if sigma_px is None:
         return
@@ -194,6 +196,14 @@ def _check_noise(telemetry: Telemetry, faults: Faults) -> None:
         sigma_px <= 0.0,
         "sigma_px",
         lambda entry: f"{sigma_px[entry]:g} is not positive: give the standard deviation, or leave it empty",
+    )
+    low, high = _SIGMA_PX
+    faults.add_entries(
+        (sigma_px > 0.0) & ((sigma_px < low) | (sigma_px > high)),
+        "sigma_px",
+        lambda entry: (
+            f"{sigma_px[entry]:g} is not between {low:g} and {high:g} pixels: check its unit, or leave it empty"
+        ),
     )
 
 

@@ -19,7 +19,6 @@ from boresight.services import gate_profiles
 
 router = APIRouter(prefix="/sensors", tags=["gates"])
 
-MOST_VERSIONS = 10_000
 GATES = Field(
     description="One object a gate that differs from the default; keys that are left out are the default's.",
     examples=[[{"name": "validation-rms", "limit": 2.0, "marginal": 1.3, "must_have_data": True}]],
@@ -53,7 +52,7 @@ def list_gate_profiles(
     page: Paged,
 ) -> Response:
     """List every version of a sensor's limits, newest first; the first is in force, and its ETag is for setting another."""
-    found = gate_profiles.list_profiles(session, sensor_id, limit=MOST_VERSIONS)
+    found = gate_profiles.list_profiles(session, sensor_id)
     older = [row for row in found if page.last_id is None or row.id < page.last_id]  # ids grow with the numbers
     body = page.cut(older[: page.limit + 1], lambda row: schemas.written(schemas.GateProfile, row))
     return json_response(body, headers={"ETag": etag(found[0].number)})

@@ -183,8 +183,8 @@ def get_run_log(
     page: Paged,
 ) -> Response:
     """Read a run's log in the order it happened."""
-    lines = runs.log_lines(session, run_id, after_id=page.last_id or 0)
-    return json_response(page.cut(lines[: page.limit + 1], lambda line: schemas.written(schemas.LogLine, line)))
+    lines = runs.log_lines(session, run_id, after_id=page.last_id or 0, limit=page.limit + 1)
+    return json_response(page.cut(lines, lambda line: schemas.written(schemas.LogLine, line)))
 
 
 @router.get(

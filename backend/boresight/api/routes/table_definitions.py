@@ -16,7 +16,6 @@ from boresight.services import table_definitions
 
 router = APIRouter(prefix="/sensors", tags=["uplinks"])
 
-MOST_VERSIONS = 10_000
 EXAMPLE = {
     "table_id": "STR_CAM",
     "flight_software_version": "4.2.1",
@@ -51,7 +50,7 @@ def list_table_definitions(
     page: Paged,
 ) -> Response:
     """List every version, newest first; the first is in force, and the ETag is for setting another, `"v0"` for none."""
-    found = table_definitions.list_definitions(session, sensor_id, limit=MOST_VERSIONS)
+    found = table_definitions.list_definitions(session, sensor_id)
     body = page.cut_whole(found, lambda row: schemas.written(schemas.TableDefinition, row))
     return json_response(body, headers={"ETag": etag(found[0].number if found else 0)})
 

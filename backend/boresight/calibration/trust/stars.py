@@ -105,12 +105,22 @@ def _kept(ids: IntArray, out: IntArray, found: Sightings) -> BoolArray:
 
 
 def _merged(before: StarTable, after: StarTable, named: BoolArray) -> StarTable:
-    """Named stars as they were when named, the others as they are now."""
+    """Named stars as they were when named, the others as they are now.
+
+    Not every star has a residual both times: without a star that is none of the field's its own place is not on the detector any
+    more, and an exposure that it kept from an attitude may have one. Where nothing new is known of a star the old stands.
+    """
+    star_id = np.union1d(before.star_id, after.star_id)
+    was, now = np.searchsorted(star_id, before.star_id), np.searchsorted(star_id, after.star_id)
+    suspect = np.zeros(len(star_id), np.bool_)
+    suspect[was] = named
+    renewed = ~suspect[now]
     values = {}
-    for key, now in vars(after).items():
-        was = getattr(before, key)
-        values[key] = np.where(named if now.ndim == 1 else named[:, None], was, now)
-    return StarTable(**{**values, "suspect": named})
+    for key, old in vars(before).items():
+        values[key] = np.zeros((len(star_id), *old.shape[1:]), old.dtype)
+        values[key][was] = old
+        values[key][now[renewed]] = getattr(after, key)[renewed]
+    return StarTable(**{**values, "suspect": suspect})
 
 
 def _judged(ids: IntArray, found: Sightings) -> StarTable:

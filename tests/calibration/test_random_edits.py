@@ -1,0 +1,91 @@
+"""Edited telemetry ends in a result or in a sentence: some cases always, all two thousand with --full."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+from benchmarks import random_edits as edits
+
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.settings import METHODS, CalibrationSettings
+from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.telemetry.readers import read_telemetry, write_csv
+from tests.stores import environment_in
+
+ALWAYS, ALL, THROUGH_THE_DOOR = 60, 2000, 8
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("edits")
+
+
+@pytest.fixture(scope="module")
+def bases(catalogue, folder):
+    return edits.good_sets(catalogue, folder)
+
+
+def defects(numbers, bases, catalogue, folder):
+    """Return what of some cases ended in neither."""
+    found = []
+    for number in numbers:
+        case = edits.case_of(number, bases, folder)
+        ended = edits.run(case, catalogue, folder / "catalogue")
+        if ended.kind == "defect":
+            found.append(f"{number} {case.names} {case.settings}\n{ended.words}")
+    return found
+
+
+def test_some_edits_end_in_a_result_or_a_sentence(bases, catalogue, folder):
+    assert defects(range(ALWAYS), bases, catalogue, folder) == []
+
+
+@pytest.mark.full
+def test_two_thousand_edits_end_in_a_result_or_a_sentence(bases, catalogue, folder):
+    assert defects(range(ALL), bases, catalogue, folder) == []
+
+
+def test_edits_through_the_command_line_end_with_a_result_or_a_line(bases, folder, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(folder))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # the compiled loops stay where they are
+    for name, value in environment_in(folder).items():
+        monkeypatch.setenv(name, value)
+    cases = [edits.case_of(number, bases, folder) for number in range(ALWAYS, ALWAYS + THROUGH_THE_DOOR)]
+    assert [edits.through_the_door(case, folder / "sensor.json") for case in cases] == [None] * THROUGH_THE_DOOR
+
+
+def test_a_case_is_the_same_whether_it_is_made_alone_or_among_others(bases, folder):
+    first = edits.case_of(7, bases, folder)
+    content = first.telemetry.read_bytes()
+    edits.case_of(8, bases, folder)
+    again = edits.case_of(7, bases, folder)
+    assert (again.settings, again.sensor, again.names) == (first.settings, first.sensor, first.names)
+    if again.telemetry.suffix == ".csv":
+        assert again.telemetry.read_bytes() == content
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_identity_of_a_star_seen_nowhere_else_ends_in_a_result_with_advice(method, catalogue, tmp_path):
+    scenario = calibration_scenario(4, 60)
+    write_csv(simulate(scenario, np.random.default_rng(4), catalogue), tmp_path / "set.csv")
+    with (tmp_path / "set.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    rows[1000]["star_id"] = "32349"
+    with (tmp_path / "set.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+
+    found = calibrate(
+        read_telemetry(tmp_path / "set.csv"),
+        scenario.sensor,
+        catalogue,
+        CalibrationSettings(method=method, match="given"),
+    )
+
+    assert found["advice"]
+    if found["status"] != "diverged":  # a filter that one star 90 degrees off carries away says so
+        assert found["trust"]["stars"]
+        assert any("wrong matches" in sentence or "off the catalogue place" in sentence for sentence in found["advice"])
