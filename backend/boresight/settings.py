@@ -101,6 +101,7 @@ SETTINGS = (
         "webhook_key", "", "path", "File of the key that encrypts webhooks' secrets; empty = in the data folder.", str
     ),
     Setting("four_eyes", "1", "0 or 1", "0 = one person works alone here and may sign what they submitted.", int),
+    Setting("second_person", "0", "0 or 1", "1 = somebody else must confirm new gate limits and table layouts.", int),
     Setting("approvals", "1", "people", "Approvals that a request needs; two at least where a gate is waived.", int),
     Setting("approval_days", "30", "d", "A request that nobody decided on expires after so long.", float),
     Setting("rollback_days", "3", "d", "The same for a request to go back to a former baseline.", float),
@@ -144,6 +145,7 @@ class Settings:
     webhook_hosts: tuple[str, ...]
     webhook_key: str
     four_eyes: int
+    second_person: int
     approvals: int
     approval_days: float
     rollback_days: float
@@ -156,6 +158,7 @@ class Settings:
         """What this installation asks of a request for approval."""
         return Policy(
             four_eyes=bool(self.four_eyes),
+            second_person=bool(self.second_person),
             approval_days=self.approval_days,
             rollback_days=self.rollback_days,
             approvals=self.approvals,

@@ -17,7 +17,7 @@ from boresight.api import schemas
 from boresight.api.paging import Page
 from boresight.server import create_app
 
-from . import alarms, campaigns, gates, onboard
+from . import alarms, campaigns, gates, onboard, proposals
 from .conftest import PASSWORD, House, settings_in
 
 with tempfile.TemporaryDirectory() as _folder:
@@ -232,6 +232,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "waive_gate": gates.waive,
     "list_table_definitions": lambda house: ("victor", {"sensor_id": _define(house)[1]["sensor_id"]}),
     "set_table_definition": _define,
+    **proposals.GOOD,
     "export_parameter_set": _export,
     "list_packages": lambda _: ("victor", {}),
     "get_package": _package,

@@ -156,6 +156,7 @@ BODIES: dict[str, dict[str, Any]] = {
     },
     "assign_approval": {"json": {"user_id": None}},
     "remark": {"json": {"text": "x"}},
+    "refuse_change": {"json": {"comment": "x"}},
     "record_opening": {"json": {"evidence": "x"}},
     "change_roles": {"json": {"roles": []}},
     "change_password": {"json": {"password": "another good one"}},

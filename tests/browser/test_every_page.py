@@ -42,6 +42,7 @@ ADDRESSES = {
     "alarms": "/alarms",
     "trend": "/sensors/{sensor}/trend",
     "webhooks": "/webhooks",
+    "change-proposals": "/change-proposals?show=all",
     "administration": "/administration",
     "no-such-page": "/runs/999999",
     "forbidden": "/",

@@ -37,6 +37,7 @@ from boresight.store.tables import (
     Base,
     Campaign,
     CampaignRun,
+    ChangeProposal,
     GateProfile,
     GateReport,
     Package,
@@ -93,7 +94,17 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
 
 def _fill_the_rest(session: Session) -> None:
     """Give each sealed table that the way did not touch a row, for what is tried here is the seal."""
-    for model in (TableDefinition, GateProfile, GateReport, Waiver, Package, Preset, Campaign, CampaignRun):
+    for model in (
+        TableDefinition,
+        GateProfile,
+        GateReport,
+        Waiver,
+        Package,
+        Preset,
+        Campaign,
+        CampaignRun,
+        ChangeProposal,
+    ):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
             session.add(_plain(model))
             session.flush()

@@ -74,7 +74,7 @@ def test_a_full_store_goes_down_and_up_again(store: Engine) -> None:
     _fill(store)
 
 
-@pytest.mark.parametrize("revision", ["0001", "0002", "0003", "0004", "0005", "0006", "0007"])
+@pytest.mark.parametrize("revision", ["0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009"])
 def test_the_data_survive_the_way_down_to_every_revision_and_up_again(store: Engine, revision: str) -> None:
     _fill(store)
     with writing(store) as session:
@@ -153,6 +153,7 @@ def test_an_empty_store_goes_back_to_base_only(sqlite: Engine) -> None:
         "presets",
         "campaigns",
         "campaign_runs",
+        "change_proposals",
     ],
 )
 def test_what_is_on_record_cannot_be_removed(store: Engine, table: str) -> None:
@@ -181,6 +182,8 @@ def test_what_is_on_record_cannot_be_removed(store: Engine, table: str) -> None:
         ("presets", "sentence = 'another'"),
         ("campaigns", "settings = '{1}'"),
         ("campaign_runs", "refusal = 'another'"),
+        ("change_proposals", "document = '{1}'"),
+        ("change_proposals", "proposed_by = 2"),
     ],
 )
 def test_what_is_on_record_cannot_be_changed(store: Engine, table: str, change: str) -> None:

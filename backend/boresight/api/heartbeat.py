@@ -1,7 +1,7 @@
 """The server's heartbeat: what happens because time passes, and nobody asks for it.
 
-Every few seconds it looks for requests for approval whose time is over, in a reading transaction that holds nobody up,
-and writes only when there are any.
+Every few seconds it looks for requests for approval and proposed changes whose time is over, in a reading transaction
+that holds nobody up, and writes only when there are any.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from boresight.api.rounds import Rounds
-from boresight.services import approvals
+from boresight.services import approvals, proposals
 from boresight.store.sessions import Engine, reading, writing
 
 BEAT_S = 5.0
@@ -42,8 +42,9 @@ class Heartbeat:
     def beat(self) -> None:
         """Let everything expire whose time is over."""
         with reading(self._database) as session:
-            waiting = approvals.any_due(session)
+            waiting = approvals.any_due(session) or proposals.any_due(session)
         if waiting:
             with writing(self._database) as session:
                 approvals.expire_due(session)
+                proposals.expire_due(session)
             self._tell()

@@ -42,6 +42,10 @@ TAGS = [
     {"name": "parameter sets", "description": "Camera parameters on their way to a baseline."},
     {"name": "gates", "description": "Limits that parameter sets are held to, what was found, and waivers."},
     {"name": "approvals", "description": "Requests that a second person signs or refuses."},
+    {
+        "name": "change proposals",
+        "description": "Changes of gate limits and table layouts that wait for a second person.",
+    },
     {"name": "uplinks", "description": "What was sent and loaded on board, as recorded."},
     {"name": "alarms", "description": "What needs a person: acknowledge, shelve, assign, comment."},
     {"name": "notes", "description": "What people wrote down; only ever added."},

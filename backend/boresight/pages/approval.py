@@ -22,7 +22,7 @@ from boresight.pages.gates_panel import panel_of
 from boresight.pages.parameter_sets import bound_incumbent
 from boresight.pages.rendering import render
 from boresight.pages.runs import read_names
-from boresight.services import approvals, parameter_sets, runs, sensors
+from boresight.services import approvals, parameter_sets, proposals, runs, sensors
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
 from boresight.store.tables import Approval, Opening, ParameterSet
@@ -139,6 +139,7 @@ def request_page(
         wide=WIDE,
         remarks=approvals.remarks_of(session, approval_id),
         signatures=approvals.signatures_of(session, approval_id),
+        pending=proposals.open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
         signers=approvals.who_may_sign(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
         blocked=approvals.why_not_sign(session, actor, approval_id, policy=policy),
         decisions=_decisions(approval, row),

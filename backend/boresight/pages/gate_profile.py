@@ -25,11 +25,11 @@ from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.forms import read_texts
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
-from boresight.services import gate_profiles, sensors
-from boresight.services.actors import Actor
+from boresight.services import gate_profiles, proposals, second_person, sensors
+from boresight.services.actors import Actor, Policy
 from boresight.services.gate_profiles import Tried
 from boresight.store.sessions import Session, reading
-from boresight.store.tables import GateProfile
+from boresight.store.tables import ChangeProposal, GateProfile, TableDefinition
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -79,6 +79,9 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
             lines=lines_of(shown.typed or typed_of(versions[0].document)),
             versions=[(row, changes_of(row, earlier)) for row, earlier in _with_earlier(versions)],
             names=read_names(session),
+            pending=proposals.open_proposals(session, sensor_id, "gate-profile"),
+            confirmed=proposals.confirmed_by_number(session, sensor_id, "gate-profile"),
+            second_person=request.app.state.policy.second_person,
             summary=None if shown.tried is None else summary_of(shown.tried),
             may_set=None
             if "administrator" in actor.roles
@@ -188,19 +191,25 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
     typed = await read_texts(request)
     if typed.get("action") == "try":
         return await run_in_threadpool(_try, request, actor, sensor_id, typed)
-    outcome = await attempt(request, partial(_set, actor, sensor_id, typed))
+    policy = request.app.state.policy
+    outcome = await attempt(request, partial(_set, actor, sensor_id, typed, policy))
     if outcome.value is None:
         shown = Shown(typed, typed.get("reason", ""), outcome.refusal)
         return await run_in_threadpool(_page, request, actor, sensor_id, shown)
+    if isinstance(outcome.value, ChangeProposal):
+        flash = "Proposed: it takes effect when another administrator confirms it."
+        return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
     words = f"Version {outcome.value.number} of the limits is in force; undecided requests are STALE."
     return redirect(f"/sensors/{sensor_id}/gates", flash=words)
 
 
-def _set(actor: Actor, sensor_id: int, typed: Mapping[str, str], session: Session) -> GateProfile:
-    """Put what was typed into force."""
+def _set(
+    actor: Actor, sensor_id: int, typed: Mapping[str, str], policy: Policy, session: Session
+) -> GateProfile | TableDefinition | ChangeProposal:
+    """Put what was typed into force, or propose it."""
     seen = row_number(typed.get("number", ""))
-    document = document_of(typed)
-    return gate_profiles.set_profile(session, actor, sensor_id, document, typed.get("reason", ""), seen)
+    asked = ("gate-profile", sensor_id, document_of(typed), typed.get("reason", ""), seen)
+    return second_person.change(session, actor, *asked, policy=policy)
 
 
 def _try(request: Request, actor: Actor, sensor_id: int, typed: Mapping[str, str]) -> HTMLResponse:

@@ -14,7 +14,17 @@ from boresight.pages.audit import line_of
 from boresight.pages.rendering import render
 from boresight.pages.sparkline import Sparkline, sparkline
 from boresight.pages.states import LEVELS
-from boresight.services import alarms, approvals, audit, fleet, lists, parameter_sets, runs
+from boresight.services import (
+    alarms,
+    approvals,
+    audit,
+    fleet,
+    lists,
+    parameter_sets,
+    proposals,
+    runs,
+    second_person,
+)
 from boresight.services.actors import Actor, Policy
 from boresight.services.fleet import SensorTile, Standing
 from boresight.store.sessions import Session
@@ -63,6 +73,23 @@ def _requests(session: Session, where: Mapping[str, Any], level: str, words: str
         for request in newest
     ]
     return Waiting(lists.count(session, "approvals", where), first)
+
+
+def _proposals(session: Session, actor: Actor) -> Waiting:
+    """Find the proposed changes that this person may decide on."""
+    able = [
+        row for row in proposals.open_proposals(session) if second_person.why_not_decide(session, actor, row) is None
+    ]
+    first = [
+        Action(
+            "standby",
+            f"A change of the {proposals.TITLES[row.kind]} waits for a second person.",
+            f"/change-proposals/{row.id}",
+            "Review",
+        )
+        for row in able[:MOST_ACTIONS]
+    ]
+    return Waiting(len(able), first)
 
 
 def _alarms(session: Session, actor: Actor) -> Waiting:
@@ -209,6 +236,7 @@ def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
     kinds = [
         _alarms(session, actor),
         signatures,
+        _proposals(session, actor),
         *_promotions(session, actor),
         *_own_requests(session, actor),
         Waiting(len(calibrations), calibrations),

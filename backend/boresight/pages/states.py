@@ -29,6 +29,8 @@ LEVEL_OF_STATE = {
     "SUPERSEDED": "off",
     "REJECTED": "off",
     "WITHDRAWN": "off",
+    "CONFIRMED": "normal",
+    "REFUSED": "serious",
     "EXPIRED": "serious",
     # parameter sets on board
     "NOT SENT": "off",

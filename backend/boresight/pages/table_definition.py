@@ -24,11 +24,11 @@ from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.pages.sensors import read_document, typed_document
-from boresight.services import sensors, table_definitions
-from boresight.services.actors import Actor
+from boresight.services import proposals, second_person, sensors, table_definitions
+from boresight.services.actors import Actor, Policy
 from boresight.services.table_definitions import Layout
 from boresight.store.sessions import Session, reading
-from boresight.store.tables import TableDefinition
+from boresight.store.tables import ChangeProposal, GateProfile, TableDefinition
 from boresight.uplink.checksum import CHECKSUMS
 from boresight.uplink.fields import Field
 from boresight.uplink.plain_table import plain_definition
@@ -143,6 +143,9 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
             places=[] if layout is None else places_of(layout),
             refusal=refusal,
             names=read_names(session),
+            pending=proposals.open_proposals(session, sensor_id, "table-definition"),
+            confirmed=proposals.confirmed_by_number(session, sensor_id, "table-definition"),
+            second_person=request.app.state.policy.second_person,
             entries=ENTRIES,
             parameters=CAMERA_MODELS[sensor.document["camera_model"]].parameter_names,
             may_set=bool(MAY_SET & actor.roles),
@@ -173,15 +176,21 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
         return await run_in_threadpool(_page, request, actor, sensor_id, Shown(text, reason, tried=True))
     number = str(form.get("number", ""))
     seen = row_number(number)
-    outcome = await attempt(request, partial(_set, actor, sensor_id, text, reason, seen))
+    outcome = await attempt(request, partial(_set, actor, sensor_id, text, reason, seen, request.app.state.policy))
     if outcome.value is not None:
+        if isinstance(outcome.value, ChangeProposal):
+            flash = "Proposed: it takes effect when another person confirms it."
+            return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
         flash = f"Version {outcome.value.number} is in force; undecided requests of the sensor are stale."
         return redirect(f"/sensors/{sensor_id}/table-definition", flash=flash)
     return await run_in_threadpool(_page, request, actor, sensor_id, Shown(text, reason, outcome.refusal))
 
 
-def _set(actor: Actor, sensor_id: int, text: str, reason: str, seen: int | None, session: Session) -> TableDefinition:
+def _set(
+    actor: Actor, sensor_id: int, text: str, reason: str, seen: int | None, policy: Policy, session: Session
+) -> GateProfile | TableDefinition | ChangeProposal:
     """Hand the typed definition to the service."""
     if not text.strip():
         raise RefusedInputError("There is no table definition: type its JSON, or begin with the example.")
-    return table_definitions.set_definition(session, actor, sensor_id, read_document(text), reason, seen)
+    asked = ("table-definition", sensor_id, read_document(text), reason, seen)
+    return second_person.change(session, actor, *asked, policy=policy)

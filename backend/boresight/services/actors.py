@@ -14,6 +14,9 @@ from boresight.errors import ForbiddenError
 SCOPES = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
 
 
+DAY_S = 86400.0
+
+
 @dataclass(frozen=True)
 class Policy:
     """What an installation asks of a request for approval.
@@ -29,6 +32,8 @@ class Policy:
         How many second persons must sign; where a gate is waived it is two at least.
     login_attempts
         Wrong passwords a minute before a signature has to wait, as a log-in has to.
+    second_person
+        Whether a change of gate limits or table layouts takes effect only when somebody else confirms it.
     """
 
     four_eyes: bool = True
@@ -36,6 +41,7 @@ class Policy:
     rollback_days: float = 3.0
     approvals: int = 1
     login_attempts: int = 5
+    second_person: bool = False
 
     def needed(self, *, waived: bool) -> int:
         """Return how many approvals a request needs; one person alone gives one."""

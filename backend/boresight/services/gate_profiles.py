@@ -16,7 +16,7 @@ from boresight.errors import BoresightError, NotFoundError, PreconditionRequired
 from boresight.gates import Measurement, Profile
 from boresight.gates.assessment import ground_set
 from boresight.gates.held_out import of_result
-from boresight.services import audit, staleness
+from boresight.services import audit, proposals, staleness
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.calibration_document import read_result
 from boresight.services.words import refuse_control_characters
@@ -25,7 +25,7 @@ from boresight.store import parameter_sets as set_rows
 from boresight.store.blobs import BlobStore
 from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session, utc_now
-from boresight.store.tables import GateProfile, Run, Sensor
+from boresight.store.tables import ChangeProposal, GateProfile, Run, Sensor
 from boresight.telemetry.sensors import parse_sensor
 
 DEFAULT = gates.parse_profile({}).document()
@@ -144,6 +144,20 @@ def set_profile(
     RefusedInputError
         When the document cannot be used, says what is in force already, or no reason is given.
     """
+    complete = checked(session, actor, sensor_id, document, reason, seen_number)
+    return put_into_force(session, actor, sensor_id, complete, reason)
+
+
+def checked(
+    session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], reason: str, seen_number: int | None
+) -> dict[str, Any]:
+    """Return a profile complete, as it would be stored, if this actor may put it into force now.
+
+    Raises
+    ------
+    BoresightError
+        As `set_profile`.
+    """
     require_role(actor, "administrator")
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
@@ -154,6 +168,19 @@ def set_profile(
         raise RefusedInputError("Give the reason why the limits change.")
     if sha256_of(complete) == current.sha256:
         raise RefusedInputError(f"These are the limits of version {current.number}, in force already: change one.")
+    return complete
+
+
+def put_into_force(
+    session: Session,
+    actor: Actor,
+    sensor_id: int,
+    complete: Mapping[str, Any],
+    reason: str,
+    proposal: ChangeProposal | None = None,
+) -> GateProfile:
+    """Make a complete profile the one in force, of whoever proposed it where somebody did."""
+    complete = gates.parse_profile(complete).document()
     current = ensure_profile(session, actor, sensor_id)
     row = GateProfile(
         sensor_id=sensor_id,
@@ -162,9 +189,10 @@ def set_profile(
         sha256=sha256_of(complete),
         reason=reason.strip(),
         created_utc=utc_now(),
-        created_by=actor.user_id,
+        created_by=actor.user_id if proposal is None else proposal.proposed_by,
     )
-    _add(session, actor, row, current)
+    _add(session, actor, row, current, proposal)
+    proposals.make_stale(session, actor, sensor_id, "gate-profile", row.number)
     staleness.make_stale_of_sensor(session, actor, sensor_id, f"the gate profile became version {row.number}")
     return row
 
@@ -188,11 +216,18 @@ def _require_seen(session: Session, current: GateProfile, seen_number: int | Non
     )
 
 
-def _add(session: Session, actor: Actor, row: GateProfile, before: GateProfile | None) -> GateProfile:
+def _add(
+    session: Session,
+    actor: Actor,
+    row: GateProfile,
+    before: GateProfile | None,
+    proposal: ChangeProposal | None = None,
+) -> GateProfile:
     """Store a profile; the audit record holds the thresholds that changed, before and after."""
     session.add(row)
     session.flush()
     told: dict[str, Any] = {"version": row.number, "sha256": row.sha256}
+    told |= {} if proposal is None else {"proposal": proposal.id}
     earlier: dict[str, Any] | None = None
     if before is not None:
         earlier = {"version": before.number, "sha256": before.sha256}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.services import audit, gates
-from boresight.services.actors import POLICY, Actor, Policy, require_role, require_scope, require_user
+from boresight.services.actors import DAY_S, POLICY, Actor, Policy, require_role, require_scope, require_user
 from boresight.services.evidence import bound_evidence
 from boresight.services.gates import Assessment
 from boresight.services.transitions import (
@@ -26,7 +26,6 @@ from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import Approval, ParameterSet
 
 SUBMITTABLE = ("CANDIDATE", "WITHDRAWN", "EXPIRED", "SUPERSEDED")
-DAY_S = 86400.0
 
 
 def submit(

@@ -11,7 +11,7 @@ from typing import Any
 
 from boresight.errors import NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
 from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.services import audit, staleness
+from boresight.services import audit, proposals, staleness
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.sensors import get_sensor
 from boresight.services.words import refuse_control_characters
@@ -19,7 +19,7 @@ from boresight.store import parameter_sets as set_rows
 from boresight.store import table_definitions as rows
 from boresight.store.documents import canonical, sha256_of
 from boresight.store.sessions import Session, utc_now
-from boresight.store.tables import Sensor, TableDefinition
+from boresight.store.tables import ChangeProposal, Sensor, TableDefinition
 from boresight.telemetry.sensors import parse_sensor
 from boresight.uplink import table_definition
 
@@ -158,6 +158,20 @@ def set_definition(
     RefusedInputError
         When the document cannot be used, says what is in force already, or no reason is given.
     """
+    complete = checked(session, actor, sensor_id, document, reason, seen_number)
+    return put_into_force(session, actor, sensor_id, complete, reason)
+
+
+def checked(
+    session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], reason: str, seen_number: int | None
+) -> dict[str, Any]:
+    """Return a definition as it would be stored, if this actor may put it into force now.
+
+    Raises
+    ------
+    BoresightError
+        As `set_definition`.
+    """
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
@@ -169,6 +183,26 @@ def set_definition(
         raise RefusedInputError("Give the reason why the table on board is another one.")
     if current is not None and current.sha256 == sha256_of(dict(document)):
         raise RefusedInputError(f"This is definition {current.number}, which is in force: change something.")
+    return dict(document)
+
+
+def put_into_force(
+    session: Session,
+    actor: Actor,
+    sensor_id: int,
+    document: Mapping[str, Any],
+    reason: str,
+    proposal: ChangeProposal | None = None,
+) -> TableDefinition:
+    """Make a definition the one in force, of whoever proposed it where somebody did.
+
+    Raises
+    ------
+    RefusedInputError
+        When the sensor has changed so that the document cannot be used any more.
+    """
+    parse_for(session, sensor_id, document)
+    sensor, current = get_sensor(session, sensor_id), rows.definition_in_force(session, sensor_id)
     row = TableDefinition(
         sensor_id=sensor_id,
         number=1 if current is None else current.number + 1,
@@ -176,13 +210,15 @@ def set_definition(
         sha256=sha256_of(dict(document)),
         reason=reason.strip(),
         created_utc=utc_now(),
-        created_by=actor.user_id,
+        created_by=actor.user_id if proposal is None else proposal.proposed_by,
     )
     session.add(row)
     session.flush()
     before = None if current is None else {"number": current.number, "sha256": current.sha256}
     after = {"sensor": sensor.name, "number": row.number, "sha256": row.sha256, "document": row.document}
+    after |= {} if proposal is None else {"proposal": proposal.id}
     audit.append(session, actor, "defined", f"table-definitions/{row.id}", before, after, row.reason)
+    proposals.make_stale(session, actor, sensor_id, "table-definition", row.number)
     staleness.make_stale_of_sensor(session, actor, sensor_id, f"the table definition became version {row.number}")
     return row
 

@@ -9,9 +9,9 @@ from boresight.services import audit
 from boresight.services.actors import Actor
 from boresight.store import parameter_sets as rows
 from boresight.store.sessions import Session
-from boresight.store.tables import Alarm, Approval, ParameterSet, Sensor
+from boresight.store.tables import Alarm, Approval, ChangeProposal, ParameterSet, Sensor
 
-Versioned = Alarm | Approval | ParameterSet | Sensor
+Versioned = Alarm | Approval | ChangeProposal | ParameterSet | Sensor
 
 
 def get_approval(session: Session, approval_id: int) -> Approval:
@@ -58,7 +58,14 @@ def get_sensor(session: Session, sensor_id: int) -> Sensor:
 
 def subject_of(row: Versioned) -> str:
     """Name a row as the audit log does, by its REST address."""
-    noun = {Alarm: "alarms", Approval: "approvals", ParameterSet: "parameter-sets", Sensor: "sensors"}[type(row)]
+    nouns: dict[type, str] = {
+        Alarm: "alarms",
+        Approval: "approvals",
+        ChangeProposal: "change-proposals",
+        ParameterSet: "parameter-sets",
+        Sensor: "sensors",
+    }
+    noun = nouns[type(row)]
     return f"{noun}/{row.id}"
 
 
@@ -66,6 +73,8 @@ def label_of(row: Versioned) -> str:
     """Name a row as people do."""
     if isinstance(row, Alarm):
         return f"Alarm {row.id}"
+    if isinstance(row, ChangeProposal):
+        return f"Proposal {row.id}"
     return f"Request {row.id}" if isinstance(row, Approval) else row.name
 
 
@@ -103,7 +112,7 @@ def whose_baseline(session: Session, sensor_id: int) -> str:
 def move(
     session: Session,
     actor: Actor,
-    row: Approval | ParameterSet,
+    row: Approval | ChangeProposal | ParameterSet,
     state: str,
     action: str,
     *,
@@ -117,7 +126,7 @@ def move(
     told
         What else the record says of the row as it is now.
     """
-    column = "state" if isinstance(row, Approval) else "ground_state"
+    column = "ground_state" if isinstance(row, ParameterSet) else "state"
     before = {column: getattr(row, column), "version": row.version}
     setattr(row, column, state)
     row.version += 1

@@ -14,6 +14,7 @@ from boresight.api.routes import (
     approvals,
     audit,
     campaigns,
+    change_proposals,
     comparisons,
     discussions,
     documentation,
@@ -49,6 +50,7 @@ NOUNS = (
     comparisons,  # before `runs`, which would take `compare` for a run's number
     runs,
     campaigns,
+    change_proposals,
     presets,
     figures,
     frames,

@@ -11,11 +11,13 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import OnlyAsked, Reading, SeenVersion, Who, Writing, etag
+from boresight.api.dependencies import Held, OnlyAsked, Reading, SeenVersion, Who, Writing, etag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
-from boresight.services import gate_profiles
+from boresight.api.routes.change_proposals import PROPOSED, answer
+from boresight.services import gate_profiles, second_person
+from boresight.store.tables import ChangeProposal
 
 router = APIRouter(prefix="/sensors", tags=["gates"])
 
@@ -64,16 +66,29 @@ def list_gate_profiles(
     summary="Set the limits of a sensor",
     status_code=201,
     response_model=schemas.GateProfile,
-    responses=refusals(404, 412, 428),
+    responses={**PROPOSED, **refusals(404, 409, 412, 428)},
 )
 def set_gate_profile(
-    sensor_id: Id, profile: NewProfile, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    sensor_id: Id,
+    profile: NewProfile,
+    actor: Who,
+    seen: SeenVersion,
+    once: Idempotent,
+    policy: Held,
+    session: Writing,
 ) -> Response:
-    """Put other limits into force. The sensor's undecided requests become STALE, for their verdict may be another."""
+    """Put other limits into force. The sensor's undecided requests become STALE, for their verdict may be another.
+
+    Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
+    administrator confirms it.
+    """
 
     def act() -> Answer:
         document = {"gates": profile.gates}
-        row = gate_profiles.set_profile(session, actor, sensor_id, document, profile.reason, seen)
+        asked = ("gate-profile", sensor_id, document, profile.reason, seen)
+        row = second_person.change(session, actor, *asked, policy=policy)
+        if isinstance(row, ChangeProposal):
+            return answer(session, row, 202)
         headers = {"ETag": etag(row.number), "Location": f"/api/v1/sensors/{sensor_id}/gate-profiles"}
         return Answer(schemas.written(schemas.GateProfile, row), 201, headers)
 

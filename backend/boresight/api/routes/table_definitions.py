@@ -8,11 +8,13 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, etag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
-from boresight.services import table_definitions
+from boresight.api.routes.change_proposals import PROPOSED, answer
+from boresight.services import second_person, table_definitions
+from boresight.store.tables import ChangeProposal
 
 router = APIRouter(prefix="/sensors", tags=["uplinks"])
 
@@ -61,15 +63,28 @@ def list_table_definitions(
     summary="Set the table definition of a sensor",
     status_code=201,
     response_model=schemas.TableDefinition,
-    responses=refusals(404, 412, 428),
+    responses={**PROPOSED, **refusals(404, 409, 412, 428)},
 )
 def set_table_definition(
-    sensor_id: Id, definition: NewTableDefinition, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    sensor_id: Id,
+    definition: NewTableDefinition,
+    actor: Who,
+    seen: SeenVersion,
+    once: Idempotent,
+    policy: Held,
+    session: Writing,
 ) -> Response:
-    """Put another layout into force. The sensor's undecided requests become STALE, for they would be other bytes."""
+    """Put another layout into force. The sensor's undecided requests become STALE, for they would be other bytes.
+
+    Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
+    analyst or administrator confirms it.
+    """
 
     def act() -> Answer:
-        row = table_definitions.set_definition(session, actor, sensor_id, definition.document, definition.reason, seen)
+        asked = ("table-definition", sensor_id, definition.document, definition.reason, seen)
+        row = second_person.change(session, actor, *asked, policy=policy)
+        if isinstance(row, ChangeProposal):
+            return answer(session, row, 202)
         headers = {"ETag": etag(row.number), "Location": f"/api/v1/sensors/{sensor_id}/table-definitions"}
         return Answer(schemas.written(schemas.TableDefinition, row), 201, headers)
 

@@ -27,6 +27,7 @@ from boresight.api.schemas.gates import DryRunOfProfile, GateProfile, GateReport
 from boresight.api.schemas.packages import Package, TableDefinition
 from boresight.api.schemas.parameter_sets import ParameterSet
 from boresight.api.schemas.people import ApiKey, EndedSessions, LoginSession, NewApiKey, Session, User
+from boresight.api.schemas.proposals import ChangeProposal, Difference, ProposedChange
 from boresight.api.schemas.row import Document, Row, written
 from boresight.api.schemas.runs import DryRun, Forecast, LogLine, Run, RunProgress, RunState
 from boresight.api.schemas.uplinks import AsOf, Event, OnBoard, Promotion, Uplink, Version
@@ -43,8 +44,10 @@ __all__ = [
     "Campaign",
     "CampaignResult",
     "ChainReport",
+    "ChangeProposal",
     "Comparison",
     "Conversion",
+    "Difference",
     "Document",
     "DryRun",
     "DryRunOfCampaign",
@@ -69,6 +72,7 @@ __all__ = [
     "PlotlyFigure",
     "Preset",
     "Promotion",
+    "ProposedChange",
     "Readiness",
     "Remark",
     "Row",

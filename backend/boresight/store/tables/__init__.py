@@ -18,6 +18,7 @@ from boresight.store.tables.fleet import Blob, Sensor, TelemetrySet
 from boresight.store.tables.gates import GateProfile, GateReport, Waiver
 from boresight.store.tables.parameter_sets import GROUND_STATES, ONBOARD_STATES, ParameterSet, Promotion
 from boresight.store.tables.people import ROLES, SESSION_ENDINGS, ApiKey, LoginFailure, LoginSession, User
+from boresight.store.tables.proposals import PROPOSAL_KINDS, PROPOSAL_STATES, ChangeProposal
 from boresight.store.tables.records import AuditRecord, IdempotentResponse
 from boresight.store.tables.runs import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
 from boresight.store.tables.uplinks import Package, TableDefinition, Uplink
@@ -33,6 +34,8 @@ __all__ = [
     "GROUND_STATES",
     "NOTE_SUBJECTS",
     "ONBOARD_STATES",
+    "PROPOSAL_KINDS",
+    "PROPOSAL_STATES",
     "ROLES",
     "RUN_STATES",
     "SESSION_ENDINGS",
@@ -46,6 +49,7 @@ __all__ = [
     "Blob",
     "Campaign",
     "CampaignRun",
+    "ChangeProposal",
     "GateProfile",
     "GateReport",
     "IdempotentResponse",

@@ -1,0 +1,42 @@
+"""Changes of limits and layouts that wait for a second person."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.store.documents import JsonText
+from boresight.store.tables.declared import STRICT, Base, one_of
+
+PROPOSAL_KINDS = ("gate-profile", "table-definition")
+PROPOSAL_STATES = ("OPEN", "CONFIRMED", "REFUSED", "WITHDRAWN", "STALE", "EXPIRED")
+
+
+class ChangeProposal(Base):
+    """A change that somebody asks for; what it says never changes, and it takes effect when another person confirms it."""
+
+    __tablename__ = "change_proposals"
+    __table_args__ = (
+        one_of("kind", PROPOSAL_KINDS),
+        one_of("state", PROPOSAL_STATES),
+        sa.Index("ix_change_proposals_sensor_id_state", "sensor_id", "state"),
+        STRICT,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
+    kind: Mapped[str] = mapped_column(sa.Text)
+    base_number: Mapped[int]  # the version in force that it was made against
+    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    sha256: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(sa.Text)
+    proposed_utc: Mapped[str] = mapped_column(sa.Text)
+    proposed_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    expires_utc: Mapped[str] = mapped_column(sa.Text)
+    state: Mapped[str] = mapped_column(sa.Text)
+    version: Mapped[int] = mapped_column(default=1)
+    closed_utc: Mapped[str | None] = mapped_column(sa.Text)
+    closed_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    comment: Mapped[str | None] = mapped_column(sa.Text)  # of who closed it
+    number: Mapped[int | None]  # the version that it became
