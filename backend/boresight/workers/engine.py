@@ -18,6 +18,8 @@ import time
 from collections.abc import Callable, Collection
 from typing import Any
 
+from distributed.comm import CommClosedError
+
 from boresight.settings import Settings
 from boresight.store.queued_runs import Claimed
 from boresight.store.runs import Held
@@ -116,6 +118,9 @@ class Engine:
         while not self._stopping.is_set():
             try:
                 self._turn()
+            except CommClosedError:  # the next turn sees that, and attaches to another
+                log.warning("The scheduler was lost while it was asked something")
+                self._stopping.wait(TURN_S)
             except Exception:
                 log.exception("The engine's turn failed and is tried again")
                 self._stopping.wait(PAUSE_AFTER_ERROR_S)
