@@ -122,6 +122,12 @@ class UnavailableError(BoresightError):
     """What the work stands on, the database or the object store, does not answer; says which, and may be tried again."""
 
 
+class StorageError(UnavailableError):
+    """A disk is full, cannot be written or is not there; may be tried again after `wait_s` whole seconds."""
+
+    wait_s = 30
+
+
 class TooLargeError(BoresightError):
     """The upload is over the size limit."""
 

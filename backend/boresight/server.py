@@ -53,6 +53,7 @@ from boresight.api.ready import Answering, Proof, Ready
 from boresight.api.upkeep import KeptHeads, Upkeep
 from boresight.api.watched import Watched
 from boresight.api.wellformed import WellFormed
+from boresight.disks import storage_error
 from boresight.errors import BoresightError
 from boresight.pages.fleet import FleetMemory
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
@@ -105,6 +106,7 @@ def create_app(settings: Settings, *, limits: Limits | None = None, pace: Pace |
     _furnish(app, settings)
     for kind in (BoresightError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, _refuse)
+    app.add_exception_handler(OSError, _refuse_disk)
     app.add_middleware(WellFormed, refuse=_refuse)  # what is added later is further out
     app.add_middleware(Keeping, ready=app.state.ready)
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
@@ -248,6 +250,14 @@ def _turn_away(request: Request, error: Exception) -> Response:
         response.headers.update(problem_of(error).headers or {})
         return response
     return problem_response(request, problem_of(error))
+
+
+async def _refuse_disk(request: Request, error: Exception) -> Response:
+    """Answer a disk that is full or cannot be written; every other system error is a defect, and goes on as one."""
+    if not isinstance(error, OSError) or (of_disk := storage_error(error)) is None:
+        raise error
+    log.error("Request %s: %s", request.state.request_id, of_disk)
+    return await _refuse(request, of_disk)
 
 
 async def _refuse(request: Request, error: Exception) -> Response:

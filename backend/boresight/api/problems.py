@@ -19,6 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight import errors
+from boresight.disks import storage_error
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -51,6 +52,7 @@ KINDS: Mapping[type[Exception], Kind] = {
     errors.TooLargeError: Kind(413, "Too large"),
     errors.OverloadedError: Kind(503, "Overloaded"),
     errors.UnavailableError: Kind(503, "Unavailable"),
+    errors.StorageError: Kind(503, "Storage unavailable"),
     errors.CancelledError: Kind(409, "Cancelled"),
 }
 UNFORESEEN = Kind(500, "Unforeseen error")
@@ -77,6 +79,8 @@ def problem_of(error: Exception) -> Problem:
         return _malformed(error)
     if isinstance(error, HTTPException):
         return Problem(_kind_of_status(error.status_code), str(error.detail), headers=error.headers)
+    if isinstance(error, OSError) and (of_disk := storage_error(error)) is not None:
+        error = of_disk
     for kind in type(error).__mro__:
         if kind in KINDS:
             return Problem(KINDS[kind], str(error), _faults(error), _headers(error))
@@ -113,7 +117,7 @@ def _faults(error: Exception) -> list[dict[str, Any]]:
 
 def _headers(error: Exception) -> dict[str, str] | None:
     """Say how to authenticate where that is what is missing, and how long to wait where that helps."""
-    if isinstance(error, errors.TooManyAttemptsError | errors.OverloadedError):
+    if isinstance(error, errors.TooManyAttemptsError | errors.OverloadedError | errors.StorageError):
         return {"Retry-After": str(error.wait_s)}
     return {"WWW-Authenticate": "Bearer"} if isinstance(error, errors.UnauthenticatedError) else None
 

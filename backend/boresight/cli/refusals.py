@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from boresight.disks import storage_error
 from boresight.errors import BoresightError, RefusedInputError
 
 FAULTS_SHOWN = 10
@@ -28,6 +29,10 @@ class RefusingGroup(click.Group):
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
+            of_disk = storage_error(error) if isinstance(error, OSError) else None
+            if of_disk is not None:
+                _print_refusal(of_disk)
+                ctx.exit(REFUSED)
             if ctx.params.get("debug"):
                 raise
             sentence = (

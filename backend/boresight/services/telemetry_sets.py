@@ -15,12 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
-from boresight.errors import NotFoundError, RefusedInputError
+from boresight.errors import NotFoundError, RefusedInputError, UnavailableError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.sensors import get_sensor
 from boresight.services.words import normal_name
 from boresight.sky.catalogue import Catalogue
+from boresight.store import files
 from boresight.store import telemetry_sets as rows
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Session, utc_now
@@ -152,6 +153,17 @@ def add_telemetry_set(
         return store_prepared(session, actor, blobs, sensor_id, upload, purpose)
 
 
+def _put_both(session: Session, blobs: BlobStore, upload: Prepared) -> tuple[str, str]:
+    """Put the file and its table, or neither: a disk that is full after the first keeps nothing of the upload."""
+    original = blobs.put(upload.original)
+    try:
+        return original, blobs.put(upload.table)
+    except UnavailableError:
+        if not files.sizes(session, [original]):
+            blobs.discard(original)
+        raise
+
+
 def store_prepared(
     session: Session,
     actor: Actor,
@@ -180,7 +192,7 @@ def store_prepared(
     sensor_id = get_sensor(session, sensor_id).id
     if (existing := rows.set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
         return _in_use_again(session, actor, existing)
-    original, table = blobs.put(upload.original), blobs.put(upload.table)
+    original, table = _put_both(session, blobs, upload)
     register_blob(session, blobs, original, upload.media_type)
     register_blob(session, blobs, table, PARQUET)
     row = TelemetrySet(

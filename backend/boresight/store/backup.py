@@ -29,9 +29,10 @@ import sqlalchemy as sa
 
 from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
 from boresight.integrity import digest_of, is_intact
+from boresight.store import journals
 from boresight.store.blobs import CHUNK_BYTES, BlobStore
 from boresight.store.rows_across import copy_rows
-from boresight.store.sessions import open_engine
+from boresight.store.sessions import Engine, open_engine
 from boresight.store.times import utc_now
 
 FORM = "boresight.backup/1"
@@ -164,6 +165,44 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> Taken:
     return Taken(
         int(manifest["blobs"]), archive.stat().st_size, str(manifest["audit_head"]), left_out, manifest.get("blobs_at")
     )
+
+
+def is_of_now(archive: Path, engine: Engine) -> bool:
+    """Whether an archive holds, whole, the database as it is: the audit log and the journals end alike.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file is no backup, or cannot be read.
+    """
+    try:
+        with zipfile.ZipFile(archive) as backup, tempfile.TemporaryDirectory(prefix="boresight-") as folder:
+            manifest = _manifest(backup)
+            copy = _extracted(backup, DATABASE, Path(folder) / DATABASE)
+            if digest_of(copy) != manifest["database_sha256"]:
+                return False
+            kept = open_engine(f"sqlite:///{copy}")
+            try:
+                return _ends(kept) == _ends(engine)
+            finally:
+                kept.dispose()
+    except (zipfile.BadZipFile, EOFError, OSError) as error:
+        raise RefusedInputError(f"{archive} cannot be read as a backup: {error}.") from error
+
+
+def _ends(engine: Engine) -> list[tuple[object, ...] | None]:
+    """Return where the audit log and the journals end, as far as the schema has them."""
+    tables = ("audit", *journals.JOURNALS)
+    with engine.connect() as connection:
+        there = sa.inspect(connection)
+        found: list[tuple[object, ...] | None] = []
+        for name in tables:
+            columns = {column["name"] for column in there.get_columns(name)} if there.has_table(name) else set()
+            table = sa.table(name, *(sa.column(column) for column in sorted(columns & {"id", "hash"})))
+            if table.columns:
+                row = connection.execute(sa.select(table).order_by(table.c.id.desc()).limit(1)).one_or_none()
+                found.append(None if row is None else tuple(row))
+        return found
 
 
 def named(addresses: Sequence[str]) -> str:

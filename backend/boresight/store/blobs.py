@@ -23,7 +23,8 @@ import orjson
 import sqlalchemy as sa
 
 from boresight import integrity
-from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError, UnavailableError
+from boresight.disks import refuse_unwritable
+from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError, StorageError, UnavailableError
 from boresight.store.blob_places import BlobPlace
 from boresight.store.recent import Recent
 from boresight.store.sessions import Session, utc_now
@@ -78,7 +79,7 @@ class BlobStore:
         try:
             yield
         except OSError as error:
-            raise UnavailableError(
+            raise StorageError(
                 f"The folder of files {self.folder} cannot be written ({error.strerror or error}): let the server write there, "
                 "make room on its disk, or name another by BORESIGHT_BLOBS."
             ) from error
@@ -95,6 +96,12 @@ class BlobStore:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=self.folder) as file:
                 file.write(b"Boresight")
+                file.flush()
+        refuse_unwritable(self.folder / "file")
+
+    def discard(self, sha256: str) -> None:
+        """Remove what was put and that no row will name, for what belongs to it could not be put."""
+        self._place(sha256).unlink(missing_ok=True)
 
     def send_ahead(self, *files: Path) -> None:
         """Bring files over the network before the transaction that puts them, which holds others up; here there is none."""

@@ -9,13 +9,15 @@ after a restart of PostgreSQL the next request finds a new one.
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import Engine
 
-from boresight.errors import NotFoundError, RefusedInputError, UnavailableError
+from boresight.disks import absent, failing, full, read_only, refuse_unwritable, storage_error
+from boresight.errors import NotFoundError, RefusedInputError, StorageError, UnavailableError
 
 PRAGMAS = (
     "PRAGMA journal_mode=WAL",
@@ -42,6 +44,13 @@ NUMBER_OUT_OF_RANGE, UNTRANSLATABLE = "22003", "22021"  # states of SQL
 NO_SUCH_NUMBER = "There is nothing of this number; choose one of the list."
 TOO_LARGE = "A number is larger than the store can hold, 64 bits; send a smaller one."
 UNWRITABLE = "A text holds a character that cannot be stored: NUL, or half of a surrogate pair; remove it."
+OF_DISK = {
+    "SQLITE_FULL": full,
+    "SQLITE_IOERR": failing,
+    "SQLITE_READONLY": read_only,
+    "SQLITE_CANTOPEN": absent,
+}  # what SQLite calls it, and what we do
+DISK_FULL = "53100"  # of PostgreSQL
 BUSY = "The database is held by another writer for longer than usual; try again in a moment."
 
 
@@ -70,15 +79,18 @@ def open_engine(url: str) -> Engine:
 def _open_sqlite(address: sa.URL) -> Engine:
     """Open a SQLite file, making its folder, with the pragmas on every connection."""
     path = Path(str(address.database)).expanduser()
-    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not path.exists():
-        path.touch(mode=0o600)
-    with suppress(PermissionError):  # of a file that another account owns and shares
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not path.exists():
+            path.touch(mode=0o600)
+    except OSError as error:
+        raise storage_error(error, path) or error from error
+    with suppress(OSError):  # of a file that another account owns and shares
         path.chmod(0o600)  # it holds password hashes; SQLite gives its journals the same mode
     engine = sa.create_engine(address, hide_parameters=True)  # an error shows no values: some are secrets
     sa.event.listen(engine, "connect", _on_sqlite_connect)
     sa.event.listen(engine, "begin", _on_sqlite_begin)
-    sa.event.listen(engine, "handle_error", _say_that_it_is_locked)
+    sa.event.listen(engine, "handle_error", partial(_say_what_sqlite_lacks, path))
     sa.event.listen(engine, "handle_error", _say_what_cannot_be_held)
     return engine
 
@@ -95,10 +107,18 @@ def _on_sqlite_begin(connection: sa.Connection) -> None:
     connection.exec_driver_sql(f"BEGIN {connection.get_execution_options().get('begin', 'DEFERRED')}")
 
 
-def _say_that_it_is_locked(context: sa.engine.ExceptionContext) -> UnavailableError | None:
-    """Put a wait in vain into words."""
-    locked = getattr(context.original_exception, "sqlite_errorname", "").startswith(("SQLITE_BUSY", "SQLITE_LOCKED"))
-    return UnavailableError(BUSY) if locked else None
+def _say_what_sqlite_lacks(path: Path, context: sa.engine.ExceptionContext) -> UnavailableError | None:
+    """Put a wait in vain, and a disk that takes no write, into words."""
+    name = getattr(context.original_exception, "sqlite_errorname", "")
+    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return UnavailableError(BUSY)
+    if name.startswith("SQLITE_CANTOPEN"):  # says so of a disk for reading only too
+        try:
+            refuse_unwritable(path)
+        except StorageError as error:
+            return error
+    said = next((said for begins, said in OF_DISK.items() if name.startswith(begins)), None)
+    return None if said is None else StorageError(said("the database"))
 
 
 def _say_what_cannot_be_held(context: sa.engine.ExceptionContext) -> NotFoundError | RefusedInputError | None:
@@ -137,6 +157,8 @@ def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> Unavailab
         return UnavailableError(BUSY)
     unconnected = context.connection is None and isinstance(context.sqlalchemy_exception, sa.exc.OperationalError)
     gone = context.is_disconnect or unconnected or (state or "").startswith(("08", "57P", "53"))
+    if state == DISK_FULL:
+        return StorageError(full("the database"))
     return UnavailableError(GONE) if gone else None
 
 
@@ -147,3 +169,15 @@ def be_the_only_writer(connection: sa.Connection, *, wait_s: int = WAIT_S) -> No
     limits = {"lock_timeout": wait_s, "idle_in_transaction_session_timeout": IDLE_S}
     connection.execute(sa.select(*(sa.func.set_config(name, f"{limit}s", True) for name, limit in limits.items())))
     connection.execute(sa.select(sa.func.pg_advisory_xact_lock(WRITER_LOCK)))
+
+
+def refuse_unwritable_store(engine: Engine) -> None:
+    """Refuse a SQLite database whose file, folder or disk cannot take a write now; PostgreSQL looks after its own.
+
+    Raises
+    ------
+    StorageError
+        When a write would fail.
+    """
+    if engine.dialect.name == "sqlite":
+        refuse_unwritable(Path(str(engine.url.database)).expanduser())

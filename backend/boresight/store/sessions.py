@@ -8,7 +8,8 @@ on PostgreSQL), so that a rule proven by reading and then writing inside one tra
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
@@ -35,6 +36,7 @@ __all__ = [
     "downgrade",
     "head_revision",
     "keep_despite_refusal",
+    "losses",
     "migrate",
     "only_try",
     "open_engine",
@@ -212,11 +214,72 @@ def downgrade(engine: Engine, revision: str) -> None:
     ConflictError
         When the database was written by a newer version of Boresight.
     """
+    _refuse_unknown_revision(engine, revision)
+    with _changing_schema(engine) as connection:
+        command.downgrade(_config(connection), revision)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What a way back would remove: the rows of a table, or what is in a column."""
+
+    table: str
+    column: str | None
+    rows: int
+
+    def __str__(self) -> str:
+        """Name it."""
+        return (
+            f"{self.rows} rows of {self.table}"
+            if self.column is None
+            else f"{self.table}.{self.column} of {self.rows} rows"
+        )
+
+
+class _OnlyTriedError(Exception):
+    """Ends a trial, so that nothing of it is kept."""
+
+
+def losses(engine: Engine, revision: str) -> list[Loss]:
+    """Go back to a revision, see what is gone, and undo it: both engines do so with tables too.
+
+    Raises
+    ------
+    RefusedInputError, ConflictError
+        As `downgrade`.
+    """
+    found: list[Loss] = []
+    _refuse_unknown_revision(engine, revision)
+    with suppress(_OnlyTriedError), _changing_schema(engine) as connection:
+        before = _contents(connection)
+        command.downgrade(_config(connection), revision)
+        after = _contents(connection)
+        for table, columns in before.items():
+            rows = columns[""] - after.get(table, {}).get("", 0)
+            if rows:
+                found.append(Loss(table, None, rows))
+            gone = columns.keys() - after.get(table, {}).keys() if table in after else set()
+            found += [Loss(table, column, columns[column]) for column in sorted(gone) if columns[column]]
+        raise _OnlyTriedError
+    return found
+
+
+def _contents(connection: sa.Connection) -> dict[str, dict[str, int]]:
+    """Count the rows of each table, under an empty name, and what is not NULL in each of its columns."""
+    inspector, found = sa.inspect(connection), {}
+    for name in sorted(set(inspector.get_table_names()) - {"alembic_version"}):
+        columns = [column["name"] for column in inspector.get_columns(name)]
+        table = sa.table(name, *(sa.column(column) for column in columns))
+        counts = [sa.func.count(), *(sa.func.count(table.c[column]) for column in columns)]
+        row = connection.execute(sa.select(*counts).select_from(table)).one()
+        found[name] = dict(zip(["", *columns], row, strict=True))
+    return found
+
+
+def _refuse_unknown_revision(engine: Engine, revision: str) -> None:
     behind = _revisions_behind(current_revision(engine))
     if revision not in behind:
         raise RefusedInputError(f"There is no schema revision {revision!r} to go back to; name {' or '.join(behind)}.")
-    with _changing_schema(engine) as connection:
-        command.downgrade(_config(connection), revision)
 
 
 def _revisions_behind(current: str | None) -> list[str]:

@@ -23,6 +23,7 @@ import orjson
 
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
+from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
 from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
@@ -117,6 +118,9 @@ def execute(
         faults = [str(fault) for fault in getattr(error, "faults", ())]
         return _ended(run_id, attempt, "FAILED", str(error), faults), None
     except Exception as error:  # noqa: BLE001 - any defect of the computation ends its run, not the worker
+        of_disk = storage_error(error) if isinstance(error, OSError) else None
+        if of_disk is not None:
+            return _ended(run_id, attempt, "FAILED", str(of_disk)), None
         reason = f"The computation broke down, {type(error).__name__}: {error}"
         return _ended(run_id, attempt, "FAILED", reason, [traceback.format_exc()]), None
 
@@ -127,7 +131,9 @@ def _kept(outcome: Outcome, sha256: Future[str] | None) -> Outcome:
         return outcome
     try:
         return outcome | {"result_sha256": sha256.result()}
-    except Exception as error:  # noqa: BLE001 - a full disk, say: the run has no result then
+    except BoresightError as error:  # a full disk, say: the run has no result then
+        return _ended(outcome["run_id"], outcome["attempt"], "FAILED", f"The result could not be kept. {error}")
+    except Exception as error:  # noqa: BLE001 - a defect ends the run, not the worker
         reason = f"The result could not be kept, {type(error).__name__}: {error}"
         return _ended(outcome["run_id"], outcome["attempt"], "FAILED", reason, [traceback.format_exc()])
 

@@ -27,6 +27,7 @@ from boresight.api.media import PrometheusText
 from boresight.api.openapi import refusals
 from boresight.api.origins import is_local
 from boresight.errors import BoresightError
+from boresight.store.engines import refuse_unwritable_store
 from boresight.store.sessions import current_revision, head_revision
 
 router = APIRouter(tags=["server"])
@@ -78,6 +79,7 @@ def _store(request: Request) -> dict[str, Any]:
     """Look at the schema."""
     try:
         found, expected = current_revision(request.app.state.engine), _newest_revision()
+        refuse_unwritable_store(request.app.state.engine)
     except (BoresightError, OSError) as error:
         return {"ready": False, "detail": str(error)}
     return {"ready": found == expected, "revision": found, "expected": expected}

@@ -1,0 +1,72 @@
+"""What a disk that is full, cannot be written or is not there is called: one sentence, whoever met it."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+from boresight.errors import StorageError
+
+FULL = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+READ_ONLY = frozenset((errno.EROFS, errno.EACCES, errno.EPERM))
+ABSENT = frozenset((errno.ENOENT, errno.ENOTDIR))
+LEAST_FREE_BYTES = 4 << 20  # a page or a log line still fits, and somebody has time to make room
+
+
+def storage_error(error: OSError, place: Path | str | None = None) -> StorageError | None:
+    """Return what a system error says of a disk; None where it is about something else.
+
+    Parameters
+    ----------
+    place
+        What was to be written; None for the file that the error names. An absent file is of no disk's doing, so it is told of a
+        given place only.
+    """
+    named = place if place is not None else error.filename or "a temporary file"
+    if error.errno in FULL:
+        return StorageError(full(named))
+    if error.errno in READ_ONLY and (place is not None or error.errno == errno.EROFS):
+        return StorageError(read_only(named))
+    if error.errno in ABSENT and place is not None:
+        return StorageError(absent(named))
+    return None
+
+
+def full(place: object) -> str:
+    """Say that a disk is full."""
+    return f"The disk of {place} is full, or a limit on sizes is reached, so nothing was stored: make room there, and try again."
+
+
+def failing(place: object) -> str:
+    """Say that a disk takes no write, for no reason that it gives."""
+    return f"The disk of {place} fails to read or write, so nothing was stored: make room there, and look at the disk."
+
+
+def read_only(place: object) -> str:
+    """Say that a place cannot be written."""
+    return f"{place} cannot be written: mount its disk for writing, or let the user of this process write there, and try again."
+
+
+def absent(place: object) -> str:
+    """Say that a folder is not there."""
+    return f"The folder of {place} is not there: mount its disk or make the folder, and try again."
+
+
+def refuse_unwritable(file: Path) -> None:
+    """Refuse a file that a write would fail on now.
+
+    Raises
+    ------
+    StorageError
+        When its folder is absent, it or the folder cannot be written, or the disk is as good as full.
+    """
+    folder = file.parent
+    if not folder.is_dir():
+        raise StorageError(absent(file))
+    if not os.access(folder, os.W_OK) or (file.exists() and not os.access(file, os.W_OK)):
+        raise StorageError(read_only(file))
+    if hasattr(os, "statvfs"):
+        found = os.statvfs(folder)
+        if found.f_bavail * found.f_frsize < LEAST_FREE_BYTES:
+            raise StorageError(full(file))
