@@ -11,6 +11,7 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
 from boresight.services import parameter_sets, users
 from boresight.services.actors import COMMAND_LINE
+from boresight.services.passwords import prepare_unjudged
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.store.blobs import BlobStore, register_blob
@@ -72,8 +73,9 @@ def furnish(folder, options):
     )
     migrate(engine)
     results = [with_noise(result, rng) for _ in range(options.overlaid)]
+    password = prepare_unjudged(PASSWORD)
     with writing(engine) as session:
-        users.create_user(session, COMMAND_LINE, name="ada", printed_name="Ada", password=PASSWORD, roles=("analyst",))
+        users.create_user(session, COMMAND_LINE, name="ada", printed_name="Ada", password=password, roles=("analyst",))
         sensor = Sensor(
             name=scenario.sensor.name, document=sensor_document(scenario.sensor), created_utc=utc_now(), simulated=1
         )

@@ -48,6 +48,7 @@ from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
 from boresight.api.origins import SAFE_METHODS, OwnPages
+from boresight.api.passwords import Passwords
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.ready import Answering, Proof, Ready
 from boresight.api.upkeep import KeptHeads, Upkeep
@@ -145,6 +146,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
     kept = KeptHeads(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
     state.upkeep = Upkeep(state.engine, settings.session_limits, state.blobs, kept)
+    state.passwords = Passwords(state.engine, settings.login_attempts)
     state.blobs.tell_corrupt = state.upkeep.suspect
     state.secret_box = settings.secret_box
     state.deliveries = Deliveries(state.engine, settings.targets, state.secret_box)
@@ -186,6 +188,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.broadcast.start()
     state.heartbeat.start()
     state.upkeep.start()
+    state.passwords.start()
     state.deliveries.start()
     state.workers = Engine(state.engine, state.settings, state.broadcast.hear, suspect=state.upkeep.suspect)
     state.workers.start()
@@ -196,6 +199,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.workers.stop)
         await run_in_threadpool(state.deliveries.close)
         await run_in_threadpool(state.heartbeat.close)
+        await run_in_threadpool(state.passwords.close)
         await run_in_threadpool(state.upkeep.close)
         await run_in_threadpool(state.broadcast.close)
         state.changes.close()

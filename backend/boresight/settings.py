@@ -91,7 +91,13 @@ SETTINGS = (
     Setting(
         "session_idle_minutes", "60", "min", "A log-in that is not used for so long ends too; 0 = it does not.", float
     ),
-    Setting("login_attempts", "5", "per minute", "Failed log-ins a person may make before waiting.", int),
+    Setting(
+        "login_attempts",
+        "5",
+        "",
+        "Wrong passwords for a name from one place; after so many each further try waits.",
+        int,
+    ),
     Setting("webhooks_local", "0", "0 or 1", "1 = webhooks may go to this machine and its link.", int),
     Setting("webhooks_private", "0", "0 or 1", "1 = webhooks may go to private networks (RFC 1918, fc00::/7).", int),
     Setting(
@@ -162,7 +168,6 @@ class Settings:
             approval_days=self.approval_days,
             rollback_days=self.rollback_days,
             approvals=self.approvals,
-            login_attempts=self.login_attempts,
         )
 
     @property

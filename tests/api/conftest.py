@@ -35,6 +35,7 @@ from boresight.store.sessions import migrate, open_engine, writing
 from boresight.store.tables import Run
 from boresight.telemetry.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from tests.passwords import new_password
 from tests.stores import environment_in
 
 PASSWORD = "correct horse battery"
@@ -224,7 +225,12 @@ def add_people(settings: Settings) -> None:
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
             users.create_user(
-                session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
+                session,
+                COMMAND_LINE,
+                name=name,
+                printed_name=name.title(),
+                password=new_password(PASSWORD),
+                roles=roles,
             )
     engine.dispose()
 

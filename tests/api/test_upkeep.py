@@ -18,6 +18,7 @@ from boresight.services.actors import COMMAND_LINE
 from boresight.services.sessions import SessionLimits
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
+from tests.passwords import new_password
 from tests.stores import url_in
 
 from .conftest import PASSWORD
@@ -31,7 +32,9 @@ def store(tmp_path: Path) -> Iterator[Engine]:
     store = open_engine(url_in(tmp_path))
     migrate(store)
     with writing(store) as session:
-        row = users.create_user(session, COMMAND_LINE, name="ada", printed_name="Ada", password=PASSWORD, roles=[])
+        row = users.create_user(
+            session, COMMAND_LINE, name="ada", printed_name="Ada", password=new_password(PASSWORD), roles=[]
+        )
         actor = users.actor_of(session, row.id)
         api_keys.create_key(session, actor, label="passes")
     yield store

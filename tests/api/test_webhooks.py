@@ -23,6 +23,7 @@ from boresight.services.webhook_targets import Targets
 from boresight.store.secret_box import SecretBox
 from boresight.store.sessions import Engine, migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import Webhook, WebhookDelivery
+from tests.passwords import new_password
 from tests.stores import url_in
 
 from .conftest import PASSWORD, House
@@ -85,7 +86,12 @@ def box(tmp_path: Path) -> SecretBox:
 def hook(store: Engine, receiver: Receiver, box: SecretBox) -> Webhook:
     with writing(store) as session:
         users.create_user(
-            session, COMMAND_LINE, name="root", printed_name="Root", password=PASSWORD, roles=["administrator"]
+            session,
+            COMMAND_LINE,
+            name="root",
+            printed_name="Root",
+            password=new_password(PASSWORD),
+            roles=["administrator"],
         )
         return webhooks.create_webhook(session, _root(session), box, label="Chat", url=receiver.url)[0]
 

@@ -34,6 +34,7 @@ from boresight.store.sessions import migrate, open_engine, utc_now, writing
 from boresight.store.tables import Blob, Run, Sensor, TelemetrySet
 from boresight.telemetry.sensors import sensor_document
 from boresight.workers.summary import summary_of
+from tests.passwords import new_password
 from tests.stores import copied, environment_in
 
 PASSWORD = "correct horse battery"
@@ -87,7 +88,12 @@ def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any])
     with writing(engine) as session:
         for name, (printed_name, roles) in PEOPLE.items():
             users.create_user(
-                session, COMMAND_LINE, name=name, printed_name=printed_name, password=PASSWORD, roles=roles
+                session,
+                COMMAND_LINE,
+                name=name,
+                printed_name=printed_name,
+                password=new_password(PASSWORD),
+                roles=roles,
             )
         description = calibration_scenario(1).sensor
         names = CAMERA_MODELS[description.camera_model].parameter_names

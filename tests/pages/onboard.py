@@ -7,6 +7,7 @@ from typing import Any
 from boresight.services import read_backs, table_definitions, uplinks
 from boresight.store.sessions import Session, reading, writing
 from boresight.store.tables import ParameterSet
+from tests.passwords import proved
 
 from .conftest import PASSWORD
 
@@ -46,7 +47,7 @@ def _step(session: Session, house: Any, set_id: int, state: str) -> None:
         sent = read_backs.reference_of(session, house.blobs, row).content
         read_backs.read_back(session, olga, house.blobs, set_id, sent, source, row.version)
     elif state == "ACTIVE":
-        uplinks.activate(session, olga, set_id, source, "I saw it.", PASSWORD, row.version)
+        uplinks.activate(session, olga, set_id, source, "I saw it.", proved(session, olga, PASSWORD), row.version)
     else:
         uplinks.record(session, olga, set_id, state, source)
 

@@ -11,6 +11,7 @@ from boresight.pages.administration import keys_at, warnings
 from boresight.services import users
 from boresight.store.sessions import writing
 from boresight.store.tables import ApiKey, User
+from tests.passwords import new_password
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def _person(*roles: str, disabled_utc: str | None = None) -> User:
 
 def test_the_page_says_who_must_set_a_password_and_how_to_back_up(house, read):
     with writing(house.engine) as session:
-        users.change_password(session, house.actor("adele"), 5, "a given password")
+        users.change_password(session, house.actor("adele"), 5, new_password("a given password"))
     page = read(house.visitor("adele").get("/administration"))
     assert "Must set a password of their own: Victor Viewer." in page
     assert "boresight backup --out FILE.zip" in page

@@ -9,6 +9,7 @@ import pytest
 from boresight.services import users
 from boresight.services.actors import COMMAND_LINE
 from boresight.store.sessions import migrate, writing
+from tests.passwords import new_password
 from tests.stores import url_in
 
 
@@ -22,7 +23,12 @@ def bare(house, tmp_path):
     with writing(bare.engine) as session:
         roles = ["analyst", "operator", "administrator"]
         users.create_user(
-            session, COMMAND_LINE, name="ada", printed_name="Ada Analyst", password="correct horse battery", roles=roles
+            session,
+            COMMAND_LINE,
+            name="ada",
+            printed_name="Ada Analyst",
+            password=new_password("correct horse battery"),
+            roles=roles,
         )
     bare.app.state.workers = None
     yield bare

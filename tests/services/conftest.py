@@ -14,6 +14,7 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
+from tests.passwords import new_password, proved
 from tests.stores import copied, url_in
 
 PASSWORD = "correct horse battery"
@@ -63,7 +64,12 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
             users.create_user(
-                session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
+                session,
+                COMMAND_LINE,
+                name=name,
+                printed_name=name.title(),
+                password=new_password(PASSWORD),
+                roles=roles,
             )
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     engine.dispose()  # the last connection folds the write-ahead log into the file
@@ -165,7 +171,16 @@ def approved(
         row = submitted()
         with writing(engine) as session:
             approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-            approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+            approvals.sign(
+                session,
+                people["cy"],
+                approval.id,
+                "APPROVE",
+                "I approve",
+                "",
+                proved(session, people["cy"], PASSWORD),
+                approval.version,
+            )
             return parameter_sets.get_parameter_set(session, row.id)
 
     return make

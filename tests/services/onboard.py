@@ -11,6 +11,7 @@ from boresight.services.read_backs import Reference, read_back, reference_of
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.store.tables import ParameterSet, Promotion, TableDefinition, Uplink
+from tests.passwords import proved
 
 from .conftest import PASSWORD
 
@@ -44,7 +45,9 @@ def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
         with writing(engine) as session:
             if state == "ACTIVE":
                 seen = session.get_one(ParameterSet, set_id).version
-                uplinks.activate(session, actor, set_id, "pass 4711", "I saw it.", PASSWORD, seen)
+                uplinks.activate(
+                    session, actor, set_id, "pass 4711", "I saw it.", proved(session, actor, PASSWORD), seen
+                )
             else:
                 uplinks.record(session, actor, set_id, state, "pass 4711")
 

@@ -22,6 +22,7 @@ from boresight.services.actors import Actor
 from boresight.services.onboard import add_entry
 from boresight.store.sessions import Engine, reading, utc_now, writing
 from boresight.store.tables import Package, ParameterSet, Uplink
+from tests.passwords import new_password, proved
 
 from .conftest import PASSWORD
 from .onboard import climb, define, newest, onboard
@@ -34,6 +35,7 @@ def activate(engine: Engine, actor: Actor, **given: Any) -> Uplink:
     """Sign that set 1 is active, as the actor who saw it as it is."""
     entry = {"source": "TM page STR-2", "meaning": MEANING, "password": PASSWORD} | given
     with writing(engine) as session:
+        entry["proof"] = proved(session, actor, entry.pop("password"))
         seen = entry.pop("seen", session.get_one(ParameterSet, 1).version)
         return uplinks.activate(session, actor, 1, seen_version=seen, **entry)
 
@@ -97,7 +99,7 @@ def test_neither_a_key_nor_an_administrator_who_is_also_operator_signs(engine: E
 def test_whose_password_somebody_else_set_does_not_sign(engine: Engine, people: People) -> None:
     dee = people["dee"]
     with writing(engine) as session:
-        users.change_password(session, people["root"], dee.user_id or 0, "given by root")
+        users.change_password(session, people["root"], dee.user_id or 0, new_password("given by root"))
     with pytest.raises(ForbiddenError, match="Somebody else set your password"):
         activate(engine, dee, password="given by root")
 

@@ -12,6 +12,7 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, writing
 from boresight.store.tables import Run
+from tests.passwords import proved
 from tests.services.conftest import PASSWORD, SENSOR
 
 MIDDLE = {"m0_px": 971.5, "n0_px": 1295.5, "u0_px": 1295.5, "v0_px": 971.5, "f_m": 0.016, "g_y": 1.0, "s": 1.0}
@@ -42,7 +43,16 @@ def test_a_set_of_every_model_is_approved_and_becomes_baseline(
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
         parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+        approvals.sign(
+            session,
+            people["cy"],
+            approval.id,
+            "APPROVE",
+            "I approve",
+            "",
+            proved(session, people["cy"], PASSWORD),
+            approval.version,
+        )
         promoted = parameter_sets.promote(session, people["dee"], row.id, row.version)
 
     assert promoted.ground_state == "BASELINE"

@@ -13,6 +13,7 @@ from boresight.sky.catalogue import load_catalogue
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import migrate, open_engine, reading, writing
 from boresight.store.tables import ROLES
+from tests.passwords import proved
 from tests.stores import url_in
 
 
@@ -62,7 +63,7 @@ def test_every_role_has_a_person_who_can_log_in_with_the_printed_password(filled
     assert {role for person in filled.log_ins for role in person.roles} == set(ROLES)
     for person in filled.log_ins:
         with writing(filled.engine) as session:
-            actor = users.authenticate(session, person.name, person.password)
+            actor = users.authenticate(session, proved(session, person.name, person.password))
         assert actor.roles == set(person.roles)
 
 
@@ -128,8 +129,8 @@ def test_archived_sets_and_edited_people_are_left_as_they_are(tmp_path):
     demonstration = Demonstration(tmp_path)
     demonstration.create()
     with writing(demonstration.engine) as session:
-        analyst = users.authenticate(session, "analyst", LOG_INS[0].password)
-        administrator = users.authenticate(session, "administrator", LOG_INS[3].password)
+        analyst = users.authenticate(session, proved(session, "analyst", LOG_INS[0].password))
+        administrator = users.authenticate(session, proved(session, "administrator", LOG_INS[3].password))
         for row in telemetry_sets.list_telemetry_sets(session, purpose="calibration"):
             telemetry_sets.archive_telemetry_set(session, analyst, row.id)
         viewer = next(user for user in users.list_users(session) if user.name == "viewer")

@@ -14,6 +14,7 @@ from boresight.services.actors import POLICY, Actor, Policy
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, reading, writing
 from boresight.store.tables import Approval, ParameterSet
+from tests.passwords import proved
 
 PASSWORD = "correct horse battery"
 AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
@@ -35,7 +36,9 @@ def ask(engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..
 
 def _sign(engine: Engine, actor: Actor, approval: Approval) -> None:
     with writing(engine) as session:
-        approvals.sign(session, actor, approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+        approvals.sign(
+            session, actor, approval.id, "APPROVE", "I approve", "", proved(session, actor, PASSWORD), approval.version
+        )
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:

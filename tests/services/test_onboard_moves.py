@@ -15,6 +15,7 @@ from boresight.services.read_backs import READABLE, read_back
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, only_try, reading, utc_now, writing
 from boresight.store.tables import ONBOARD_STATES, ParameterSet, Uplink
+from tests.passwords import proved
 
 from .conftest import PASSWORD
 from .onboard import define, sent_table
@@ -72,7 +73,7 @@ def _make(session: Session, actor: Actor, blobs: BlobStore, move: str, table: by
     if move in STATEMENTS:
         return uplinks.record(session, actor, 1, move.removeprefix("record "), "pass 1", seen)
     if move == "sign active":
-        return uplinks.activate(session, actor, 1, "pass 1", "I saw it.", PASSWORD, seen)
+        return uplinks.activate(session, actor, 1, "pass 1", "I saw it.", proved(session, actor, PASSWORD), seen)
     dump = table if move == "read back well" else bytes([table[0] ^ 1]) + table[1:]
     return read_back(session, actor, blobs, 1, dump, "pass 1", seen)
 

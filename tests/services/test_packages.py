@@ -13,6 +13,7 @@ from boresight.services import approvals, audit, packages, parameter_sets, table
 from boresight.services.actors import Policy
 from boresight.store.sessions import writing
 from boresight.store.tables import ParameterSet
+from tests.passwords import proved
 
 from .conftest import PASSWORD, SENSOR
 
@@ -212,7 +213,16 @@ def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replace
         run = finished_run(session, people["ana"].user_id, alignment=found)
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
         request = parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
-        approvals.sign(session, people["cy"], request.id, "APPROVE", "I approve", "", PASSWORD, request.version)
+        approvals.sign(
+            session,
+            people["cy"],
+            request.id,
+            "APPROVE",
+            "I approve",
+            "",
+            proved(session, people["cy"], PASSWORD),
+            request.version,
+        )
     files = build(row)[1]
 
     assert json.loads(files["c_sd.json"])["alignment"] == found
@@ -224,7 +234,7 @@ def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build,
     row = candidate("bo")
     with writing(engine) as session:
         request = parameter_sets.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
-        words = (request.id, "APPROVE", "I approve", "", PASSWORD, request.version)
+        words = (request.id, "APPROVE", "I approve", "", proved(session, people["bo"], PASSWORD), request.version)
         approvals.sign(session, people["bo"], *words, policy=alone)
     four_eyes = json.loads(build(row)[1]["MANIFEST.json"])["four_eyes"]
 

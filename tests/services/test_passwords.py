@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 
 import pytest
 
-from boresight.errors import ForbiddenError, PasswordDueError, RefusedInputError
+from boresight.errors import ForbiddenError, PasswordDueError
 from boresight.services import approvals, audit, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.services.passwords import password_by
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.store.tables import ParameterSet
+from tests.passwords import new_password, proved
 
 from .conftest import PASSWORD
 
@@ -23,7 +24,7 @@ GIVEN, OWN = "given by the administrator", "known to nobody else"
 def cy(engine: Engine, people: Mapping[str, Actor]) -> Actor:
     """The approver, whose password the administrator reset."""
     with writing(engine) as session:
-        users.change_password(session, people["root"], people["cy"].user_id or 0, GIVEN)
+        users.change_password(session, people["root"], people["cy"].user_id or 0, new_password(GIVEN))
     return people["cy"]
 
 
@@ -45,7 +46,7 @@ def test_whoever_comes_with_a_given_password_may_only_set_their_own(engine: Engi
         users.actor_of(session, cy.user_id or 0)
     with writing(engine) as session:
         actor = users.actor_of(session, cy.user_id or 0, sets_password=True)
-        users.change_password(session, actor, cy.user_id or 0, OWN, GIVEN)
+        users.change_password(session, actor, cy.user_id or 0, new_password(OWN), proved(session, cy, GIVEN))
     with reading(engine) as session:
         assert users.actor_of(session, cy.user_id or 0).name == "cy"
 
@@ -59,24 +60,20 @@ def test_a_given_password_signs_nothing_and_ones_own_does(
 
     def sign(password: str) -> None:
         with writing(engine) as session:
-            approvals.sign(session, cy, approval.id, "APPROVE", "I approve", "", password, approval.version)
+            approvals.sign(
+                session, cy, approval.id, "APPROVE", "I approve", "", proved(session, cy, password), approval.version
+            )
 
     with pytest.raises(ForbiddenError, match="set your own first"):
         sign(GIVEN)
     with writing(engine) as session:
-        users.change_password(session, cy, cy.user_id or 0, OWN, GIVEN)
+        users.change_password(session, cy, cy.user_id or 0, new_password(OWN), proved(session, cy, GIVEN))
     sign(OWN)
 
 
 def test_a_given_password_confirms_nothing_else_either(engine: Engine, cy: Actor) -> None:
     with reading(engine) as session, pytest.raises(PasswordDueError):
-        users.verify_password(session, cy, GIVEN)
-
-
-def test_a_password_is_not_changed_into_itself(engine: Engine, people: Mapping[str, Actor], cy: Actor) -> None:
-    for actor, password in ((people["ana"], PASSWORD), (cy, GIVEN)):
-        with pytest.raises(RefusedInputError, match="use another"), writing(engine) as session:
-            users.change_password(session, actor, actor.user_id or 0, password, password)
+        users.require_password(session, cy, proved(session, cy, GIVEN))
 
 
 def test_a_person_may_be_added_with_a_password_for_the_first_log_in_only(
@@ -88,11 +85,11 @@ def test_a_person_may_be_added_with_a_password_for_the_first_log_in_only(
             people["root"],
             name="fay",
             printed_name="Fay",
-            password=GIVEN,
+            password=new_password(GIVEN),
             roles=["approver"],
             must_change_password=True,
         )
-        actor = users.authenticate(session, "fay", GIVEN)
+        actor = users.authenticate(session, proved(session, "fay", GIVEN))
         assert users.must_change_password(session, actor)
         with pytest.raises(PasswordDueError):
             users.actor_of(session, row.id)
@@ -111,14 +108,14 @@ def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events:
     at("2026-11-20T12:00:00")
     with writing(engine) as session:
         row = users.create_user(
-            session, COMMAND_LINE, name="new", printed_name="New", password=PASSWORD, roles=["approver"]
+            session, COMMAND_LINE, name="new", printed_name="New", password=new_password(PASSWORD), roles=["approver"]
         )
         new_id, current = row.id, PASSWORD
         for number, (who, time) in enumerate(events):
             at(time)
             fresh, own = f"{OWN} {number}", who == "new"
             actor = Actor(new_id, "new", "New", frozenset({"approver"}), "session") if own else root
-            users.change_password(session, actor, new_id, fresh, current)
+            users.change_password(session, actor, new_id, new_password(fresh), proved(session, actor, current))
             current = fresh
         return password_by(session, new_id)
 
@@ -160,10 +157,12 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(
     row = submitted()
     with writing(engine) as session:  # by who reset it, logged in as Cy
         puppet = users.actor_of(session, cy.user_id or 0, sets_password=True)
-        users.change_password(session, puppet, cy.user_id or 0, OWN, GIVEN)
+        users.change_password(session, puppet, cy.user_id or 0, new_password(OWN), proved(session, puppet, GIVEN))
     with writing(engine) as session:
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        signature = approvals.sign(session, puppet, approval.id, "APPROVE", "I approve", "", OWN, approval.version)
+        signature = approvals.sign(
+            session, puppet, approval.id, "APPROVE", "I approve", "", proved(session, puppet, OWN), approval.version
+        )
         record = audit.last_change(session, f"approvals/{approval.id}")
     assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, set anew \d+ s later", str(signature.password_by))
     assert record is not None

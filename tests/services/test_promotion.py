@@ -17,6 +17,7 @@ from boresight.services.actors import Actor
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, writing
 from boresight.store.tables import ParameterSet, Promotion
+from tests.passwords import proved
 
 PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
@@ -24,7 +25,16 @@ People = Mapping[str, Actor]
 
 def _approve(session: Session, approver: Actor, set_id: int) -> None:
     approval = approvals.list_approvals(session, parameter_set_id=set_id, state="OPEN")[0]
-    approvals.sign(session, approver, approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+    approvals.sign(
+        session,
+        approver,
+        approval.id,
+        "APPROVE",
+        "I approve",
+        "",
+        proved(session, approver, PASSWORD),
+        approval.version,
+    )
 
 
 def _promote(engine: Engine, actor: Actor, row: ParameterSet) -> ParameterSet:

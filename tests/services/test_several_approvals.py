@@ -13,6 +13,7 @@ from boresight.services.actors import POLICY, Actor, Policy
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, reading, utc_after, writing
 from boresight.store.tables import Approval, ParameterSet, Run
+from tests.passwords import proved
 
 from .conftest import SENSOR
 
@@ -44,7 +45,7 @@ def _sign(
 ) -> Approval:
     with writing(engine) as session:
         seen = approvals.get_approval(session, approval.id).version
-        words = (decision, "I decide", "seen", PASSWORD, seen)
+        words = (decision, "I decide", "seen", proved(session, actor, PASSWORD), seen)
         approvals.sign(session, actor, approval.id, *words, policy=policy)
     with reading(engine) as session:
         return approvals.get_approval(session, approval.id)
@@ -107,7 +108,8 @@ def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine: Engine, 
     approval = ask(parameters=MOVED)
     with writing(engine) as session:
         row = parameter_sets.get_parameter_set(session, approval.parameter_set_id)
-        words = ("known-cause", "The wheels were spun up during this pass.", utc_after(86400.0), PASSWORD, row.version)
+        proof = proved(session, people["ana"], PASSWORD)
+        words = ("known-cause", "The wheels were spun up during this pass.", utc_after(86400.0), proof, row.version)
         waiver = waivers.waive(session, people["ana"], row.id, "parameter-shift", *words)
     again = ask(row=row)
     assert (_state(engine, approval), again.needed, again.bound["waivers"]) == ("STALE", 2, [waiver.id])

@@ -17,6 +17,7 @@ from boresight.services.read_backs import read_back
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, only_try, writing
 from boresight.store.tables import ParameterSet
+from tests.passwords import proved
 
 from .conftest import PASSWORD
 from .onboard import define, sent_table
@@ -43,7 +44,9 @@ class Board:
         """Make a move, and account for it; a move that is refused changes nothing."""
         seen = self.row.version
         if move == "sign":
-            uplinks.activate(self.session, self.dee, 1, "pass 1", "I saw it.", PASSWORD, seen)
+            uplinks.activate(
+                self.session, self.dee, 1, "pass 1", "I saw it.", proved(self.session, self.dee, PASSWORD), seen
+            )
         elif move in READ:
             read_back(self.session, self.dee, self.blobs, 1, self.read[move], "pass 1", seen)
         else:

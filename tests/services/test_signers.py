@@ -13,6 +13,7 @@ from boresight.services.package_inputs import four_eyes
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, reading, writing
 from boresight.store.tables import Approval, Campaign, CampaignRun, ParameterSet, Run
+from tests.passwords import new_password, proved
 
 from .conftest import PASSWORD
 
@@ -51,7 +52,17 @@ def ask(engine: Engine, people: People, blobs: BlobStore) -> Callable[..., Appro
 def _sign(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POLICY) -> str:
     with writing(engine) as session:
         seen = approvals.get_approval(session, approval.id).version
-        approvals.sign(session, actor, approval.id, "APPROVE", "I approve", "", PASSWORD, seen, policy=policy)
+        approvals.sign(
+            session,
+            actor,
+            approval.id,
+            "APPROVE",
+            "I approve",
+            "",
+            proved(session, actor, PASSWORD),
+            seen,
+            policy=policy,
+        )
         return approvals.get_approval(session, approval.id).state
 
 
@@ -100,7 +111,8 @@ def test_over_the_shoulder_the_creator_does_not_sign_either(
     engine: Engine, people: People, created: Callable[..., ParameterSet], ask: Callable[..., Approval]
 ) -> None:
     approval = ask(created("bo"))
-    words = ("APPROVE", "I approve", "", "bo", PASSWORD, approval.version)
+    with reading(engine) as session:
+        words = ("APPROVE", "I approve", "", proved(session, "bo", PASSWORD), approval.version)
     with writing(engine) as session, pytest.raises(ForbiddenError, match="You created this set"):
         approvals.sign_over_the_shoulder(session, people["ana"], approval.id, *words)
 
@@ -145,7 +157,9 @@ def test_of_several_approvals_none_is_the_creators(
 ) -> None:
     two = Policy(approvals=2)
     with writing(engine) as session:
-        users.create_user(session, COMMAND_LINE, name="flo", printed_name="Flo", password=PASSWORD, roles=["approver"])
+        users.create_user(
+            session, COMMAND_LINE, name="flo", printed_name="Flo", password=new_password(PASSWORD), roles=["approver"]
+        )
     approval = ask(created("bo"), policy=two)
     assert _sign(engine, people["cy"], approval, two) == "OPEN"
     with pytest.raises(ForbiddenError, match="You created this set"):

@@ -16,6 +16,7 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, only_try, reading, utc_after, utc_text, writing
 from boresight.store.tables import ONBOARD_STATES, GateProfile, ParameterSet, Promotion, TableDefinition, Uplink
+from tests.passwords import proved
 
 from .conftest import PASSWORD
 from .onboard import climb, define, promote_by_hand
@@ -192,7 +193,16 @@ def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(
     with writing(engine) as session:
         ground = session.get_one(ParameterSet, 1)
         approval = submissions.roll_back(session, people["ana"], blobs, 1, "worse than thought", ground.version)
-        approvals.sign(session, people["cy"], approval.id, "APPROVE", "Back", "", PASSWORD, approval.version)
+        approvals.sign(
+            session,
+            people["cy"],
+            approval.id,
+            "APPROVE",
+            "Back",
+            "",
+            proved(session, people["cy"], PASSWORD),
+            approval.version,
+        )
         promotions.promote(session, people["dee"], 1, ground.version)
     with reading(engine) as session:
         known, newest = timeline.as_of(session, 1), timeline.events(session, 1, limit=1)[0]

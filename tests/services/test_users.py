@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
-import sqlalchemy as sa
 
 from boresight.errors import (
     BoresightError,
@@ -15,26 +14,20 @@ from boresight.errors import (
     NotFoundError,
     RefusedInputError,
     SessionEndedError,
-    TooManyAttemptsError,
     UnauthenticatedError,
 )
 from boresight.services import audit, sessions, users
 from boresight.services.actors import Actor
-from boresight.store.sessions import Engine, Session, reading, utc_after, writing
-from boresight.store.tables import LoginFailure
+from boresight.store.sessions import Engine, Session, reading, writing
+from boresight.store.tables import User
+from tests.passwords import new_password, proved
 
 PASSWORD = "correct horse battery"
 
 
 def _log_in(engine: Engine, name: str, password: str) -> Actor:
     with writing(engine) as session:
-        return users.authenticate(session, name, password, attempts_per_minute=3)
-
-
-def _fail(engine: Engine, name: str, times: int) -> None:
-    for _ in range(times):
-        with pytest.raises(UnauthenticatedError, match="do not fit"):
-            _log_in(engine, name, "wrong horse battery")
+        return users.authenticate(session, proved(session, name, password))
 
 
 def test_name_and_password_give_the_person_with_their_roles(engine: Engine) -> None:
@@ -52,63 +45,15 @@ def test_a_wrong_name_and_a_wrong_password_get_the_same_answer(engine: Engine) -
     assert len(answers) == 1
 
 
-@pytest.mark.parametrize("name", ["ana", "nobody"])
-def test_too_many_failures_make_a_name_wait_whether_it_exists_or_not(engine: Engine, name: str) -> None:
-    _fail(engine, name, times=3)
-    with pytest.raises(TooManyAttemptsError, match="wait a minute") as refusal:
-        _log_in(engine, name, PASSWORD)
-    assert 55 <= refusal.value.wait_s <= 60
-
-
-def test_the_wait_ends_when_so_few_failures_count_that_another_attempt_is_allowed(engine: Engine) -> None:
-    with writing(engine) as session:
-        for seconds_ago in (50.0, 40.0, 30.0, 20.0, 70.0):
-            session.add(LoginFailure(name="ana", at_utc=utc_after(-seconds_ago)))
-    with pytest.raises(TooManyAttemptsError) as refusal:
-        _log_in(engine, "ana", PASSWORD)
-    assert refusal.value.wait_s in {19, 20}  # of four within the minute two must lapse: the second 40 s ago
-
-
-def test_failures_of_one_name_do_not_hold_up_another(engine: Engine) -> None:
-    _fail(engine, "ana", times=3)
-    assert _log_in(engine, "cy", PASSWORD).name == "cy"
-
-
-def test_after_a_minute_a_name_may_try_again_and_old_failures_are_forgotten(engine: Engine) -> None:
-    with writing(engine) as session:
-        for age_s in (61.0, 62.0, 3700.0):
-            session.add(LoginFailure(name="ana", at_utc=utc_after(-age_s)))
-    assert _log_in(engine, "ana", PASSWORD).name == "ana"
-    _fail(engine, "ana", times=1)
-    with reading(engine) as session:
-        assert session.scalar(sa.select(sa.func.count()).select_from(LoginFailure)) == 3
-
-
 def test_a_password_is_kept_as_argon2id_only(session: Session) -> None:
     user = users.list_users(session)[0]
     assert user.password_hash.startswith("$argon2id$")
     assert PASSWORD not in user.password_hash
 
 
-@pytest.mark.parametrize(
-    ("password", "says"),
-    [
-        ("short", "has 5 characters; use at least 12"),
-        ("a" * 300, "over 256 characters"),
-        ("a" * 12, "repeats one character"),
-        ("newcomernewcomer", "repeats one character or the log-in name"),
-    ],
-)
-def test_a_password_that_is_easily_guessed_is_refused(
-    session: Session, people: Mapping[str, Actor], password: str, says: str
-) -> None:
-    with pytest.raises(RefusedInputError, match=says):
-        _create(session, people["root"], password=password)
-    assert all(user.name != "newcomer" for user in users.list_users(session))
-
-
-def _create(session: Session, actor: Actor, **changes: object) -> object:
-    values = {"name": "newcomer", "printed_name": "New Comer", "password": PASSWORD, "roles": ["viewer"]} | changes
+def _create(session: Session, actor: Actor, **changes: object) -> User:
+    values = {"name": "newcomer", "printed_name": "New Comer", "roles": ["viewer"]} | changes
+    values.setdefault("password", new_password(PASSWORD))
     return users.create_user(session, actor, **values)  # type: ignore[arg-type]
 
 
@@ -118,6 +63,19 @@ def _create(session: Session, actor: Actor, **changes: object) -> object:
         ({"name": ""}, RefusedInputError, "no log-in name"),
         ({"name": "new comer"}, RefusedInputError, "no log-in name"),
         ({"name": "ana"}, ConflictError, "already"),
+        ({"name": "ANA"}, ConflictError, "user 'ana' already"),
+        ({"name": "\uff41na"}, ConflictError, "user 'ana' already"),
+        ({"name": "a\u200bna"}, RefusedInputError, "U\\+200B"),
+        ({"name": "x" * 65}, RefusedInputError, "shorten it to 64"),
+        ({"printed_name": "Ana"}, ConflictError, "is that of 'ana'"),
+        ({"printed_name": " ana "}, ConflictError, "is that of 'ana'"),
+        ({"printed_name": "\uff21\uff4e\uff41"}, ConflictError, "is that of 'ana'"),
+        ({"printed_name": "Ana\u202eb"}, RefusedInputError, "U\\+202E"),
+        ({"printed_name": "A\u2066na"}, RefusedInputError, "U\\+2066"),
+        ({"printed_name": "Ana\x00"}, RefusedInputError, "U\\+0000"),
+        ({"printed_name": "Ana\ud800"}, RefusedInputError, "U\\+D800"),
+        ({"printed_name": "Ana\u0378"}, RefusedInputError, "U\\+0378"),
+        ({"printed_name": "x" * 101}, RefusedInputError, "shorten it to 100"),
         ({"roles": ["wizard"]}, RefusedInputError, "no role wizard; the roles are viewer"),
         ({"roles": ["administrator", "approver"]}, RefusedInputError, "administrator cannot sign"),
         ({"roles": "viewer"}, RefusedInputError, "no role viewer"),
@@ -143,7 +101,7 @@ def test_only_administrators_make_and_change_people(session: Session, people: Ma
         lambda: users.change_roles(session, actor, victim, ["viewer"]),
         lambda: users.disable_user(session, actor, victim),
         lambda: users.enable_user(session, actor, victim),
-        lambda: users.change_password(session, actor, victim, PASSWORD),
+        lambda: users.change_password(session, actor, victim, new_password(PASSWORD)),
         lambda: users.end_sessions(session, actor, victim),
     ):
         with pytest.raises(ForbiddenError, match="administrator"):
@@ -163,8 +121,8 @@ def test_no_key_manages_people_not_even_its_owner(
         lambda: users.change_roles(session, key, approver, ["viewer"]),
         lambda: users.disable_user(session, key, approver),
         lambda: users.enable_user(session, key, approver),
-        lambda: users.change_password(session, key, approver, "another horse battery"),
-        lambda: users.change_password(session, key, owner, "another horse battery", PASSWORD),
+        lambda: users.change_password(session, key, approver, new_password("another horse battery")),
+        lambda: users.change_password(session, key, owner, new_password("x"), proved(session, key, PASSWORD)),
         lambda: users.end_sessions(session, key, approver),
         lambda: users.end_sessions(session, key, owner),
     ):
@@ -203,6 +161,36 @@ def test_a_disabled_person_is_out_at_once_and_stays_out(engine: Engine, people: 
     assert _log_in(engine, "ana", PASSWORD).name == "ana"
 
 
+def test_names_are_stored_in_one_form_and_found_however_they_are_typed(
+    engine: Engine, people: Mapping[str, Actor]
+) -> None:
+    with writing(engine) as session:
+        row = _create(session, people["root"], name="\uff26ay", printed_name="Fay   Ne\u0301e")
+        assert (row.name, row.printed_name) == ("Fay", "Fay N\u00e9e")
+    for typed in ("Fay", "fay", " FAY ", "\uff26\uff21\uff39"):
+        assert _log_in(engine, typed, PASSWORD).name == "Fay"
+    for typed in ("f\u0430y", "fay\ud800", "fay\x00", "", "x" * 10_000):
+        with pytest.raises(UnauthenticatedError, match="do not fit"):
+            _log_in(engine, typed, PASSWORD)
+
+
+def test_what_was_proven_of_a_password_that_was_changed_meanwhile_proves_nothing(
+    engine: Engine, people: Mapping[str, Actor]
+) -> None:
+    ana = people["ana"]
+    assert ana.user_id is not None
+    with reading(engine) as session:
+        proof = proved(session, "ana", PASSWORD)
+    with writing(engine) as session:
+        users.change_password(session, people["root"], ana.user_id, new_password("another horse battery"))
+    with reading(engine) as session, pytest.raises(UnauthenticatedError, match="do not fit"):
+        users.authenticate(session, proof)
+    with reading(engine) as session:
+        another = proved(session, "cy", PASSWORD)
+        with pytest.raises(UnauthenticatedError, match="do not fit"):
+            users.require_password(session, people["bo"], another)
+
+
 def test_the_last_administrator_stays(session: Session, people: Mapping[str, Actor]) -> None:
     root = people["root"]
     assert root.user_id is not None
@@ -218,10 +206,10 @@ def test_a_new_password_needs_the_old_one_and_ends_every_log_in(engine: Engine, 
     ana, new = people["ana"], "another horse battery"
     assert ana.user_id is not None
     with pytest.raises(UnauthenticatedError), writing(engine) as session:
-        users.change_password(session, ana, ana.user_id, new, "wrong horse battery")
+        users.change_password(session, ana, ana.user_id, new_password(new), proved(session, ana, "wrong"))
     with writing(engine) as session:
         token = sessions.begin(session, ana.user_id, sessions.Client())[1]
-        users.change_password(session, ana, ana.user_id, new, PASSWORD)
+        users.change_password(session, ana, ana.user_id, new_password(new), proved(session, ana, PASSWORD))
     with reading(engine) as session, pytest.raises(SessionEndedError, match="password was changed"):
         sessions.find(session, token)
     assert _log_in(engine, "ana", new).name == "ana"

@@ -22,6 +22,7 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store import sessions
 from boresight.store.sessions import reading, utc_after, writing
 from boresight.store.tables import ParameterSet
+from tests.passwords import proved
 
 from .conftest import PASSWORD
 
@@ -50,6 +51,7 @@ def waive(engine, people, blocked):
         values |= {"expires_utc": utc_after(DAY_S), "parameter_set_id": blocked.id, **given}
         actor = people[who] if isinstance(who, str) else who
         with writing(engine) as session:
+            values["proof"] = proved(session, actor, values.pop("password"))
             return waivers.waive(session, actor, seen_version=seen, **values)
 
     return act
@@ -175,7 +177,16 @@ def test_a_set_that_is_promoted_with_a_waiver_tells_of_it_as_baseline(waive, eng
     with writing(engine) as session:
         request = parameter_sets.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
-            approvals.sign(session, people[name], request.id, "APPROVE", "Seen.", "Waived.", PASSWORD, request.version)
+            approvals.sign(
+                session,
+                people[name],
+                request.id,
+                "APPROVE",
+                "Seen.",
+                "Waived.",
+                proved(session, people[name], PASSWORD),
+                request.version,
+            )
         row = parameter_sets.get_parameter_set(session, blocked.id)
         parameter_sets.promote(session, people["dee"], row.id, row.version)
     with reading(engine) as session:
@@ -190,7 +201,16 @@ def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_ove
     with writing(engine) as session:
         request = parameter_sets.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
-            approvals.sign(session, people[name], request.id, "APPROVE", "Seen.", "Waived.", PASSWORD, request.version)
+            approvals.sign(
+                session,
+                people[name],
+                request.id,
+                "APPROVE",
+                "Seen.",
+                "Waived.",
+                proved(session, people[name], PASSWORD),
+                request.version,
+            )
         row = parameter_sets.get_parameter_set(session, blocked.id)
         parameter_sets.promote(session, people["dee"], row.id, row.version)
         package = packages.build(session, people["dee"], blobs, row.id)

@@ -19,6 +19,7 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.secret_box import SecretBox
 from boresight.store.sessions import Session
 from boresight.store.tables import Webhook, WebhookDelivery
+from tests.passwords import new_password
 
 URL = "https://mission.example/hooks?team=1"
 
@@ -35,7 +36,12 @@ def hook(session: Session, people: Mapping[str, Actor], box: SecretBox) -> Webho
 
 def _happens(session: Session, name: str = "zoe") -> None:
     users.create_user(
-        session, COMMAND_LINE, name=name, printed_name=name, password="correct horse battery", roles=["viewer"]
+        session,
+        COMMAND_LINE,
+        name=name,
+        printed_name=name,
+        password=new_password("correct horse battery"),
+        roles=["viewer"],
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from boresight.errors import StaleError, TooManyAttemptsError, UnauthenticatedError
+from boresight.errors import StaleError
 from boresight.services import (
     approvals,
     audit,
@@ -29,6 +29,7 @@ from boresight.store.documents import canonical
 from boresight.store.sessions import Engine, reading, writing
 from boresight.store.tables import ParameterSet, Run
 from boresight.uplink.plain_table import plain_definition
+from tests.passwords import new_password, proved
 
 PASSWORD = "correct horse battery"
 PEOPLE: Mapping[str, tuple[str, ...]] = {"ana": ("analyst",), "cy": ("approver",), "dee": ("operator",)}
@@ -52,7 +53,12 @@ def people(postgresql: Engine) -> Mapping[str, Actor]:
     with writing(postgresql) as session:
         rows = {
             name: users.create_user(
-                session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
+                session,
+                COMMAND_LINE,
+                name=name,
+                printed_name=name.title(),
+                password=new_password(PASSWORD),
+                roles=roles,
             )
             for name, roles in PEOPLE.items()
         }
@@ -95,7 +101,16 @@ def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blo
     """Have a candidate submitted and signed, and return its version."""
     with writing(engine) as session:
         approval = parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
-        approvals.sign(session, people["cy"], approval.id, "APPROVE", "I approve", "", PASSWORD, approval.version)
+        approvals.sign(
+            session,
+            people["cy"],
+            approval.id,
+            "APPROVE",
+            "I approve",
+            "",
+            proved(session, people["cy"], PASSWORD),
+            approval.version,
+        )
         return parameter_sets.get_parameter_set(session, row.id).version
 
 
@@ -133,7 +148,7 @@ def test_the_ladder_and_the_question_of_when_work(
         seen = session.get_one(ParameterSet, 1)
         sent = reference_of(session, blobs, seen).content
         read_back(session, dee, blobs, 1, sent, "pass 4711", seen.version)
-        uplinks.activate(session, dee, 1, "pass 4711", "I saw it.", PASSWORD, seen.version)
+        uplinks.activate(session, dee, 1, "pass 4711", "I saw it.", proved(session, dee, PASSWORD), seen.version)
     with reading(postgresql) as session:
         assert uplinks.baseline_at(session, 1, "2000-01-01") is None
         assert [row.name for row, _ in uplinks.onboard_at(session, 1, "2100-01-01")] == ["PS-ST16-1-0"]
@@ -143,10 +158,3 @@ def test_the_ladder_and_the_question_of_when_work(
         assert timeline.events(session, 1, before_id=listed[1].id, limit=2) == listed[2:4]
         tile = sensors.fleet_overview(session)[0]
     assert (tile.status, tile.active is not None) == ("off", True)
-
-
-def test_a_failed_log_in_is_remembered(postgresql: Engine, people: Mapping[str, Actor]) -> None:
-    assert set(people) == set(PEOPLE)
-    for kind, says in ((UnauthenticatedError, "do not fit"), (TooManyAttemptsError, "wait a minute")):
-        with pytest.raises(kind, match=says), writing(postgresql) as session:
-            users.authenticate(session, "ana", "wrong horse battery", attempts_per_minute=1)

@@ -21,20 +21,21 @@ from boresight.store.sessions import (
     utc_text,
     writing,
 )
-from boresight.store.tables import LoginFailure
+from boresight.store.tables import Blob
 
 
 def _count(session: Session) -> int:
-    return session.scalar(sa.select(sa.func.count()).select_from(LoginFailure)) or 0
+    return session.scalar(sa.select(sa.func.count()).select_from(Blob)) or 0
 
 
-def _failure() -> LoginFailure:
-    return LoginFailure(name="ana", at_utc=utc_now())
+def _blob(name: str = "0") -> Blob:
+    """A row of a table that is not sealed."""
+    return Blob(sha256=name, size_bytes=1, media_type="text/plain", created_utc=utc_now())
 
 
 def _write_and_raise(engine: Engine, error: Exception, *, keep: bool) -> None:
     with writing(engine) as session:
-        session.add(_failure())
+        session.add(_blob())
         session.flush()
         if keep:
             keep_despite_refusal(session)
@@ -58,7 +59,7 @@ def test_every_sqlite_connection_has_the_pragmas(sqlite: Engine) -> None:
 
 def test_a_writer_commits_at_its_end(engine: Engine) -> None:
     with writing(engine) as session:
-        session.add(_failure())
+        session.add(_blob())
     with reading(engine) as session:
         assert _count(session) == 1
 
@@ -87,7 +88,7 @@ def test_a_fault_of_the_program_is_never_kept(engine: Engine) -> None:
 
 def test_a_reader_changes_nothing(engine: Engine) -> None:
     with suppress(sa.exc.InternalError), reading(engine) as session:  # PostgreSQL refuses it, SQLite forgets it
-        session.add(_failure())
+        session.add(_blob())
         session.flush()
     with reading(engine) as session:
         assert _count(session) == 0
@@ -97,7 +98,7 @@ def test_a_reader_sees_one_state_while_others_write(engine: Engine) -> None:
     with reading(engine) as reader:
         assert _count(reader) == 0
         with writing(engine) as session:
-            session.add(_failure())
+            session.add(_blob())
         assert _count(reader) == 0
 
 
@@ -106,7 +107,7 @@ def _count_up(engine: Engine, times: int) -> None:
     for _ in range(times):
         with writing(engine) as session:
             number = _count(session)
-            session.add(LoginFailure(name=str(number), at_utc=utc_now()))
+            session.add(_blob(str(number)))
 
 
 def _race(engine: Engine, threads: int, times: int) -> list[str]:
@@ -116,7 +117,7 @@ def _race(engine: Engine, threads: int, times: int) -> list[str]:
     for worker in workers:
         worker.join()
     with reading(engine) as session:
-        return sorted(session.scalars(sa.select(LoginFailure.name)), key=int)
+        return sorted(session.scalars(sa.select(Blob.sha256)), key=int)
 
 
 def test_reading_then_writing_is_safe_against_other_writers(engine: Engine) -> None:
@@ -131,10 +132,10 @@ def test_a_postgresql_reader_sees_one_state_and_may_not_write(postgresql: Engine
     with reading(postgresql) as reader:
         assert _count(reader) == 0
         with writing(postgresql) as session:
-            session.add(_failure())
+            session.add(_blob())
         assert _count(reader) == 0
     with reading(postgresql) as session:
-        session.add(_failure())
+        session.add(_blob())
         with pytest.raises(sa.exc.InternalError, match="read-only"):
             session.flush()
 

@@ -23,6 +23,7 @@ from boresight.settings import Settings
 from boresight.store.blobs import BlobStore, open_blobs, register_blob
 from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.store.tables import ParameterSet, Run, Sensor
+from tests.passwords import new_password
 
 PASSWORD = "correct horse battery"
 CHEAP_HASH = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1).hash(PASSWORD)  # hundreds sign with it
@@ -60,7 +61,12 @@ class Installation:
         with writing(self.engine) as session:
             for name, roles in self.people.items():
                 row = users.create_user(
-                    session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=roles
+                    session,
+                    COMMAND_LINE,
+                    name=name,
+                    printed_name=name.title(),
+                    password=new_password(PASSWORD),
+                    roles=roles,
                 )
                 row.password_hash = CHEAP_HASH
 

@@ -20,6 +20,7 @@ from boresight.store.sessions import reading, utc_now, writing
 from boresight.store.tables import GROUND_STATES, ROLES, Approval, Base, ParameterSet, TableDefinition, User
 from tests.api.conftest import serving, settings_in
 from tests.api.operations import OPENAPI
+from tests.passwords import new_password, proved
 
 from .installation import CHEAP_HASH, PASSWORD, WORDS, Evidence, Installation, tag
 from .moves import ACTORS, ALLOWED, FORBIDDEN, MOVES, OF_REQUEST, PLACES, TRANSITIONS, Move
@@ -135,7 +136,8 @@ def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
     request = board.request_of(place)
     assert request is not None
     with writing(board.installation.engine) as session:
-        words = (decision, WORDS["meaning"], WORDS["comment"], PASSWORD, request.version)
+        proof = proved(session, board.actor("signer"), PASSWORD)
+        words = (decision, WORDS["meaning"], WORDS["comment"], proof, request.version)
         approvals.sign(session, board.actor("signer"), request.id, *words)
 
 
@@ -182,7 +184,7 @@ def board(tmp_path_factory: pytest.TempPathFactory, evidence: Evidence, catalogu
         _place(made, place)
     root, newcomer = made.actor("administrator"), made.actor("newcomer")
     with writing(made.installation.engine) as session:
-        users.change_password(session, root, newcomer.user_id or 0, PASSWORD)
+        users.change_password(session, root, newcomer.user_id or 0, new_password(PASSWORD))
         given = session.get_one(User, newcomer.user_id)
         given.must_change_password, given.password_hash = 1, CHEAP_HASH
     with serving(settings, catalogue) as (address, _):

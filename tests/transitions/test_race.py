@@ -19,6 +19,7 @@ from boresight.sky.catalogue import Catalogue
 from boresight.store.sessions import reading, writing
 from boresight.store.tables import AuditRecord, ParameterSet, Promotion, Signature
 from tests.api.conftest import serving, settings_in
+from tests.passwords import proved
 
 from .installation import PASSWORD, WORDS, Evidence, Installation, tag
 
@@ -70,7 +71,7 @@ def _submit(house: Installation, row: ParameterSet) -> None:
 def _sign(house: Installation, row: ParameterSet) -> None:
     with writing(house.engine) as session:
         request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        words = ("APPROVE", "I approve.", "", PASSWORD, request.version)
+        words = ("APPROVE", "I approve.", "", proved(session, house.actor("cy"), PASSWORD), request.version)
         approvals.sign(session, house.actor("cy"), request.id, *words)
 
 

@@ -21,6 +21,7 @@ from starlette.responses import Response
 from boresight.api.credentials import bearer, current_actor
 from boresight.api.numbers import row_number
 from boresight.api.origins import SAFE_METHODS
+from boresight.api.passwords import Passwords
 from boresight.errors import (
     ForbiddenError,
     PreconditionRequiredError,
@@ -31,6 +32,7 @@ from boresight.errors import (
 from boresight.services import sessions, users
 from boresight.services.actors import Actor, Policy, require_person
 from boresight.services.forecasts import Sight
+from boresight.services.passwords import PasswordProof
 from boresight.services.sessions import Client
 from boresight.store.sessions import Session, only_try, reading, writing
 
@@ -213,22 +215,15 @@ async def sight_of(request: Request) -> Sight:
     return sight
 
 
-def log_in_person(
-    request: Request, response: Response, session: Session, name: str, password: str
-) -> tuple[Actor, str]:
-    """Check a name and a password and give the browser its log-in; returns the person and the CSRF token.
+def log_in_person(request: Request, response: Response, session: Session, proof: PasswordProof) -> tuple[Actor, str]:
+    """Give the browser of who proved to be a person a log-in; returns the person and the CSRF token.
 
     Raises
     ------
     UnauthenticatedError
-        When they do not belong together.
-    TooManyAttemptsError
-        When too many attempts were made with this name.
+        When name and password do not belong together.
     """
-    attempts = request.app.state.settings.login_attempts
-    actor = users.authenticate(
-        session, name, password, attempts_per_minute=attempts, request_id=request.state.request_id
-    )
+    actor = users.authenticate(session, proof, request.state.request_id)
     _, token = sessions.begin(session, require_person(actor, "log in"), client_of(request))
     return actor, request.app.state.log_in_cookie.write(response, token)
 
@@ -237,6 +232,12 @@ def client_of(request: Request) -> Client:
     """Return where a request comes from; behind a proxy that uvicorn trusts, whom the proxy names."""
     address = None if request.client is None else request.client.host
     return Client.of(address, request.headers.get("user-agent"))
+
+
+async def check_own(request: Request, actor: Actor, password: str) -> PasswordProof:
+    """Check the password of who acts, before any transaction begins."""
+    checks: Passwords = request.app.state.passwords
+    return await checks.check_own(actor, password, client_of(request))
 
 
 def clear_cookie(request: Request, response: Response) -> None:

@@ -29,11 +29,13 @@ def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin:
     password = _password(from_stdin=password_stdin)
     from boresight.services import users
     from boresight.services.actors import COMMAND_LINE
+    from boresight.services.passwords import prepare
     from boresight.store.sessions import opened, writing
 
+    prepared = prepare(password, name, printed_name)
     with opened(read_settings().database_url) as engine, writing(engine) as session:
         made = users.create_user(
-            session, COMMAND_LINE, name=name, printed_name=printed_name, password=password, roles=roles
+            session, COMMAND_LINE, name=name, printed_name=printed_name, password=prepared, roles=roles
         )
         click.echo(f"Added {made.name} ({made.printed_name}): {', '.join(made.roles)}")
 

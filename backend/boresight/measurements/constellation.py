@@ -21,6 +21,7 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
 from boresight.services import api_keys, sensors, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.services.passwords import prepare_unjudged
 from boresight.settings import Settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor
@@ -99,12 +100,12 @@ def furnish(installed: Settings, trackers: int, frames: int, settings: Mapping[s
 
 def _analyst(database: Engine) -> tuple[Actor, str]:
     """Make the person whose key launches the runs."""
+    password = prepare_unjudged(PASSWORD)
     with writing(database) as session:
-        users.create_user(
-            session, COMMAND_LINE, name=NAME, printed_name="Ada Analyst", password=PASSWORD, roles=("analyst",)
+        row = users.create_user(
+            session, COMMAND_LINE, name=NAME, printed_name="Ada Analyst", password=password, roles=("analyst",)
         )
-    with writing(database) as session:
-        analyst = users.authenticate(session, NAME, PASSWORD)
+        analyst = users.actor_of(session, row.id)
         _, secret = api_keys.create_key(session, analyst, label="measurement", scopes=("runs",))
     return analyst, secret
 

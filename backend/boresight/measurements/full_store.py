@@ -19,6 +19,7 @@ from starlette.responses import Response
 from boresight.api.cookies import LogInCookie
 from boresight.services import api_keys, audit, sensors, sessions, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
+from boresight.services.passwords import prepare_unjudged
 from boresight.services.sessions import Client
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
@@ -86,6 +87,7 @@ def fill(folder: Path, runs: int, clients: int) -> Filled:
 
 def _people(engine: Engine) -> list[Actor]:
     """Make analysts, who act as if they had logged in."""
+    password = prepare_unjudged(PASSWORD)
     with writing(engine) as session:
         made = [
             users.create_user(
@@ -93,7 +95,7 @@ def _people(engine: Engine) -> list[Actor]:
                 COMMAND_LINE,
                 name=f"analyst-{number}",
                 printed_name=f"Analyst {number}",
-                password=PASSWORD,
+                password=password,
                 roles=("analyst", "viewer") if number % 2 else ("analyst",),
             )
             for number in range(PEOPLE)

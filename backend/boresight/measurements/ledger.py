@@ -17,6 +17,7 @@ import numpy as np
 from boresight.measurements.installation import Installation, environment_of
 from boresight.services import api_keys, runs, sensors, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.services.passwords import prepare_unjudged
 from boresight.settings import read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
@@ -71,12 +72,12 @@ class Ledger:
 
     def _person(self) -> tuple[Actor, str]:
         """Make who launches the runs."""
+        password = prepare_unjudged(PASSWORD)
         with writing(self._engine) as session:
-            users.create_user(
-                session, COMMAND_LINE, name=NAME, printed_name="Analyst", password=PASSWORD, roles=("analyst",)
+            row = users.create_user(
+                session, COMMAND_LINE, name=NAME, printed_name="Analyst", password=password, roles=("analyst",)
             )
-        with writing(self._engine) as session:
-            analyst = users.authenticate(session, NAME, PASSWORD)
+            analyst = users.actor_of(session, row.id)
             return analyst, api_keys.create_key(session, analyst, label="measurement", scopes=("runs",))[1]
 
     def each(self, step: Callable[[], None], count: int) -> dict[str, Any]:

@@ -7,23 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.dependencies import Reading, Who, client_of, csrf
+from boresight.api.passwords import Passwords
 from boresight.pages.approval import MEANINGS, Words, request_page
-from boresight.pages.attempts import attempt
+from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.pages.tables import Column, Table, all_of, csv_of, is_text, one_of, page_of, read_view
 from boresight.services import approvals, gates, parameter_sets
 from boresight.services.actors import Actor
-from boresight.store.sessions import Session
+from boresight.services.passwords import PasswordProof
+from boresight.store.sessions import Session, reading
 from boresight.store.tables import Approval, ParameterSet, Signature
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -159,35 +160,44 @@ def approval_page(request: Request, session: Reading, actor: Who, approval_id: i
 
 
 @router.post("/approvals/{approval_id:int}/sign")
-async def sign(request: Request, session: Reading, actor: Who, approval_id: int) -> Response:
+async def sign(request: Request, actor: Who, approval_id: int) -> Response:
     """Sign a request: approve or refuse it."""
-    return await _signed(request, session, actor, approval_id, "sign")
+    return await _signed(request, actor, approval_id, "sign")
 
 
 @router.post("/approvals/{approval_id:int}/sign-over-the-shoulder")
-async def sign_over_the_shoulder(request: Request, session: Reading, actor: Who, approval_id: int) -> Response:
+async def sign_over_the_shoulder(request: Request, actor: Who, approval_id: int) -> Response:
     """Let a second person sign at this console."""
-    return await _signed(request, session, actor, approval_id, "shoulder")
+    return await _signed(request, actor, approval_id, "shoulder")
 
 
-async def _signed(request: Request, session: Session, actor: Actor, approval_id: int, kind: str) -> Response:
+async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -> Response:
     """Sign as the form says, and show the request, or why it was refused."""
     form = await read_texts(request)
     typed = Words(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
     policy = request.app.state.policy
 
-    def change(session: Session) -> tuple[Signature, str]:
-        words = (typed.decision, typed.meaning.strip() or MEANINGS.get(typed.decision, ""), typed.comment)
-        seen, password = seen_version(form), form.get("password", "")
+    checks: Passwords = request.app.state.passwords
+
+    async def prove() -> tuple[PasswordProof]:
+        password, client = form.get("password", ""), client_of(request)
         if kind == "sign":
-            made = approvals.sign(session, actor, approval_id, *words, password, seen, policy=policy)
-        else:
-            named = (typed.name, password, seen)
-            made = approvals.sign_over_the_shoulder(session, actor, approval_id, *words, *named, policy=policy)
+            return (await checks.check_own(actor, password, client),)
+        return (await checks.check_beside(actor, typed.name, password, client),)
+
+    def change(session: Session, proof: PasswordProof) -> tuple[Signature, str]:
+        words = (typed.decision, typed.meaning.strip() or MEANINGS.get(typed.decision, ""), typed.comment)
+        sign = approvals.sign if kind == "sign" else approvals.sign_over_the_shoulder
+        made = sign(session, actor, approval_id, *words, proof, seen_version(form), policy=policy)
         return made, approvals.get_approval(session, approval_id).state
 
-    outcome = await attempt(request, change)
+    outcome = await attempt(request, change, prove)
     if outcome.value is None:
-        page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
-        return await run_in_threadpool(page)
+        return await run_in_threadpool(_again, request, actor, approval_id, outcome.refusal, typed)
     return redirect(f"/approvals/{approval_id}", flash=EFFECTS[outcome.value[1]])
+
+
+def _again(request: Request, actor: Actor, approval_id: int, refusal: Refusal | None, typed: Words) -> HTMLResponse:
+    """Show a request with why it was not signed."""
+    with reading(request.app.state.engine) as session:
+        return request_page(request, session, actor, approval_id, refusal=refusal, typed=typed)

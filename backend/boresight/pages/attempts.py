@@ -6,7 +6,7 @@ nothing of a refused change is kept, and only then becomes words on the page.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -14,9 +14,10 @@ from typing import Generic, TypeVar
 from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 
-from boresight.api.dependencies import write_session
+from boresight.api.dependencies import check_own, write_session
 from boresight.api.problems import problem_of
 from boresight.errors import BoresightError, Fault, NotFoundError
+from boresight.services.actors import Actor
 
 T = TypeVar("T")
 _transaction = asynccontextmanager(write_session)
@@ -46,13 +47,17 @@ class Outcome(Generic[T]):
     refusal: Refusal | None
 
 
-async def attempt(request: Request, change: Callable[..., T]) -> Outcome[T]:
+async def attempt(
+    request: Request, change: Callable[..., T], prepare: Callable[[], Awaitable[Sequence[object]]] | None = None
+) -> Outcome[T]:
     """Make a change in the request's writing transaction.
 
     Parameters
     ----------
     change
-        `(session) -> value`.
+        `(session, *prepared) -> value`.
+    prepare
+        What is slow and needs no transaction, such as checking a password; done before the transaction begins.
 
     Raises
     ------
@@ -60,9 +65,19 @@ async def attempt(request: Request, change: Callable[..., T]) -> Outcome[T]:
         Passed on: there is no page to show the refusal on.
     """
     try:
+        prepared = () if prepare is None else await prepare()
         async with _transaction(request) as session:
-            return Outcome(await run_in_threadpool(change, session), None)
+            return Outcome(await run_in_threadpool(change, session, *prepared), None)
     except NotFoundError:
         raise
     except BoresightError as error:
         return Outcome(None, Refusal.of(error))
+
+
+def proof_of_own(request: Request, actor: Actor, password: str) -> Callable[[], Awaitable[Sequence[object]]]:
+    """Return what checks the password of who acts, for `attempt` to do first."""
+
+    async def prepare() -> Sequence[object]:
+        return (await check_own(request, actor, password),)
+
+    return prepare

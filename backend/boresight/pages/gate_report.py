@@ -14,13 +14,14 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.dependencies import Who, csrf
 from boresight.api.numbers import row_number
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
-from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.attempts import Refusal, attempt, proof_of_own
 from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.gates_panel import Typed, panel_of
 from boresight.pages.rendering import redirect, render
 from boresight.services import gates, parameter_sets, sensors, waivers
 from boresight.services.actors import Actor, require_role
 from boresight.services.gate_evidence import gather
+from boresight.services.passwords import PasswordProof
 from boresight.store.sessions import Session, reading, utc_after
 from boresight.store.tables import GateReport, Waiver
 
@@ -83,7 +84,8 @@ async def waive(request: Request, actor: Who, set_id: int) -> Response:
     """Let a set pass in spite of a gate."""
     given = await read_texts(request)
     typed = Typed(**{name: given.get(name, "") for name in ("gate", "code", "reason", "days")})
-    outcome = await attempt(request, partial(_waived, actor, set_id, typed, given))
+    prove = proof_of_own(request, actor, given.get("password", ""))
+    outcome = await attempt(request, partial(_waived, actor, set_id, typed, given), prove)
     if outcome.value is None:
         return await run_in_threadpool(_page, request, actor, set_id, outcome.refusal, typed)
     return redirect(
@@ -91,7 +93,9 @@ async def waive(request: Request, actor: Who, set_id: int) -> Response:
     )
 
 
-def _waived(actor: Actor, set_id: int, typed: Typed, given: dict[str, str], session: Session) -> Waiver:
+def _waived(
+    actor: Actor, set_id: int, typed: Typed, given: dict[str, str], session: Session, proof: PasswordProof
+) -> Waiver:
     """Waive as the form says."""
     days = row_number(typed.days)
     if days is None or days > waivers.LONGEST_DAYS:
@@ -99,5 +103,5 @@ def _waived(actor: Actor, set_id: int, typed: Typed, given: dict[str, str], sess
             f"{typed.days.strip()[:20]!r} is not a number of days up to {waivers.LONGEST_DAYS}; type one, such as 7."
         )
     expires_utc = utc_after(days * waivers.DAY_S - 1.0)  # a waiver of the longest time is within it
-    password, version = given.get("password", ""), seen_version(given)
-    return waivers.waive(session, actor, set_id, typed.gate, typed.code, typed.reason, expires_utc, password, version)
+    version = seen_version(given)
+    return waivers.waive(session, actor, set_id, typed.gate, typed.code, typed.reason, expires_utc, proof, version)

@@ -10,12 +10,13 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.credentials import current_actor
-from boresight.api.dependencies import clear_cookie, csrf, log_in_person
+from boresight.api.dependencies import clear_cookie, client_of, csrf, log_in_person
+from boresight.api.passwords import Passwords
 from boresight.errors import SessionEndedError, UnauthenticatedError
 from boresight.pages.attempts import attempt
 from boresight.pages.rendering import redirect, render
 from boresight.services import sessions
-from boresight.store.sessions import Session
+from boresight.services.passwords import PasswordProof
 
 router = APIRouter()
 
@@ -46,7 +47,12 @@ async def log_in(
 ) -> Response:
     """Check name and password; the answer to a wrong one does not tell which of the two it was."""
     response = redirect(local_path(next))
-    refusal = (await attempt(request, partial(_check, request, response, name, password))).refusal
+    checks: Passwords = request.app.state.passwords
+
+    async def prove() -> tuple[PasswordProof]:
+        return (await checks.check_log_in(name, password, client_of(request)),)
+
+    refusal = (await attempt(request, partial(log_in_person, request, response), prove)).refusal
     if refusal is None:
         return response
     page = render(
@@ -60,11 +66,6 @@ async def log_in(
     )
     page.headers.update(refusal.headers)
     return page
-
-
-def _check(request: Request, response: Response, name: str, password: str, session: Session) -> None:
-    """Log a person in within the transaction, where failures are counted."""
-    log_in_person(request, response, session, name, password)
 
 
 @router.post("/logout", dependencies=[Depends(csrf)])

@@ -9,13 +9,14 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.dependencies import Who, clear_cookie, csrf
+from boresight.api.dependencies import Who, clear_cookie, client_of, csrf
+from boresight.api.passwords import Passwords
 from boresight.errors import RefusedInputError
 from boresight.pages.attempts import attempt
 from boresight.pages.rendering import redirect, render
 from boresight.services import users
-from boresight.services.actors import Actor
-from boresight.services.passwords import MINIMUM_PASSWORD_LENGTH
+from boresight.services.actors import Actor, require_person
+from boresight.services.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
 from boresight.store.sessions import Session
 
 router = APIRouter(prefix="/password", dependencies=[Depends(csrf)])
@@ -43,7 +44,15 @@ async def change_password(
     repeated: Annotated[str, Form()] = "",
 ) -> Response:
     """Set one's own password; every log-in then ends, this one too."""
-    outcome = await attempt(request, partial(set_password, actor, current, password, repeated))
+    checks: Passwords = request.app.state.passwords
+    user_id = require_person(actor, "set a password")
+
+    async def prepare() -> tuple[NewPassword, PasswordProof]:
+        if password != repeated:
+            raise RefusedInputError("The two new passwords differ; type the same one twice.")
+        return await checks.prepare_change(actor, user_id, password, current, client_of(request))
+
+    outcome = await attempt(request, partial(set_password, actor, user_id), prepare)
     if outcome.refusal is not None:
         return await run_in_threadpool(_page, request, outcome.refusal.sentence)
     response = redirect("/login", flash="Your password is changed; log in with the new one.")
@@ -51,15 +60,6 @@ async def change_password(
     return response
 
 
-def set_password(actor: Actor, current: str, password: str, repeated: str, session: Session) -> None:
-    """Change the password of who acts, typed twice alike.
-
-    Raises
-    ------
-    RefusedInputError
-        When the two differ, or the new one cannot be used.
-    """
-    if password != repeated:
-        raise RefusedInputError("The two new passwords differ; type the same one twice.")
-    if actor.user_id is not None:
-        users.change_password(session, actor, actor.user_id, password, current)
+def set_password(actor: Actor, user_id: int, session: Session, password: NewPassword, current: PasswordProof) -> None:
+    """Change the password of who acts."""
+    users.change_password(session, actor, user_id, password, current)

@@ -6,7 +6,7 @@ list below it. The page offers the steps that the state allows, and says why it 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -19,13 +19,14 @@ from starlette.datastructures import UploadFile
 from boresight.api.dependencies import Who, csrf
 from boresight.api.numbers import row_number
 from boresight.errors import BoresightError
-from boresight.pages.attempts import Refusal, attempt
+from boresight.pages.attempts import Refusal, attempt, proof_of_own
 from boresight.pages.climb import Member, climb_of, exported_of, members_of, steps_of
 from boresight.pages.forms import seen_version, texts_of
 from boresight.pages.rendering import redirect, render
 from boresight.pages.runs import read_names
 from boresight.services import packages, parameter_sets, read_backs, sensors, timeline, uplinks
 from boresight.services.actors import Actor
+from boresight.services.passwords import PasswordProof
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import Package, ParameterSet, Uplink
@@ -127,11 +128,12 @@ async def _taken_step(
     set_id: int,
     form: str,
     typed: dict[str, str],
-    change: Callable[[Session], Any],
+    change: Callable[..., Any],
     said: str,
+    prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
 ) -> Response:
     """Take a step and show where the set is now, or show why it was refused with what was typed."""
-    outcome = await attempt(request, change)
+    outcome = await attempt(request, change, prepare)
     if outcome.value is None:
         kept = {name: value for name, value in typed.items() if name != "password"}
         return await run_in_threadpool(partial(_page, request, actor, set_id, Shown(form, kept, outcome.refusal)))
@@ -191,11 +193,11 @@ async def activate(request: Request, actor: Who, set_id: int) -> Response:
     """Sign that the set is active."""
     typed, _ = await _form(request)
 
-    def change(session: Session) -> Uplink:
-        source, meaning, password = (typed.get(name, "") for name in ("source", "meaning", "password"))
+    def change(session: Session, proof: PasswordProof) -> Uplink:
+        source, meaning, seen = typed.get("source", ""), typed.get("meaning", ""), seen_version(typed)
         happened = typed.get("happened_utc")
-        return uplinks.activate(
-            session, actor, set_id, source, meaning, password, seen_version(typed), happened=happened
-        )
+        return uplinks.activate(session, actor, set_id, source, meaning, proof, seen, happened=happened)
 
-    return await _taken_step(request, actor, set_id, "activate", typed, change, "Signed: the set is ACTIVE on board.")
+    prove = proof_of_own(request, actor, typed.get("password", ""))
+    said = "Signed: the set is ACTIVE on board."
+    return await _taken_step(request, actor, set_id, "activate", typed, change, said, prove)

@@ -11,15 +11,17 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.dependencies import Reading, Who, client_of, csrf
 from boresight.api.numbers import row_number
+from boresight.api.passwords import Passwords
 from boresight.errors import RefusedInputError
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
 from boresight.services import api_keys, sessions, users
-from boresight.services.actors import SCOPES, Actor, require_person
-from boresight.services.passwords import MINIMUM_PASSWORD_LENGTH
+from boresight.services.actors import SCOPES, Actor, require_person, require_role
+from boresight.services.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
 from boresight.store.sessions import Session, reading, utc_now
+from boresight.store.tables import User
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -98,16 +100,24 @@ async def create(
 ) -> Response:
     """Add a person."""
     chosen = roles or []
-    change = partial(
-        users.create_user,
-        actor=actor,
-        name=name,
-        printed_name=printed_name,
-        password=password,
-        roles=chosen,
-        must_change_password=bool(own_password),
-    )
-    outcome = await attempt(request, change)
+    checks: Passwords = request.app.state.passwords
+
+    async def prepare() -> tuple[NewPassword]:
+        require_role(actor, "administrator")  # before a password is hashed for nothing; the service asks again
+        return (await checks.prepare(password, name, printed_name),)
+
+    def change(session: Session, prepared: NewPassword) -> User:
+        return users.create_user(
+            session,
+            actor,
+            name=name,
+            printed_name=printed_name,
+            password=prepared,
+            roles=chosen,
+            must_change_password=bool(own_password),
+        )
+
+    outcome = await attempt(request, change, prepare)
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value.printed_name} may log in as {outcome.value.name}.")
     typed = {"name": name, "printed_name": printed_name, "roles": chosen}
@@ -150,8 +160,15 @@ async def reset_password(request: Request, actor: Who, user_id: int, password: A
     """Give a person a password that they must change at their next log-in."""
     if user_id == actor.user_id:
         return redirect("/password")
-    change = partial(users.change_password, actor=actor, user_id=user_id, password=password)
-    outcome = await attempt(request, change)
+    checks: Passwords = request.app.state.passwords
+
+    async def prepare() -> tuple[NewPassword, PasswordProof]:
+        return await checks.prepare_change(actor, user_id, password, "", client_of(request))
+
+    def change(session: Session, prepared: NewPassword, current: PasswordProof) -> User:
+        return users.change_password(session, actor, user_id, prepared, current)
+
+    outcome = await attempt(request, change, prepare)
     if outcome.value is not None:
         return redirect(
             "/users",

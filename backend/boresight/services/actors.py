@@ -30,8 +30,6 @@ class Policy:
         How long a request for a new set, and for a former baseline, may wait before it expires [d].
     approvals
         How many second persons must sign; where a gate is waived it is two at least.
-    login_attempts
-        Wrong passwords a minute before a signature has to wait, as a log-in has to.
     second_person
         Whether a change of gate limits or table layouts takes effect only when somebody else confirms it.
     """
@@ -40,7 +38,6 @@ class Policy:
     approval_days: float = 30.0
     rollback_days: float = 3.0
     approvals: int = 1
-    login_attempts: int = 5
     second_person: bool = False
 
     def needed(self, *, waived: bool) -> int:

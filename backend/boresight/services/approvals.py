@@ -24,7 +24,7 @@ from boresight.services import users
 from boresight.services.actors import POLICY, Actor, Policy, require_person
 from boresight.services.discussions import assign, openings_of, record_opening, remark, remarks_of
 from boresight.services.evidence import refuse_blocked, shown_sha256
-from boresight.services.passwords import password_by
+from boresight.services.passwords import PasswordProof, password_by
 from boresight.services.signers import Signer, refuse_signer, refuse_who_never_signs, second_persons, signers_of
 from boresight.services.staleness import any_due, expire_due, is_expired, refuse_expired, refuse_moved
 from boresight.services.transitions import get_approval, move, require_seen, resting_state, who_changed
@@ -114,7 +114,7 @@ def sign(  # noqa: PLR0913 - a signature has that many parts
     decision: str,
     meaning: str,
     comment: str,
-    password: str,
+    proof: PasswordProof,
     seen_version: int | None,
     *,
     policy: Policy = POLICY,
@@ -134,7 +134,7 @@ def sign(  # noqa: PLR0913 - a signature has that many parts
 
     Raises
     ------
-    ForbiddenError, UnauthenticatedError, TooManyAttemptsError
+    ForbiddenError, UnauthenticatedError
         When this person may not sign, or the password is wrong.
     RefusedInputError
         When decision, meaning or comment is missing.
@@ -146,19 +146,18 @@ def sign(  # noqa: PLR0913 - a signature has that many parts
     approval = get_approval(session, approval_id)
     refuse_signer(session, actor, approval, policy)
     _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
-    users.verify_password(session, actor, password, attempts_per_minute=policy.login_attempts)
+    users.require_password(session, actor, proof)
     return _sign(session, actor, approval, decision, meaning.strip(), comment.strip(), policy, None)
 
 
-def sign_over_the_shoulder(  # noqa: PLR0913, PLR0917 - a signature has that many parts, and two persons
+def sign_over_the_shoulder(  # noqa: PLR0913 - a signature has that many parts, and two persons
     session: Session,
     console: Actor,
     approval_id: int,
     decision: str,
     meaning: str,
     comment: str,
-    name: str,
-    password: str,
+    proof: PasswordProof,
     seen_version: int | None,
     *,
     policy: Policy = POLICY,
@@ -169,12 +168,12 @@ def sign_over_the_shoulder(  # noqa: PLR0913, PLR0917 - a signature has that man
     ----------
     console
         Who is logged in at the console.
-    name, password
-        Of the person who signs.
+    proof
+        That name and password belong to the person who signs.
 
     Raises
     ------
-    ForbiddenError, UnauthenticatedError, TooManyAttemptsError, RefusedInputError, PreconditionRequiredError, ConflictError
+    ForbiddenError, UnauthenticatedError, RefusedInputError, PreconditionRequiredError, ConflictError
         As `sign`; wrong names and passwords count as failed log-ins. Who is logged in signs without a name.
     StaleError
         When the version, or what the request is bound to, has moved; then it is STALE from now on.
@@ -182,9 +181,7 @@ def sign_over_the_shoulder(  # noqa: PLR0913, PLR0917 - a signature has that man
     owner_id = require_person(console, "lend a console")
     approval = get_approval(session, approval_id)
     _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
-    refuse_control_characters(name=name)
-    attempts = policy.login_attempts
-    actor = users.authenticate(session, name, password, attempts_per_minute=attempts, request_id=console.request_id)
+    actor = users.authenticate(session, proof, console.request_id)
     if actor.user_id == owner_id:
         raise ForbiddenError("This is your own console; sign without a name, or have another approver give theirs.")
     refuse_signer(session, actor, approval, policy)

@@ -22,6 +22,7 @@ import numpy as np
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.services import runs, sensors, table_definitions, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.services.passwords import prepare_unjudged
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.sky.catalogue import Catalogue
@@ -106,15 +107,20 @@ def _of_runs(what: str, verb: str, is_new: bool) -> str:
 
 def _make_people(engine: Engine) -> Actor:
     """Make who is missing of the demonstration's people, and return the analyst, who does the rest."""
-    for person in LOG_INS:
+    with reading(engine) as session:
+        missing = [person for person in LOG_INS if _user_id(session, person.name) is None]
+    for person in missing:
+        password = prepare_unjudged(
+            person.password
+        )  # they are printed on the screen, so nothing is lost by their being guessed
         with writing(engine) as session:
-            if _user_id(session, person.name) is None:
+            if _user_id(session, person.name) is None:  # another server may have been faster
                 users.create_user(
                     session,
                     COMMAND_LINE,
                     name=person.name,
                     printed_name=person.printed_name,
-                    password=person.password,
+                    password=password,
                     roles=person.roles,
                 )
     analyst = LOG_INS[0]

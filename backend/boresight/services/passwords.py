@@ -1,7 +1,8 @@
-"""Passwords: which may be used, how they are kept, and how a wrong one is answered.
+"""Passwords: which may be used, how they are kept, and how one is checked.
 
-They are kept as argon2id hashes. A name that does not exist costs the same hash as one that does, and too many failures
-make a name wait, whether it exists or not, so that an answer does not tell who has an account.
+They are kept as argon2id hashes, which are slow on purpose: no transaction may wait for one. So whoever needs a password checked
+does it in three steps: read what is stored, work outside any transaction, and bring the value of that work into the transaction,
+which holds it against what is stored then. A name that does not exist costs the same hash as one that does.
 
 A password proves a person only if nobody else chose it. Administrators create people and reset passwords, and one could
 then sign as somebody else; that cannot be told from the person doing it, so `password_by` says of every signature what
@@ -10,82 +11,147 @@ the audit log knows, and it stays with the signature.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
 
 from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
-from boresight.errors import RefusedInputError, TooManyAttemptsError, UnauthenticatedError
+from boresight.errors import RefusedInputError, UnauthenticatedError
+from boresight.services.guessable import guessable
+from boresight.services.words import comparison_key
 from boresight.store import audit as records
 from boresight.store import users as rows
-from boresight.store.sessions import Session, keep_despite_refusal, utc_after, utc_now
-from boresight.store.tables import LoginFailure, User
+from boresight.store.sessions import Session
+from boresight.store.tables import User
 
 MINIMUM_PASSWORD_LENGTH = 12
 MAXIMUM_PASSWORD_LENGTH = 256  # a longer one only costs time
-LOGIN_ATTEMPTS_PER_MINUTE = 5
-FAILURE_COUNTS_S = 60.0
 CREATED, CHANGED, RESET = "created", "changed the password of", "reset the password of"  # in the audit log
 TOLD_FOR_S = 24 * 3600.0  # a password of one's own that followed another's within this time may be the other's too
 
-_HASHER = PasswordHasher()
+# RFC 9106, second recommendation, for 64 MiB; OWASP asks for 46 MiB and one pass, or 19 MiB and two
+_HASHER = PasswordHasher(time_cost=3, memory_cost=65_536, parallelism=4, hash_len=32, salt_len=16)
 _UNKNOWN = _HASHER.hash("nobody has this password")
 
 
-def hash_password(name: str, password: str) -> str:
-    """Return the argon2id hash of a password that may be used.
+@dataclass(frozen=True)
+class StoredPassword:
+    """What is stored of a person's password; of nobody's, and of one who may not log in, what costs as much to check."""
 
-    Raises
-    ------
-    RefusedInputError
-        When the password is too short, too long, or is made from the name or one character.
-    """
-    if len(password) < MINIMUM_PASSWORD_LENGTH:
-        raise RefusedInputError(f"The password has {len(password)} characters; use at least {MINIMUM_PASSWORD_LENGTH}.")
-    if len(password) > MAXIMUM_PASSWORD_LENGTH:
-        raise RefusedInputError(f"The password is over {MAXIMUM_PASSWORD_LENGTH} characters; use a shorter one.")
-    if len(set(password)) == 1 or password.lower().replace(name.lower(), "") == "":
-        raise RefusedInputError("The password repeats one character or the log-in name; use another one.")
-    return _HASHER.hash(password)
+    user_id: int | None = None
+    password_hash: str = field(default=_UNKNOWN, repr=False)
 
 
-def check_password(session: Session, name: str, user: User | None, password: str, attempts_per_minute: int) -> None:
-    """Refuse a wrong password, after as much work as a right one costs, and count the failure.
+@dataclass(frozen=True)
+class PasswordProof:
+    """Whether a password was the person's when it was checked, outside any transaction, against what was stored then."""
+
+    stored: StoredPassword
+    fits: bool
+
+
+NO_PROOF = PasswordProof(StoredPassword(), fits=False)  # where no password was given
+
+
+@dataclass(frozen=True)
+class NewPassword:
+    """A password that may be stored, hashed outside any transaction; or why it may not be used."""
+
+    password_hash: str = field(default="", repr=False)
+    refusal: str | None = None
+
+    def hash(self) -> str:
+        """Return the hash to store.
+
+        Raises
+        ------
+        RefusedInputError
+            When the password may not be used.
+        """
+        if self.refusal is not None:
+            raise RefusedInputError(self.refusal)
+        return self.password_hash
+
+
+def stored_under(session: Session, name: str) -> StoredPassword:
+    """Read what is stored under a log-in name."""
+    name = name.strip()
+    return _stored(rows.user_named(session, name, comparison_key(name)) if _is_text(name) else None)
+
+
+def stored_of(session: Session, user_id: int | None) -> StoredPassword:
+    """Read what is stored of a person."""
+    return _stored(None if user_id is None else session.get(User, user_id))
+
+
+def _stored(user: User | None) -> StoredPassword:
+    known = user is not None and user.disabled_utc is None
+    return StoredPassword(user.id, user.password_hash) if known and user is not None else StoredPassword()
+
+
+def check(stored: StoredPassword, password: str) -> PasswordProof:
+    """Check a password against what is stored; slow on purpose, never to be done in a transaction."""
+    if len(password) > MAXIMUM_PASSWORD_LENGTH or not _is_text(password):
+        password = ""  # nobody's: costs as much as any other
+    fits = False
+    with suppress(VerificationError, InvalidHashError):
+        fits = _HASHER.verify(stored.password_hash, password)
+    return PasswordProof(stored, fits and stored.user_id is not None)
+
+
+def _is_text(text: str) -> bool:
+    """Whether a text can be written at all: a lone surrogate cannot."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+def require_proof(session: Session, proof: PasswordProof, user_id: int | None = None) -> User:
+    """Return the person whose password was proven, if it is what is stored now.
+
+    Parameters
+    ----------
+    user_id
+        Whose password it must be; None for whoever's it is.
 
     Raises
     ------
     UnauthenticatedError
-        When the password is wrong, or there is no such person.
-    TooManyAttemptsError
-        When there were too many failures within a minute.
+        When it did not fit, or the person or the password are others by now.
     """
-    _refuse_too_many(rows.failures_since(session, name, utc_after(-FAILURE_COUNTS_S)), attempts_per_minute)
-    if _fits(user.password_hash if user else _UNKNOWN, password) and user is not None:
-        return
-    rows.forget_failures(session, before_utc=utc_after(-3600.0))
-    session.add(LoginFailure(name=name, at_utc=utc_now()))
-    keep_despite_refusal(session, of_a_trial=True)
-    raise UnauthenticatedError("Name and password do not fit; try again or ask an administrator.")
+    user = None if proof.stored.user_id is None else session.get(User, proof.stored.user_id)
+    stands = user is not None and _stored(user) == proof.stored and user_id in {None, user.id}
+    if user is None or not (proof.fits and stands):
+        raise UnauthenticatedError("Name and password do not fit; try again or ask an administrator.")
+    return user
 
 
-def _refuse_too_many(failed_utc: Sequence[str], attempts_per_minute: int) -> None:
-    """Refuse while so many failures count, the newest first, until so few do that another attempt is allowed."""
-    if len(failed_utc) < attempts_per_minute:
-        return
-    last_to_lapse = failed_utc[attempts_per_minute - 1] if attempts_per_minute else utc_now()
-    lapsed = datetime.fromisoformat(last_to_lapse) + timedelta(seconds=FAILURE_COUNTS_S)
-    wait_s = math.ceil((lapsed - datetime.now(UTC)).total_seconds())
-    raise TooManyAttemptsError("Too many failed log-ins with this name; wait a minute and try again.", max(wait_s, 1))
+def prepare(password: str, *names: str) -> NewPassword:
+    """Hash a password that is to be stored, if it may be used; slow on purpose, never to be done in a transaction.
+
+    Parameters
+    ----------
+    names
+        Of the person, which the password may not be made of.
+    """
+    refusal = _refusal(password, names)
+    return NewPassword(refusal=refusal) if refusal else NewPassword(_HASHER.hash(password))
 
 
-def _fits(password_hash: str, password: str) -> bool:
-    """Whether a password is the one of a hash."""
-    try:
-        return _HASHER.verify(password_hash, password[: MAXIMUM_PASSWORD_LENGTH + 1])
-    except (VerificationError, InvalidHashError):
-        return False
+def prepare_unjudged(password: str) -> NewPassword:
+    """Hash a password that everybody knows: only the demonstration has such, printed on the screen."""
+    return NewPassword(_HASHER.hash(password))
+
+
+def _refusal(password: str, names: tuple[str, ...]) -> str | None:
+    """Say why a password may not be used; None when it may."""
+    if not _is_text(password):
+        return "The password has a character that cannot be written (a lone surrogate); leave it out."
+    if len(password) < MINIMUM_PASSWORD_LENGTH:
+        return f"The password has {len(password)} characters; use at least {MINIMUM_PASSWORD_LENGTH}."
+    if len(password) > MAXIMUM_PASSWORD_LENGTH:
+        return f"The password is over {MAXIMUM_PASSWORD_LENGTH} characters; use a shorter one."
+    return guessable(password, names)
 
 
 def password_by(session: Session, user_id: int) -> str | None:

@@ -23,6 +23,7 @@ from boresight.errors import ConflictError, ForbiddenError, NotFoundError, Refus
 from boresight.services import users
 from boresight.services.actors import Actor, require_person
 from boresight.services.onboard import Basis, add_entry, refuse_shown_mismatch, set_for_entry, shown_mismatch
+from boresight.services.passwords import PasswordProof
 from boresight.services.table_definitions import definition_in_force
 from boresight.services.timeline import happened_on
 from boresight.services.transitions import require_seen
@@ -99,7 +100,7 @@ def activate(
     parameter_set_id: int,
     source: str,
     meaning: str,
-    password: str,
+    proof: PasswordProof,
     seen_version: int | None,
     *,
     happened: str | None = None,
@@ -117,7 +118,7 @@ def activate(
 
     Raises
     ------
-    ForbiddenError, UnauthenticatedError, TooManyAttemptsError
+    ForbiddenError, UnauthenticatedError
         When this person may not sign, or the password is wrong.
     PreconditionRequiredError, StaleError
         When no version was given, or the set changed since.
@@ -139,7 +140,7 @@ def activate(
     if not meaning.strip():
         raise RefusedInputError("Say what your signature means, such as: I saw this table active in telemetry.")
     evidence = happened_on(happened) | {"shown_sha256": shown_sha256(session, row)}
-    users.verify_password(session, actor, password)
+    users.require_password(session, actor, proof)
     _retire_active(session, actor, row, source.strip())
     signed = Basis(evidence, printed_name=actor.printed_name, meaning=meaning.strip())
     return add_entry(session, actor, row, "ACTIVE", source, signed)

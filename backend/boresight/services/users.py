@@ -15,24 +15,25 @@ from boresight.errors import (
     PasswordDueError,
     RefusedInputError,
     SessionEndedError,
-    UnauthenticatedError,
 )
 from boresight.services import audit, sessions
 from boresight.services.actors import Actor, refuse_key, require_person, require_role
 from boresight.services.passwords import (
     CHANGED,
     CREATED,
-    LOGIN_ATTEMPTS_PER_MINUTE,
+    NO_PROOF,
     RESET,
-    check_password,
-    hash_password,
+    NewPassword,
+    PasswordProof,
+    require_proof,
 )
 from boresight.services.roles import known_roles
-from boresight.services.words import refuse_control_characters
+from boresight.services.words import comparison_key, normal_name
 from boresight.store import users as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import User
 
+LONGEST_LOGIN_NAME, LONGEST_PRINTED_NAME = 64, 100
 LOGIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
 
 
@@ -42,7 +43,7 @@ def create_user(
     *,
     name: str,
     printed_name: str,
-    password: str,
+    password: NewPassword,
     roles: Collection[str],
     must_change_password: bool = False,
 ) -> User:
@@ -58,19 +59,20 @@ def create_user(
         When the name is taken.
     """
     _require_administrator(actor)
-    name = name.strip()
+    name = normal_name("log-in name", name, LONGEST_LOGIN_NAME)
     if not LOGIN_NAME.fullmatch(name):
         raise RefusedInputError(f"{name!r} is no log-in name: use 1 to 64 letters, digits and . _ @ -.")
-    refuse_control_characters(printed_name=printed_name)
-    if rows.user_named(session, name) is not None:
-        raise ConflictError(f"There is a user {name!r} already; choose another log-in name.")
+    printed_name = normal_name("printed name", printed_name, LONGEST_PRINTED_NAME) or name
+    _refuse_taken(session, name, printed_name)
     user = User(
         name=name,
-        printed_name=printed_name.strip() or name,
-        password_hash=hash_password(name, password),
+        printed_name=printed_name,
+        password_hash=password.hash(),
         roles=known_roles(roles),
         created_utc=utc_now(),
         must_change_password=int(must_change_password),
+        name_key=comparison_key(name),
+        printed_key=comparison_key(printed_name),
     )
     session.add(user)
     session.flush()
@@ -79,28 +81,29 @@ def create_user(
     return user
 
 
-def authenticate(
-    session: Session,
-    name: str,
-    password: str,
-    *,
-    attempts_per_minute: int = LOGIN_ATTEMPTS_PER_MINUTE,
-    request_id: str | None = None,
-) -> Actor:
-    """Return the person with this name and password. Needs a writing transaction, for failures are counted.
+def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
+    """Refuse a name that a person takes for that of somebody else: signatures show it."""
+    if (other := rows.user_named(session, name, comparison_key(name))) is not None:
+        raise ConflictError(f"There is a user {other.name!r} already; choose another log-in name.")
+    if (other := rows.user_printed(session, printed_name, comparison_key(printed_name))) is not None:
+        raise ConflictError(f"The printed name {other.printed_name!r} is that of {other.name!r}; print another.")
+
+
+def names_of(session: Session, user_id: int) -> tuple[str, ...]:
+    """Return the names of a person, none where there is no such person."""
+    user = session.get(User, user_id)
+    return () if user is None else (user.name, user.printed_name)
+
+
+def authenticate(session: Session, proof: PasswordProof, request_id: str | None = None) -> Actor:
+    """Return the person who proved to be one by name and password.
 
     Raises
     ------
     UnauthenticatedError
-        When name and password do not fit, or the person is disabled.
-    TooManyAttemptsError
-        When there were too many failures within a minute.
+        When they did not fit, or the person was disabled or the password changed meanwhile.
     """
-    user = rows.user_named(session, name.strip())
-    check_password(session, name.strip(), user, password, attempts_per_minute)
-    if user is None or user.disabled_utc is not None:
-        raise UnauthenticatedError("Name and password do not fit; try again or ask an administrator.")
-    return _actor(user, request_id)
+    return _actor(require_proof(session, proof), request_id)
 
 
 def _actor(user: User, request_id: str | None = None, session_id: int | None = None) -> Actor:
@@ -143,9 +146,7 @@ def must_change_password(session: Session, actor: Actor) -> bool:
     return actor.user_id is not None and bool(get_user(session, actor.user_id).must_change_password)
 
 
-def verify_password(
-    session: Session, actor: Actor, password: str, *, attempts_per_minute: int = LOGIN_ATTEMPTS_PER_MINUTE
-) -> None:
+def require_password(session: Session, actor: Actor, proof: PasswordProof) -> None:
     """Make sure that the person at the keyboard is the one who logged in, as a signature needs.
 
     Raises
@@ -153,16 +154,16 @@ def verify_password(
     PasswordDueError
         When somebody else set the password: it is no proof of the person.
     UnauthenticatedError
-        When the password is wrong.
-    TooManyAttemptsError
-        When there were too many failures within a minute.
+        When the password was wrong, or was changed meanwhile.
     """
     user = get_user(session, require_person(actor, "confirm with a password"))
     _refuse_password_of_another(user)
-    check_password(session, user.name, user, password, attempts_per_minute)
+    require_proof(session, proof, user.id)
 
 
-def change_password(session: Session, actor: Actor, user_id: int, password: str, current: str = "") -> User:
+def change_password(
+    session: Session, actor: Actor, user_id: int, password: NewPassword, current: PasswordProof = NO_PROOF
+) -> User:
     """Set a password: one's own, knowing the current one, or as an administrator another's. Every log-in then ends.
 
     Who is given a password by an administrator must set their own at the next log-in.
@@ -177,22 +178,15 @@ def change_password(session: Session, actor: Actor, user_id: int, password: str,
     own = actor.user_id == user_id
     if own:
         require_person(actor, "set a password")
-        check_password(session, user.name, user, current, LOGIN_ATTEMPTS_PER_MINUTE)
-        _refuse_the_same(password, current)
+        require_proof(session, current, user_id)
     else:
         _require_administrator(actor)
     before = {"must_change_password": bool(user.must_change_password)}
-    user.password_hash = hash_password(user.name, password)
+    user.password_hash = password.hash()
     _end_sessions(session, user, "password_changed")
     user.must_change_password = int(not own)
     audit.append(session, actor, CHANGED if own else RESET, _subject(user), before, {"must_change_password": not own})
     return user
-
-
-def _refuse_the_same(password: str, current: str) -> None:
-    """Refuse to change a password into itself: the one of before may be known to others."""
-    if password == current:
-        raise RefusedInputError("The new password is the current one; use another.")
 
 
 def end_sessions(session: Session, actor: Actor, user_id: int) -> None:

@@ -15,6 +15,7 @@ from boresight.gates import GATES
 from boresight.services import audit, staleness, users
 from boresight.services.actors import Actor, require_person, require_role
 from boresight.services.gates import latest_report, with_waivers
+from boresight.services.passwords import PasswordProof
 from boresight.services.transitions import get_parameter_set, require_seen
 from boresight.services.words import refuse_control_characters
 from boresight.store import gates as rows
@@ -42,7 +43,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
     code: str,
     reason: str,
     expires_utc: str,
-    password: str,
+    proof: PasswordProof,
     seen_version: int | None,
 ) -> Waiver:
     """Let a set pass in spite of a gate that blocks it, as a person who gives the password again.
@@ -60,7 +61,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
 
     Raises
     ------
-    ForbiddenError, UnauthenticatedError, TooManyAttemptsError
+    ForbiddenError, UnauthenticatedError
         When the actor is no analyst or approver in person, the gate is critical, or the password is wrong.
     NotFoundError, PreconditionRequiredError, StaleError
         When there is no such set, or it is not as it was seen.
@@ -75,7 +76,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
     require_seen(session, row, seen_version)
     until = _checked(gate, code, reason, expires_utc)
     report = _blocking_report(session, parameter_set_id, row.name, gate)
-    users.verify_password(session, actor, password)
+    users.require_password(session, actor, proof)
     waiver = Waiver(
         parameter_set_id=row.id,
         gate_report_id=report.id,

@@ -61,6 +61,11 @@ def normal_name(what: str, text: str, longest: int = LONGEST_NAME) -> str:
     return text
 
 
+def comparison_key(name: str) -> str:
+    """Return the form in which two names are equal that a person takes for one: normal, and without regard to case."""
+    return _normal_form(_normal_form(name).casefold())
+
+
 def _normal_form(text: str) -> str:
     """Return the NFKC form with single spaces; twice, since joining letters over a removed blank may compose them."""
     once = " ".join(part for part in unicodedata.normalize("NFKC", text).split(" ") if part)

@@ -31,11 +31,11 @@ from boresight.store.tables import (
     Base,
     Blob,
     IdempotentResponse,
-    LoginFailure,
     LoginSession,
     Opening,
     Run,
     RunEvent,
+    User,
     Webhook,
     WebhookDelivery,
 )
@@ -44,7 +44,6 @@ UNSEALED: Mapping[type[Base], str] = {
     AuditRecord: "is the chain itself",
     Blob: "is named by the SHA-256 of its bytes; the rows that name it are sealed, and lose it if it is edited",
     IdempotentResponse: "is forgotten after a day",
-    LoginFailure: "counts for a minute",
     LoginSession: "moves with its use and is forgotten; what was done under it is sealed with its own record",
     Opening: "is shown and decides nothing",
     RunEvent: "is a journal, with hashes of its own",
@@ -53,6 +52,7 @@ UNSEALED: Mapping[type[Base], str] = {
 FLEETING: Mapping[type[Base], Mapping[str, str]] = {
     ApiKey: {"last_used_utc": "moves with every use"},
     Run: {"lease_until_utc": "is renewed while a run computes"},
+    User: {"name_key": "follows from the name", "printed_key": "follows from the printed name"},
     Webhook: {"told_audit_id": "moves with every audit record"},
 }
 WHILE_UNDER_WAY = frozenset(

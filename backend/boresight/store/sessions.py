@@ -129,17 +129,12 @@ def only_try(session: Session) -> None:
     session.info[TRIED] = True
 
 
-def keep_despite_refusal(session: Session, *, of_a_trial: bool = False) -> None:
-    """Keep what this transaction wrote although a refusal is about to be raised.
+def keep_despite_refusal(session: Session) -> None:
+    """Keep what this transaction wrote although a refusal is about to be raised, unless it only tries.
 
-    For the refusals whose trace must survive: a failed log-in that counts, a request found stale or overdue.
-
-    Parameters
-    ----------
-    of_a_trial
-        Also when the transaction only tries: or passwords could be guessed without being counted.
+    For the refusals whose trace must survive: a request found stale or overdue.
     """
-    if of_a_trial or not session.info.get(TRIED):
+    if not session.info.get(TRIED):
         session.info[KEPT] = True
 
 

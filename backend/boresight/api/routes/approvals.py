@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
+from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, etag
+from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, check_own, client_of, etag
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
+from boresight.api.passwords import Passwords
 from boresight.services import approvals
 from boresight.services.actors import Actor, Policy
+from boresight.services.passwords import PasswordProof
 from boresight.store.sessions import Session
 
 router = APIRouter(prefix="/approvals", tags=["approvals"])
@@ -49,6 +52,21 @@ def _shown(session: Session, row: Any) -> schemas.Document:
 
 def _answer(session: Session, row: Any) -> Answer:
     return Answer(_shown(session, row), headers={"ETag": etag(row.version)})
+
+
+async def proven_own(signing: Signing, actor: Who, request: Request) -> tuple[Signing, PasswordProof]:
+    """Check the password of who acts before any transaction begins."""
+    return signing, await check_own(request, actor, signing.password.get_secret_value())
+
+
+Proven = Annotated[tuple[Signing, PasswordProof], Depends(proven_own)]
+
+
+async def proven_beside(signing: SigningByName, actor: Who, request: Request) -> tuple[SigningByName, PasswordProof]:
+    """Check name and password of a second person before any transaction begins."""
+    checks: Passwords = request.app.state.passwords
+    password = signing.password.get_secret_value()
+    return signing, await checks.check_beside(actor, signing.name, password, client_of(request))
 
 
 @router.get("", name="list_approvals", summary="List requests", response_model=Page[schemas.Approval])
@@ -109,10 +127,10 @@ def list_signers(approval_id: Id, actor: Who, policy: Held, session: Reading) ->
     responses=TRANSITION,
 )
 def approve(
-    approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, policy: Held, session: Writing
+    approval_id: Id, actor: Who, seen: SeenVersion, proven: Proven, once: Idempotent, policy: Held, session: Writing
 ) -> Response:
     """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
-    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "APPROVE", signing, seen, policy))
+    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "APPROVE", proven, seen, policy))
 
 
 @router.post(
@@ -123,19 +141,25 @@ def approve(
     responses=TRANSITION,
 )
 def refuse(
-    approval_id: Id, signing: Signing, actor: Who, seen: SeenVersion, once: Idempotent, policy: Held, session: Writing
+    approval_id: Id, actor: Who, seen: SeenVersion, proven: Proven, once: Idempotent, policy: Held, session: Writing
 ) -> Response:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
-    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "REFUSE", signing, seen, policy))
+    return once.answer(session, actor, lambda: _signed(session, actor, approval_id, "REFUSE", proven, seen, policy))
 
 
 def _signed(
-    session: Session, actor: Actor, approval_id: Id, decision: str, signing: Signing, seen: int, policy: Policy
+    session: Session,
+    actor: Actor,
+    approval_id: Id,
+    decision: str,
+    proven: tuple[Signing, PasswordProof],
+    seen: int,
+    policy: Policy,
 ) -> Answer:
     """Sign, and tell how the request now stands."""
-    password = signing.password.get_secret_value()
+    signing, proof = proven
     words = (decision, signing.meaning, signing.comment)
-    approvals.sign(session, actor, approval_id, *words, password, seen, policy=policy)
+    approvals.sign(session, actor, approval_id, *words, proof, seen, policy=policy)
     return _answer(session, approvals.get_approval(session, approval_id))
 
 
@@ -148,9 +172,9 @@ def _signed(
 )
 def sign_over_the_shoulder(
     approval_id: Id,
-    signing: SigningByName,
     actor: Who,
     seen: SeenVersion,
+    proven: Annotated[tuple[SigningByName, PasswordProof], Depends(proven_beside)],
     once: Idempotent,
     policy: Held,
     session: Writing,
@@ -158,8 +182,9 @@ def sign_over_the_shoulder(
     """Approve or refuse as a second person who gives name and password where another is logged in."""
 
     def act() -> Answer:
-        words = (signing.decision, signing.meaning, signing.comment, signing.name, signing.password.get_secret_value())
-        approvals.sign_over_the_shoulder(session, actor, approval_id, *words, seen, policy=policy)
+        signing, proof = proven
+        words = (signing.decision, signing.meaning, signing.comment)
+        approvals.sign_over_the_shoulder(session, actor, approval_id, *words, proof, seen, policy=policy)
         return _answer(session, approvals.get_approval(session, approval_id))
 
     return once.answer(session, actor, act)

@@ -11,7 +11,7 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenVersion, Who, Writing
+from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, check_own
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.errors import NotFoundError
@@ -19,6 +19,7 @@ from boresight.services import gates, waivers
 from boresight.services.actors import require_role, require_scope
 from boresight.services.gate_evidence import gather
 from boresight.services.parameter_sets import get_parameter_set
+from boresight.services.passwords import PasswordProof
 from boresight.store.sessions import Session, reading
 
 router = APIRouter(prefix="/parameter-sets", tags=["gates"])
@@ -50,6 +51,14 @@ class Waiving(BaseModel):
         examples=["2026-12-01T00:00:00Z"],
     )
     password: SecretStr = Field(description="Your own, given again.")
+
+
+async def proven_own(waiving: Waiving, actor: Who, request: Request) -> tuple[Waiving, PasswordProof]:
+    """Check the password of who acts before any transaction begins."""
+    return waiving, await check_own(request, actor, waiving.password.get_secret_value())
+
+
+Proven = Annotated[tuple[Waiving, PasswordProof], Depends(proven_own)]
 
 
 def _examine(request: Request, actor: Who, parameter_set_id: Id) -> gates.Assessment:
@@ -137,12 +146,13 @@ def get_gate_report(
     responses=refusals(404, 409, 412, 428, 429),
 )
 def waive_gate(
-    parameter_set_id: Id, waiving: Waiving, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    parameter_set_id: Id, actor: Who, seen: SeenVersion, proven: Proven, once: Idempotent, session: Writing
 ) -> Response:
     """Let this set pass in spite of a gate that blocks it, in person. The next request then needs two approvals."""
 
     def act() -> Answer:
-        asked = (waiving.gate, waiving.code, waiving.reason, waiving.expires_utc, waiving.password.get_secret_value())
+        waiving, proof = proven
+        asked = (waiving.gate, waiving.code, waiving.reason, waiving.expires_utc, proof)
         row = waivers.waive(session, actor, parameter_set_id, *asked, seen)
         return Answer(schemas.written(schemas.Waiver, row), 201)
 

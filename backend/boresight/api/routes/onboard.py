@@ -18,11 +18,12 @@ from starlette.responses import Response
 from boresight.api import schemas
 from boresight.api.answers import Answer, IdempotencyKey, Idempotent, Once, digest
 from boresight.api.credentials import current_actor
-from boresight.api.dependencies import OnlyAsked, SeenVersion, Who, Writing
+from boresight.api.dependencies import OnlyAsked, SeenVersion, Who, Writing, check_own
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.services import read_backs, uplinks
 from boresight.services.actors import Actor
+from boresight.services.passwords import PasswordProof
 
 router = APIRouter(prefix="/parameter-sets", tags=["uplinks"])
 
@@ -119,6 +120,11 @@ class Activation(BaseModel):
     happened_utc: str | None = Field(None, description="When it became active, where that is earlier.")
 
 
+async def proven_own(entry: Activation, actor: Who, request: Request) -> tuple[Activation, PasswordProof]:
+    """Check the password of who acts before any transaction begins."""
+    return entry, await check_own(request, actor, entry.password)
+
+
 @router.post(
     "/{parameter_set_id}:activate",
     name="activate_parameter_set",
@@ -128,9 +134,15 @@ class Activation(BaseModel):
     responses=refusals(404, 409, 412, 428, 429),
 )
 def activate(
-    parameter_set_id: Id, entry: Activation, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    parameter_set_id: Id,
+    actor: Who,
+    seen: SeenVersion,
+    proven: Annotated[tuple[Activation, PasswordProof], Depends(proven_own)],
+    once: Idempotent,
+    session: Writing,
 ) -> Response:
     """Record a verified set as ACTIVE, signed by an operator in person; the set that was active becomes UNKNOWN."""
+    entry, proof = proven
 
     def act() -> Answer:
         row = uplinks.activate(
@@ -139,7 +151,7 @@ def activate(
             parameter_set_id,
             entry.source,
             entry.meaning,
-            entry.password,
+            proof,
             seen,
             happened=entry.happened_utc,
         )

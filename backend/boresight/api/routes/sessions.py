@@ -11,12 +11,23 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import LoggingIn, Reading, Who, Writing, clear_cookie, log_in_person, never_tried
+from boresight.api.dependencies import (
+    LoggingIn,
+    Reading,
+    Who,
+    Writing,
+    clear_cookie,
+    client_of,
+    log_in_person,
+    never_tried,
+)
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
+from boresight.api.passwords import Passwords
 from boresight.services import sessions, users
 from boresight.services.actors import Actor
+from boresight.services.passwords import PasswordProof
 from boresight.store.tables import LoginSession
 
 router = APIRouter(prefix="/sessions", tags=["sessions"])
@@ -30,6 +41,13 @@ class Credentials(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str = Field(examples=["ana"])
     password: SecretStr
+
+
+async def proven(credentials: Credentials, request: Request) -> PasswordProof:
+    """Check name and password before any transaction begins."""
+    checks: Passwords = request.app.state.passwords
+    password = credentials.password.get_secret_value()
+    return await checks.check_log_in(credentials.name, password, client_of(request))
 
 
 def _shown(actor: Actor, csrf_token: str | None, *, must_change_password: bool) -> Response:
@@ -55,11 +73,10 @@ def _shown(actor: Actor, csrf_token: str | None, *, must_change_password: bool) 
     responses=refusals(429),
     dependencies=NEVER_TRIED,
 )
-def log_in(credentials: Credentials, session: LoggingIn, request: Request) -> Response:
-    """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Too many failures make a name wait."""
+def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn, request: Request) -> Response:
+    """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Failures make further tries from there wait."""
     carrier = Response()
-    password = credentials.password.get_secret_value()
-    actor, csrf_token = log_in_person(request, carrier, session, credentials.name, password)
+    actor, csrf_token = log_in_person(request, carrier, session, proof)
     response = _shown(actor, csrf_token, must_change_password=users.must_change_password(session, actor))
     response.status_code = 201
     response.headers["Set-Cookie"] = carrier.headers["Set-Cookie"]

@@ -5,14 +5,16 @@ By statement, or signed where the body carries a password and a meaning: then it
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated
+
+from fastapi import APIRouter, Depends
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenVersion, Who, Writing
+from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, check_own
 from boresight.api.media import StoredFile
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
@@ -20,6 +22,7 @@ from boresight.api.paging import Page, Paged
 from boresight.errors import RefusedInputError
 from boresight.services import uplinks
 from boresight.services.actors import Actor
+from boresight.services.passwords import NO_PROOF, PasswordProof
 from boresight.store.sessions import Session
 from boresight.store.tables import Uplink
 
@@ -46,7 +49,7 @@ class Record(BaseModel):
         return self.password is not None or self.meaning is not None
 
 
-def _entry(session: Session, actor: Actor, record: Record, seen: int | None) -> Uplink:
+def _entry(session: Session, actor: Actor, record: Record, proof: PasswordProof, seen: int | None) -> Uplink:
     """Make the entry: a signed one as `:activate` does, any other by statement."""
     set_id, state, source, happened = record.parameter_set_id, record.onboard_state, record.source, record.happened_utc
     if not record.signed:
@@ -57,8 +60,12 @@ def _entry(session: Session, actor: Actor, record: Record, seen: int | None) -> 
         raise RefusedInputError(
             "Only ACTIVE is signed, and of a package that was named before; leave out password and meaning, or the package."
         )
-    meaning, password = record.meaning or "", record.password or ""
-    return uplinks.activate(session, actor, set_id, source, meaning, password, seen, happened=happened)
+    return uplinks.activate(session, actor, set_id, source, record.meaning or "", proof, seen, happened=happened)
+
+
+async def proven_own(record: Record, actor: Who, request: Request) -> tuple[Record, PasswordProof]:
+    """Check the password of who acts, where the entry is signed, before any transaction begins."""
+    return record, await check_own(request, actor, record.password) if record.password else NO_PROOF
 
 
 @router.get("", name="list_uplinks", summary="List records", response_model=Page[schemas.Uplink])
@@ -84,7 +91,13 @@ def list_uplinks(
     response_model=schemas.Uplink,
     responses=refusals(404, 409, 412, 428, 429),
 )
-def record_uplink(record: Record, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing) -> Response:
+def record_uplink(
+    actor: Who,
+    seen: SeenVersion,
+    proven: Annotated[tuple[Record, PasswordProof], Depends(proven_own)],
+    once: Idempotent,
+    session: Writing,
+) -> Response:
     """Record the next on-board state of a set by statement: SENT, LOADED, MISMATCH or UNKNOWN.
 
     `If-Match` is the ETag of the parameter set. VERIFIED comes only of `:read-back` of the set, which compares; ACTIVE only
@@ -92,7 +105,7 @@ def record_uplink(record: Record, actor: Who, seen: SeenVersion, once: Idempoten
     """
 
     def act() -> Answer:
-        row = _entry(session, actor, record, seen)
+        row = _entry(session, actor, *proven, seen)
         return Answer(schemas.written(schemas.Uplink, row), 201, {"Location": f"/api/v1/uplinks/{row.id}"})
 
     return once.answer(session, actor, act)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Depends
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
+from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import MaybeSeenTag, Reading, SeenTag, Who, Writing, require_tag, tag_of
+from boresight.api.dependencies import MaybeSeenTag, Reading, SeenTag, Who, Writing, client_of, require_tag, tag_of
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
 from boresight.api.paging import Page, Paged
+from boresight.api.passwords import Passwords
 from boresight.services import users
+from boresight.services.passwords import NewPassword, PasswordProof
 from boresight.store.sessions import Session
 
 router = APIRouter(prefix="/users", tags=["users"])
@@ -63,6 +66,23 @@ def _require_seen(session: Session, user_id: int, seen: str | None) -> None:
         require_tag(seen, _tag(row), row.printed_name)
 
 
+async def prepared_person(person: NewUser, actor: Who, request: Request) -> tuple[NewUser, NewPassword]:
+    """Hash the password before any transaction begins; of who may not add people nothing is worked on."""
+    if "administrator" not in actor.roles or actor.is_key:
+        return person, NewPassword(refusal="Only an administrator adds people.")
+    checks: Passwords = request.app.state.passwords
+    return person, await checks.prepare(person.password.get_secret_value(), person.name, person.printed_name)
+
+
+async def prepared_change(
+    user_id: Id, given: Password, actor: Who, request: Request
+) -> tuple[NewPassword, PasswordProof]:
+    """Check the current password and hash the new one before any transaction begins."""
+    checks: Passwords = request.app.state.passwords
+    words = (given.password.get_secret_value(), given.current.get_secret_value())
+    return await checks.prepare_change(actor, user_id, *words, client_of(request))
+
+
 @router.get("", name="list_users", summary="List people", response_model=Page[schemas.User])
 def list_users(actor: Who, session: Reading, page: Paged) -> Response:  # noqa: ARG001 - whoever is known may read
     """List everyone by log-in name."""
@@ -77,8 +97,14 @@ def list_users(actor: Who, session: Reading, page: Paged) -> Response:  # noqa: 
     response_model=schemas.User,
     responses=refusals(409),
 )
-def create_user(person: NewUser, actor: Who, once: Idempotent, session: Writing) -> Response:
+def create_user(
+    actor: Who,
+    prepared: Annotated[tuple[NewUser, NewPassword], Depends(prepared_person)],
+    once: Idempotent,
+    session: Writing,
+) -> Response:
     """Add a person; administrators only."""
+    person, password = prepared
 
     def act() -> Answer:
         row = users.create_user(
@@ -86,7 +112,7 @@ def create_user(person: NewUser, actor: Who, once: Idempotent, session: Writing)
             actor,
             name=person.name,
             printed_name=person.printed_name,
-            password=person.password.get_secret_value(),
+            password=password,
             roles=person.roles,
             must_change_password=person.must_change_password,
         )
@@ -162,17 +188,21 @@ def enable_user(user_id: Id, actor: Who, seen: SeenTag, once: Idempotent, sessio
     responses=refusals(404, 412, 429),
 )
 def change_password(
-    user_id: Id, given: Password, actor: Who, seen: MaybeSeenTag, once: Idempotent, session: Writing
+    user_id: Id,
+    actor: Who,
+    seen: MaybeSeenTag,
+    prepared: Annotated[tuple[NewPassword, PasswordProof], Depends(prepared_change)],
+    once: Idempotent,
+    session: Writing,
 ) -> Response:
     """Set one's own password, knowing the current one, or as an administrator another's. Every log-in then ends.
 
     Who is given a password by an administrator must set their own before anything else.
     """
-    password, current = given.password.get_secret_value(), given.current.get_secret_value()
 
     def act() -> Answer:
         _require_seen(session, user_id, seen)
-        return _answer(users.change_password(session, actor, user_id, password, current))
+        return _answer(users.change_password(session, actor, user_id, *prepared))
 
     return once.answer(session, actor, act)
 

@@ -17,7 +17,7 @@ from boresight.store.tables.declared import Base
 from boresight.store.tables.fleet import Blob, Sensor, TelemetrySet
 from boresight.store.tables.gates import GateProfile, GateReport, Waiver
 from boresight.store.tables.parameter_sets import GROUND_STATES, ONBOARD_STATES, ParameterSet, Promotion
-from boresight.store.tables.people import ROLES, SESSION_ENDINGS, ApiKey, LoginFailure, LoginSession, User
+from boresight.store.tables.people import ROLES, SESSION_ENDINGS, ApiKey, LoginSession, User
 from boresight.store.tables.proposals import PROPOSAL_KINDS, PROPOSAL_STATES, ChangeProposal
 from boresight.store.tables.records import AuditRecord, IdempotentResponse
 from boresight.store.tables.runs import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
@@ -53,7 +53,6 @@ __all__ = [
     "GateProfile",
     "GateReport",
     "IdempotentResponse",
-    "LoginFailure",
     "LoginSession",
     "Note",
     "Opening",

@@ -1,4 +1,4 @@
-"""People, their keys, their log-ins and the failed ones."""
+"""People, their keys and their log-ins."""
 
 from __future__ import annotations
 
@@ -22,10 +22,17 @@ SESSION_ENDINGS = (
 
 
 class User(Base):
-    """A person. Roles are a list of words; an administrator cannot sign."""
+    """A person. Roles are a list of words; an administrator cannot sign.
+
+    The keys are the names in the form in which they are compared; none where an older version let two people have names alike.
+    """
 
     __tablename__ = "users"
-    __table_args__ = (STRICT,)
+    __table_args__ = (
+        sa.Index("uq_users_name_key", "name_key", unique=True),
+        sa.Index("uq_users_printed_key", "printed_key", unique=True),
+        STRICT,
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(sa.Text, unique=True)
     printed_name: Mapped[str] = mapped_column(sa.Text)
@@ -35,6 +42,8 @@ class User(Base):
     disabled_utc: Mapped[str | None] = mapped_column(sa.Text)
     session_epoch: Mapped[int] = mapped_column(default=0)
     must_change_password: Mapped[int] = mapped_column(default=0, server_default=sa.text("0"))  # somebody else set it
+    name_key: Mapped[str | None] = mapped_column(sa.Text)
+    printed_key: Mapped[str | None] = mapped_column(sa.Text)
 
 
 class ApiKey(Base):
@@ -73,13 +82,3 @@ class LoginSession(Base):
     ended_because: Mapped[str | None] = mapped_column(sa.Text)
     address: Mapped[str] = mapped_column(sa.Text)
     user_agent: Mapped[str] = mapped_column(sa.Text)
-
-
-class LoginFailure(Base):
-    """A failed log-in, kept for throttling."""
-
-    __tablename__ = "login_failures"
-    __table_args__ = (sa.Index("ix_login_failures_name_at_utc", "name", "at_utc"), STRICT)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    name: Mapped[str] = mapped_column(sa.Text)
-    at_utc: Mapped[str] = mapped_column(sa.Text)

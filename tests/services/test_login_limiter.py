@@ -1,0 +1,119 @@
+"""How attempts are slowed down: by name and place together, and by places that try many names."""
+
+from __future__ import annotations
+
+import pytest
+
+from boresight.errors import TooManyAttemptsError
+from boresight.services.login_limiter import FORGET_S, HELD_S, LoginLimiter, place_of_address
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def limiter(clock: Clock) -> LoginLimiter:
+    return LoginLimiter(5, clock)
+
+
+def _fail(limiter: LoginLimiter, clock: Clock, name: str, place: str) -> float:
+    """Fail once as soon as that is possible; returns the seconds that were waited."""
+    began_s = clock.now_s
+    while True:
+        try:
+            clock.now_s += limiter.admit(name, place)
+        except TooManyAttemptsError as refusal:
+            clock.now_s += refusal.wait_s
+            continue
+        limiter.ended(name, place, failed=True)
+        return clock.now_s - began_s
+
+
+def test_failures_slow_down_more_and_more(limiter: LoginLimiter, clock: Clock) -> None:
+    waits = [_fail(limiter, clock, "ana", "1.2.3.4") for _ in range(13)]
+    assert waits == [0, 0, 0, 0, 0, 1, 2, 4, 8, 16, 32, 45, 45]
+
+
+def test_one_place_has_at_most_about_100_tries_an_hour_at_a_name(limiter: LoginLimiter, clock: Clock) -> None:
+    tries, began_s = 0, clock.now_s
+    while clock.now_s - began_s <= 3600.0:
+        _fail(limiter, clock, "ana", "1.2.3.4")
+        tries += 1
+    assert tries <= 100
+
+
+def test_nobody_elses_failures_keep_a_person_waiting(limiter: LoginLimiter, clock: Clock) -> None:
+    for _ in range(20):
+        _fail(limiter, clock, "cy", "6.6.6.6")
+    for name, place in (("cy", "1.2.3.4"), ("ana", "1.2.3.4"), ("cy", "session 7")):
+        assert limiter.admit(name, place) == 0.0
+
+
+def test_a_wait_that_is_long_is_told_and_not_held(limiter: LoginLimiter, clock: Clock) -> None:
+    for _ in range(8):
+        _fail(limiter, clock, "ana", "1.2.3.4")
+    with pytest.raises(TooManyAttemptsError) as refusal:
+        limiter.admit("ana", "1.2.3.4")
+    assert HELD_S < refusal.value.wait_s <= 8
+
+
+def test_attempts_that_come_at_once_wait_for_each_other(limiter: LoginLimiter) -> None:
+    waits = [limiter.admit("ana", "1.2.3.4") for _ in range(7)]
+    assert waits == [0, 0, 0, 0, 0, 1, 3]
+    with pytest.raises(TooManyAttemptsError):
+        limiter.admit("ana", "1.2.3.4")
+
+
+def test_one_place_that_tries_many_names_is_slowed_down_and_others_are_not(limiter: LoginLimiter, clock: Clock) -> None:
+    waits = [_fail(limiter, clock, f"name-{number}", "6.6.6.6") for number in range(36)]
+    assert waits[:30] == [0] * 30
+    assert waits[30:] == [1, 2, 4, 8, 10, 10]
+    assert limiter.admit("name-1", "1.2.3.4") == 0.0
+
+
+def test_a_right_password_makes_up_for_the_wrong_ones_of_its_name(limiter: LoginLimiter, clock: Clock) -> None:
+    for _ in range(6):
+        _fail(limiter, clock, "ana", "1.2.3.4")
+    clock.now_s += limiter.admit("ana", "1.2.3.4")
+    limiter.ended("ana", "1.2.3.4", failed=False)
+    assert [_fail(limiter, clock, "ana", "1.2.3.4") for _ in range(5)] == [0] * 5
+
+
+def test_after_a_while_failures_are_forgotten(limiter: LoginLimiter, clock: Clock) -> None:
+    for _ in range(12):
+        _fail(limiter, clock, "ana", "1.2.3.4")
+    clock.now_s += FORGET_S + 1
+    assert limiter.admit("ana", "1.2.3.4") == 0.0
+
+
+def test_the_counts_do_not_grow_without_bound(limiter: LoginLimiter, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("boresight.services.login_limiter.MOST_COUNTS", 100)
+    for number in range(1000):
+        limiter.admit(f"name-{number}", f"place-{number}")
+        limiter.ended(f"name-{number}", f"place-{number}", failed=True)
+    assert len(limiter._counts) <= 100
+
+
+@pytest.mark.parametrize(
+    ("address", "place"),
+    [
+        ("1.2.3.4", "1.2.3.4"),
+        ("::ffff:1.2.3.4", "1.2.3.4"),
+        ("2001:db8:1:2:3::4", "2001:db8:1:2::/64"),
+        ("testclient", "testclient"),
+    ],
+)
+def test_an_address_of_ipv6_stands_for_its_network(address: str, place: str) -> None:
+    assert place_of_address(address) == place
