@@ -25,7 +25,7 @@ from boresight.calibration.rematch import ground_covariance
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.telemetry.formats import read_bytes, text_of
+from boresight.telemetry.formats import json_of
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.sensors import Sensor, check_geometry
 
@@ -62,8 +62,8 @@ def read_document(path: Path) -> dict[str, Any]:
         When it cannot be read, or is no JSON object.
     """
     try:
-        document = json.loads(text_of(path.name, read_bytes(path, path.name)))
-    except (json.JSONDecodeError, RecursionError) as error:
+        document = json_of(path, path.name)
+    except json.JSONDecodeError as error:
         raise RefusedInputError(
             f"{path.name} is not JSON: give a calibration JSON or an object of parameters."
         ) from error

@@ -78,11 +78,11 @@ def _frames(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any]:
 
 def _read_object(path: Path, what: str) -> dict[str, Any]:
     """Read a JSON object from a file."""
-    from boresight.telemetry.formats import read_bytes, text_of
+    from boresight.telemetry.formats import json_of
 
     try:
-        document = json.loads(text_of(path.name, read_bytes(path, path.name)))
-    except (json.JSONDecodeError, RecursionError) as error:
+        document = json_of(path, path.name)
+    except json.JSONDecodeError as error:
         raise RefusedInputError(f"{path.name} is not JSON: give {what}, one JSON object.") from error
     if not isinstance(document, dict):
         raise RefusedInputError(f"{path.name} is not a JSON object: give {what}.")

@@ -26,7 +26,7 @@ from boresight.services.actors import Actor
 from boresight.services.fleet import SensorTile, Standing
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import Sensor
-from boresight.telemetry.formats import text_of
+from boresight.telemetry.formats import parse_json, text_of
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -102,12 +102,10 @@ def read_document(text: str) -> dict[str, Any]:
     if not text.strip():
         raise RefusedInputError("There is no sensor file: paste its JSON or choose the file.")
     try:
-        document = json.loads(text)
+        document = parse_json(text)
     except json.JSONDecodeError as error:
         fault = Fault(error.lineno, str(error.colno), f"{error.msg}; correct the JSON here.")
         raise RefusedInputError(f"This is not JSON at line {error.lineno}: {error.msg}.", (fault,)) from error
-    except RecursionError as error:
-        raise RefusedInputError("This JSON is nested too deep for a sensor file.") from error
     if not isinstance(document, dict):
         raise RefusedInputError("A sensor file is one JSON object, in braces; this is something else.")
     return document

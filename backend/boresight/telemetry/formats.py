@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePath
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _WORTH_THREADS_BYTES = 8_000_000
 _HEAD_BYTES = 65_536
+#: Of a JSON document: a calibration of a long set has some megabytes, and nothing is nested deeper than ten.
+LONGEST_DOCUMENT_BYTES, DEEPEST_DOCUMENT = 64_000_000, 32
+TOO_DEEP = f"it is nested too deep, over {DEEPEST_DOCUMENT} objects or lists"
 
 
 def worth_threads(size_bytes: int) -> bool:
@@ -70,6 +74,49 @@ def read_bytes(path: Path, name: str) -> bytes:
         data = file.read()
         _refuse_emptiness(name, data, file)
     return data
+
+
+def json_of(path: Path, name: str) -> Any:
+    """Return what a JSON file holds.
+
+    Raises
+    ------
+    RefusedInputError
+        As `read_bytes` and `text_of` do, and when it is larger than any document.
+    JSONDecodeError
+        When it is not JSON, or holds numbers or nesting that none of our documents has.
+    """
+    with _opened(path) as file:
+        if file.seek(0, 2) > LONGEST_DOCUMENT_BYTES:
+            raise RefusedInputError(
+                f"{name} is over {LONGEST_DOCUMENT_BYTES / 1e6:,.0f} MB: this is no document that is read here, check the name."
+            )
+    return parse_json(text_of(name, read_bytes(path, name)))
+
+
+def parse_json(text: bytes | str) -> Any:
+    """Return what a JSON text holds.
+
+    Raises
+    ------
+    JSONDecodeError
+        When it is not JSON, or holds numbers or nesting that none of our documents has.
+    """
+    try:
+        document = json.loads(text)
+    except json.JSONDecodeError:
+        raise
+    except RecursionError as error:
+        raise json.JSONDecodeError(TOO_DEEP, "", 0) from error
+    except ValueError as error:
+        raise json.JSONDecodeError("a number has thousands of digits", "", 0) from error
+    level = [document]
+    for _ in range(DEEPEST_DOCUMENT):
+        parts = [item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list)]
+        level = [value for part in parts for value in part if isinstance(value, dict | list)]
+        if not level:
+            return document
+    raise json.JSONDecodeError(TOO_DEEP, "", 0)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
-from boresight.telemetry.formats import read_bytes, text_of
+from boresight.telemetry.formats import json_of
 from boresight.telemetry.refusals import Faults
 
 FloatArray = NDArray[np.float64]
@@ -28,6 +28,7 @@ FloatArray = NDArray[np.float64]
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 _OPTIONAL = ("free", "magnitude_limit")
 _LONGEST_NAME = 64
+_MOST_FIELDS = 100
 _MOST_PIXELS = 65536
 _PITCH_M = (1e-7, 1e-3)
 _SIGMA_PX = (1e-4, 100.0)
@@ -83,13 +84,11 @@ def read_sensor(path: Path) -> Sensor:
         When there is no such file, it is not JSON, or a field is wrong; names the field.
     """
     path = Path(path)
-    text = text_of(path.name, read_bytes(path, path.name))
     try:
-        document = json.loads(text)
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        row = getattr(error, "lineno", 1)
+        document = json_of(path, path.name)
+    except json.JSONDecodeError as error:
         raise RefusedInputError(
-            f"{path.name}: row {row}: this is not JSON: a sensor file is one JSON object."
+            f"{path.name}: row {error.lineno}: this is not JSON: a sensor file is one JSON object."
         ) from error
     if not isinstance(document, dict):
         raise RefusedInputError(f"{path.name} is not a sensor file: write one JSON object with a name and a detector.")
@@ -162,6 +161,11 @@ def _check_keys(document: Mapping[str, Any], faults: Faults) -> None:
     for key in _REQUIRED:
         if key not in document:
             faults.add(f"{key} is missing: add it")
+    if len(document) > _MOST_FIELDS:
+        faults.add(
+            f"there are {len(document):,} fields, at most {_MOST_FIELDS} are read: keep those that are named in the README"
+        )
+        return
     known = (*_REQUIRED, *_OPTIONAL)
     for key in document:
         meant = difflib.get_close_matches(key, known, 1, 0.8) if key not in known else []

@@ -25,7 +25,7 @@ from typing import Any
 
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.telemetry.formats import read_bytes, text_of
+from boresight.telemetry.formats import json_of
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink.cfe import CfeHeaders, parse_cfe
@@ -101,10 +101,9 @@ def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
     RefusedInputError
         When the file cannot be read, is not JSON, or as `parse_definition` refuses.
     """
-    text = text_of(path.name, read_bytes(path, path.name))
     try:
-        document = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+        document = json_of(path, path.name)
+    except json.JSONDecodeError as error:
         raise RefusedInputError(f"{path.name} is not JSON: a table definition is one JSON object.") from error
     return parse_definition(document, sensor)
 
