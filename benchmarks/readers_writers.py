@@ -29,7 +29,7 @@ from typing import Any
 
 import httpx
 
-from boresight.measurements.full_store import PASSWORD, add_sensors, fill
+from boresight.measurements.full_store import add_sensors, fill
 from boresight.measurements.serving import Served, allow_open_files, serving
 
 READS = (
@@ -43,7 +43,7 @@ READS = (
     "/sensors",
     "/telemetry",
 )
-RUNS, SENSORS, PEOPLE = 2000, 12, 10
+RUNS, SENSORS = 2000, 12
 PATIENCE_S = 60.0
 
 
@@ -156,17 +156,10 @@ async def load(served: Served, log_ins: Sequence[Mapping[str, str]], order: dict
     return tally
 
 
-def log_in(served: Served, count: int) -> list[dict[str, str]]:
-    """Log ten people in, and each of them so often that every client has a log-in of its own."""
-    found: list[dict[str, str]] = []
-    with httpx.Client(base_url=f"http://127.0.0.1:{served.port}", timeout=30) as client:
-        for number in range(count):
-            client.cookies.clear()
-            credentials = {"name": f"analyst-{number % PEOPLE}", "password": PASSWORD}
-            answer = client.post("/api/v1/sessions", json=credentials).raise_for_status()
-            cookie = answer.headers["set-cookie"].partition(";")[0]
-            found.append({"Cookie": cookie, "X-CSRF-Token": answer.json()["csrf_token"]})
-    return found
+def with_token(client: httpx.Client, log_in: Mapping[str, str]) -> dict[str, str]:
+    """Add to a log-in the token that writing takes."""
+    answer = client.get("/api/v1/sessions/current", headers=dict(log_in)).raise_for_status()
+    return {**log_in, "X-CSRF-Token": answer.json()["csrf_token"]}
 
 
 def main() -> None:
@@ -185,13 +178,16 @@ def main() -> None:
         os.execve(sys.executable, [sys.executable, __file__, *rest], {**os.environ, **here})  # noqa: S606 - ourselves
     allow_open_files()
     with tempfile.TemporaryDirectory(prefix="boresight-load-", ignore_cleanup_errors=True) as place:
-        filled = fill(Path(place), RUNS, 1)
+        filled = fill(Path(place), RUNS, given.readers + given.writers)
         add_sensors(Path(place), filled, SENSORS, 1)
         with serving(Path(place), workers="0") as served:
-            log_ins = log_in(served, given.readers + given.writers)
-            api = httpx.Client(base_url=f"http://127.0.0.1:{served.port}", headers=log_ins[0], timeout=30)
-            document = api.get(f"/api/v1/sensors/{filled.sensor_id}").json()["document"]
-            api.close()
+            with httpx.Client(base_url=f"http://127.0.0.1:{served.port}", timeout=60) as client:
+                path = f"/api/v1/sensors/{filled.sensor_id}"
+                document = client.get(path, headers=dict(filled.log_ins[0])).json()["document"]
+                writers = [with_token(client, one) for one in filled.log_ins[given.readers :]]
+                for path in READS:
+                    client.get(path.format(run=1), headers=dict(filled.log_ins[0])).raise_for_status()
+            log_ins = [*filled.log_ins[: given.readers], *writers]
             order = {
                 "sensor_id": filled.sensor_id,
                 "telemetry_set_id": filled.telemetry_set_id,

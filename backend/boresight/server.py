@@ -36,7 +36,7 @@ from boresight.api.changes import Changes
 from boresight.api.codings import Codings
 from boresight.api.connections import Connections, open_file_limit
 from boresight.api.cookies import LogInCookie
-from boresight.api.credentials import carries_credentials, identify, prove
+from boresight.api.credentials import Memory, carries_credentials, identify, prove
 from boresight.api.deliveries import Deliveries
 from boresight.api.drawn import Drawn
 from boresight.api.gate import Gate, Limits
@@ -47,7 +47,7 @@ from boresight.api.methods import answer_options, with_allow
 from boresight.api.metrics import Metrics
 from boresight.api.middleware import Border
 from boresight.api.openapi import DESCRIPTION, TAGS, corrected
-from boresight.api.origins import SAFE_METHODS, OwnPages
+from boresight.api.origins import OwnPages
 from boresight.api.passwords import Passwords
 from boresight.api.problems import problem_of, problem_response
 from boresight.api.ready import Answering, Proof, Ready
@@ -78,7 +78,7 @@ api_routes.join(ROUTES)
 ROUTES.include_router(static_files.router)
 pages.join(ROUTES)
 
-THREADS = 8  # of requests: more of them only take the interpreter from each other (ADR 0041)
+THREADS = 12  # of requests: those whose turn it is, and those that take long (`boresight.api.turns`)
 
 
 def create_app(settings: Settings, *, limits: Limits | None = None, pace: Pace | None = None) -> FastAPI:
@@ -111,7 +111,7 @@ def create_app(settings: Settings, *, limits: Limits | None = None, pace: Pace |
     app.add_middleware(WellFormed, refuse=_refuse)  # what is added later is further out
     app.add_middleware(Keeping, ready=app.state.ready)
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
-    app.add_middleware(Gate, refuse=_turn_away, identify=_identify, limits=limits)
+    app.add_middleware(Gate, refuse=_turn_away, identify=_identify, begin=_begin, limits=limits)
     app.add_middleware(Answering, ready=app.state.ready)
     app.add_middleware(Heads)
     app.add_middleware(Codings)
@@ -152,9 +152,16 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.deliveries = Deliveries(state.engine, settings.targets, state.secret_box)
     marks = Marks(state.engine)
     state.changes, state.fleet = Changes(marks), FleetMemory(state.engine, marks)
-    state.ready = Ready(state.changes, _prove, state.upkeep.light)
+    state.known = Memory(marks)
+    state.ready = Ready(state.changes, _prove, lambda: _beside(app))
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
+
+
+def _beside(app: FastAPI) -> tuple[object, ...]:
+    """Return what pages show besides the store: the light of the audit log, and how the workers are."""
+    workers = app.state.workers
+    return (app.state.upkeep.light(), *(workers.state().values() if workers else ()))
 
 
 def _count_runs(app: FastAPI) -> dict[str, int]:
@@ -226,18 +233,19 @@ def _warm(catalogue: Callable[[], Catalogue]) -> None:
 
 
 async def _identify(scope: Scope) -> int | None:
-    """Return the number of the person whose credentials a request carries; None where they do not hold.
-
-    What was found holds for a request that is answered at once. Others are asked about once more when their body has come.
-    """
+    """Return the number of the person whose credentials a request carries; None where they do not hold."""
     state = scope["app"].state
     if not carries_credentials(scope, state.log_in_cookie.name):
         return None
     on_the_spot = state.engine.dialect.name == "sqlite"
     actor = identify(scope) if on_the_spot else await run_in_threadpool(identify, scope)
-    if scope["method"] not in SAFE_METHODS:
-        scope["state"].pop("actor", None)
     return None if actor is None else actor.user_id
+
+
+async def _begin(scope: Scope) -> None:
+    """Begin to work on a request whose turn has come: who asks is looked up once more, for it may have waited."""
+    scope["state"].pop("actor", None)
+    await scope["app"].state.ready.begin(scope)
 
 
 async def _prove(scope: Scope) -> Proof | None:

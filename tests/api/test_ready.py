@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
@@ -11,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from boresight.api import ready as standing
+from boresight.pages import sensors as pages_of_sensors
 from boresight.services import audit
 from boresight.services.actors import SYSTEM
 from boresight.services.sessions import SessionLimits
@@ -18,6 +20,7 @@ from boresight.store.sessions import open_engine, utc_after, writing
 from boresight.store.tables import ApiKey, Run
 
 from .conftest import PASSWORD, House
+from .test_gate import gate_of
 
 RUNS = "/api/v1/runs"
 LISTS = (RUNS, "/api/v1/sensors", "/api/v1/telemetry-sets", "/api/v1/parameter-sets")
@@ -92,6 +95,47 @@ def test_two_log_ins_of_one_person_never_share_a_token(house: House) -> None:
         page = client.get("/runs").text
         assert client.headers["X-CSRF-Token"] in page
         assert stranger.headers["X-CSRF-Token"] not in page
+
+
+def test_log_ins_of_one_person_share_the_making_of_a_page_and_each_has_its_own_token(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other, stranger = house.log_in("victor"), house.log_in("victor"), house.log_in("olga")
+    for client in (one, other, stranger):
+        client.get("/sensors")
+    house.launched()
+    made: list[str] = []
+    original = pages_of_sensors._page
+    monkeypatch.setattr(pages_of_sensors, "_page", lambda *given: (made.append(""), original(*given))[1])
+    texts = [client.get("/sensors").text for client in (one, other, one, other, stranger)]
+    assert len(made) == 2  # one for Victor, one for Olga
+    for client, text in zip((one, other, one, other, stranger), texts, strict=True):
+        tokens = {each.headers["X-CSRF-Token"] for each in (one, other, stranger)}
+        assert {token for token in tokens if token in text} == {client.headers["X-CSRF-Token"]}
+    other.delete("/api/v1/sessions/current")
+    assert other.get("/sensors", headers={"Accept": "text/html"}).status_code == 303
+    assert one.get("/sensors").status_code == 200
+
+
+def test_who_asks_while_an_answer_waits_for_its_turn_shares_it_whatever_is_committed_meanwhile(house: House) -> None:
+    client = house.person("ada")
+    client.get(RUNS)
+    gate = gate_of(house.app)
+    others = [house.key("ada") for _ in range(4)]
+    free, gate.readers._free = gate.readers._free, 0
+    with ThreadPoolExecutor(8) as pool:
+        asked = [pool.submit(one.get, RUNS) for one in others]
+        time.sleep(0.5)
+        waiting = list(gate.readers._waiting)
+        run = house.launched()
+        asked.append(pool.submit(house.person("victor").get, RUNS))
+        time.sleep(0.5)
+        assert list(gate.readers._waiting) == waiting
+        for _ in range(free):
+            waiting[0].get_loop().call_soon_threadsafe(gate.readers._next)
+        answers = [one.result(20) for one in asked]
+    assert len(waiting) == 1
+    assert {answer.json()["items"][0]["id"] for answer in answers} == {run["id"]}
 
 
 def test_nobody_reads_what_stands_ready_for_the_known(house: House) -> None:

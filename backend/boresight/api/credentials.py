@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 
@@ -16,7 +18,12 @@ from boresight.api.ready import Proof, is_active
 from boresight.errors import BoresightError, PasswordDueError, SessionEndedError, UnauthenticatedError
 from boresight.services import api_keys, sessions, users
 from boresight.services.actors import Actor
+from boresight.store.credential_rows import CredentialRows
+from boresight.store.marks import Marks
 from boresight.store.sessions import reading
+
+MOST_REMEMBERED = 10_000
+Carried = tuple[tuple[bytes, bytes], ...]
 
 WHILE_PASSWORD_IS_DUE = (
     "/api/v1/sessions",
@@ -48,16 +55,77 @@ def current_actor(request: Request) -> Actor:
     return known
 
 
+@dataclass(frozen=True)
+class Known:
+    """Somebody who was identified, and the proof of it."""
+
+    actor: Actor
+    csrf_token: str | None
+    proof: Proof
+
+
+class Memory:
+    """Who was identified lately by which credentials, byte for byte; known again while the rows behind say the same.
+
+    Parameters
+    ----------
+    marks
+        Of the store, over whose connection the rows are looked at.
+    """
+
+    def __init__(self, marks: Marks) -> None:
+        self.marks = marks
+        self._lock = threading.Lock()
+        self._known: OrderedDict[Carried, Known] = OrderedDict()
+
+    def find(self, scope: Scope, *, active: bool) -> Known | None:
+        """Return who carries these credentials, where that holds still."""
+        known = self._known.get(_carried(scope))
+        if known is None or not known.proof.unchanged() or not known.proof.holds(active=active):
+            return None
+        return known
+
+    def keep(self, scope: Scope, known: Known) -> None:
+        """Note who was identified."""
+        with self._lock:
+            self._known[_carried(scope)] = known
+            self._known.move_to_end(_carried(scope))
+            if len(self._known) > MOST_REMEMBERED:
+                self._known.popitem(last=False)
+
+
+def _carried(scope: Scope) -> Carried:
+    """Return what a request carries that may decide whose it is."""
+    return tuple((name, value) for name, value in scope["headers"] if name in {b"authorization", b"cookie"})
+
+
 def _identify(request: Request, *, active: bool = True) -> Actor:
-    """Look up the credential in the store."""
+    """Return whose credentials a request carries: as they were last identified, or by looking them up in the store."""
+    active = active and is_active(request.scope)
+    memory: Memory = request.app.state.known
+    known = memory.find(request.scope, active=active)
+    if known is None:
+        known, holds_anywhere = _looked_up(request, memory.marks, active=active)
+        if not holds_anywhere:
+            request.state.csrf_token = known.csrf_token
+            return known.actor
+        memory.keep(request.scope, known)
+    if known.csrf_token is not None:
+        request.state.csrf_token = known.csrf_token
+    request.state.proof = known.proof
+    return known.actor
+
+
+def _looked_up(request: Request, marks: Marks, *, active: bool) -> tuple[Known, bool]:
+    """Look up the credential in the store; tells too whether what was found holds for every address."""
     secret = bearer(request.headers)
     if secret is not None:
         with reading(request.app.state.engine) as session:
             actor = api_keys.actor_of_key(session, secret)
+            rows = CredentialRows.read(session, "key", actor.credential.removeprefix("key:"))
         use = partial(request.app.state.upkeep.used, actor.credential)
         use(active=True)
-        request.state.proof = Proof(_seconds(actor.until_utc), use)
-        return actor
+        return Known(actor, None, Proof(_seconds(actor.until_utc), use, partial(rows.say_so_still, marks))), True
     cookie: LogInCookie = request.app.state.log_in_cookie
     if cookie.name not in request.cookies:
         raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
@@ -68,12 +136,21 @@ def _identify(request: Request, *, active: bool = True) -> Actor:
         due = f"/api/v1/users/{log_in.user_id}:change-password"
         sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
         actor = users.actor_of(session, log_in.user_id, log_in.id, sets_password=sets_password)
+        rows = CredentialRows.read(session, "session", log_in.id)
     used = partial(request.app.state.upkeep.session_used, log_in.id, log_in.last_used_utc)
-    if not used(active=active and is_active(request.scope)):
+    if not used(active=active):
         raise SessionEndedError("idle")
-    if not sets_password:  # what goes until one has set one's own password proves nothing for other addresses
-        request.state.proof = Proof(content.ends_s, used)
-    return actor
+    others = tuple(sorted(pair for pair in request.cookies.items() if pair[0] != cookie.name))
+    proof = Proof(
+        content.ends_s,
+        used,
+        partial(rows.say_so_still, marks),
+        person=(actor.user_id, others),
+        csrf_token=content.csrf_token.encode(),
+    )
+    return Known(
+        actor, content.csrf_token, proof
+    ), not sets_password  # what sets one's password proves nothing elsewhere
 
 
 def _seconds(time_utc: str | None) -> float:

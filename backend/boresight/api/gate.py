@@ -27,7 +27,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boresight.api.bodies import CLOSE, read_whole
 from boresight.api.connections import CONNECTION, Connection
-from boresight.api.origins import network_of
+from boresight.api.origins import SAFE_METHODS, network_of
+from boresight.api.turns import Turns
 from boresight.errors import BoresightError, OverloadedError, UnauthenticatedError
 
 COME_BACK_S = 2
@@ -35,6 +36,8 @@ SMALL_BODY_BYTES = 64_000
 ALWAYS = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")
 Refuse = Callable[[Request, Exception], Response]
 Identify = Callable[[Scope], Awaitable[int | None]]
+Begin = Callable[[Scope], Awaitable[None]]
+READERS, WRITERS = 3, 4  # worked on at once; of the writers, all but one wait for the store
 
 
 @dataclass(frozen=True)
@@ -105,16 +108,22 @@ class Gate:
         Returns the number of the person whose credentials a request carries, and None where they do not hold.
     limits
         How many places there are.
+    begin
+        Called when a request has its turn, before it is worked on.
     """
 
-    def __init__(self, app: ASGIApp, refuse: Refuse, identify: Identify, limits: Limits | None = None) -> None:
+    def __init__(
+        self, app: ASGIApp, refuse: Refuse, identify: Identify, begin: Begin, limits: Limits | None = None
+    ) -> None:
         self.app = app
         self.limits = limits or Limits()
         self.known = Places(self.limits.known, self.limits.known)
         self.unknown = Places(self.limits.unknown, self.limits.unknown_each)
         self.large = Places(self.limits.large, self.limits.large_each)
+        self.readers, self.writers = Turns(READERS), Turns(WRITERS)
         self._refuse = refuse
         self._identify = identify
+        self._begin = begin
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request in, or turn it away."""
@@ -141,7 +150,9 @@ class Gate:
             await self._refuse(Request(scope), error)(scope, receive, send)
             return
         try:
-            await self.app(scope, ready, send)
+            async with (self.readers if scope["method"] in SAFE_METHODS else self.writers).turn():
+                await self._begin(scope)
+                await self.app(scope, ready, send)
         finally:
             places.give_back(key)
 

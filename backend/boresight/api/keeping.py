@@ -16,6 +16,7 @@ import gzip
 import hashlib
 import time
 from collections.abc import MutableMapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import Depends
@@ -110,10 +111,12 @@ class _Outgoing:
         same_for = self._state.get(SAME_FOR)
         kept = self._kept(start, body, asked, compressed=same_for is not None and asked is not None)
         if same_for is not None and asked is not None and asked.mark is not None:
-            self._ready.keep(asked, kept, for_all=same_for == FOR_ALL)
             proof = proof_of(self._scope)
+            self._ready.keep(asked, kept, for_all=same_for == FOR_ALL)
             if proof is not None:
                 self._ready.remember(asked.asker, asked.mark, proof)
+                if same_for == FOR_ONE and not kept.tag:
+                    self._ready.share(asked, replace(kept, body=body), proof)
         await kept.send(self._send, asked.known_tags if asked else b"")
 
     def _kept(self, start: Message, body: bytes, asked: Asked | None, *, compressed: bool) -> Kept:

@@ -12,13 +12,15 @@ An endpoint whose answer follows from the address and the rows of the store says
    an endpoint that was never told who asks, so it cannot hold anything of the one who happened to ask first.
 4. It is young: what the rows say of time (an age, a key that expires) is never older than `HELD_S`.
 
-When many ask for one answer that does not stand ready, the first makes it and the others wait for it. Everything here runs on the
-event loop, so nothing is locked.
+When many ask for one answer that does not stand ready, the first makes it and the others wait for it: those who came before it
+began to be made, whose question it answers whatever was committed while they waited for its turn, and those for whom the mark is
+the one that it began under. Everything here runs on the event loop, so nothing is locked.
 """
 
 from __future__ import annotations
 
 import asyncio
+import gzip
 import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Hashable
@@ -34,8 +36,9 @@ from boresight.store.marks import Mark
 HELD_S = 30.0
 KEPT_BYTES = 64 << 20
 LARGEST_SHARE = 16
+FAST = 1  # level of compression for one log-in alone
 MOST_PROOFS = 10_000
-ASKED = "asked"
+ASKED, COMING = "asked", "coming"
 LISTENING = "/api/v1/events"
 BACKGROUND = (b"x-boresight-background", b"1")  # a page that renews itself says so
 
@@ -69,6 +72,11 @@ class Asked:
     mark: Mark | None = None
     beside: Hashable = None
 
+    @property
+    def keys(self) -> tuple[Hashable, Hashable]:
+        """Under which its answer is kept: for all, and for who asks."""
+        return self.address, (self.address, self.asker)
+
     @classmethod
     def of(cls, scope: Scope) -> Asked | None:
         """Read a request; None where it is none that an answer may stand ready for."""
@@ -92,10 +100,27 @@ class Asked:
 
 @dataclass(frozen=True)
 class Proof:
-    """That credentials hold: until when by the clock, and what is to be done whenever they are used."""
+    """That credentials hold.
+
+    Parameters
+    ----------
+    until_s
+        Until when by the clock.
+    use
+        What is to be done whenever they are used; whether they hold still.
+    unchanged
+        Whether the rows that they follow from say the same now; may be asked anywhere, for it takes some microseconds.
+    person
+        Whose log-in it is, and what its cookies say besides: the same for log-ins that get the same pages but for the token.
+    csrf_token
+        The token that stands in the pages of this log-in.
+    """
 
     until_s: float
     use: Use
+    unchanged: Callable[[], bool] = lambda: False
+    person: Hashable = None
+    csrf_token: bytes = b""
 
     def holds(self, *, active: bool = True) -> bool:
         """Whether they hold still; counts as a use where somebody did something."""
@@ -120,6 +145,8 @@ class Kept:
         The store before it was read, what else it depends on, and when it was made.
     route
         Of the endpoint, by which it is counted.
+    csrf_token
+        The token that stands in it, where it is kept plain for other log-ins of the same person, and sent to none as it is.
     """
 
     headers: tuple[tuple[bytes, bytes], ...]
@@ -130,6 +157,14 @@ class Kept:
     beside: Hashable = None
     made_s: float = 0.0
     route: Any = None
+    csrf_token: bytes = b""
+
+    def for_log_in(self, csrf_token: bytes) -> Kept:
+        """Return the answer for another log-in of the same person, with its own token."""
+        body = self.body.replace(self.csrf_token, csrf_token)
+        if (b"content-encoding", b"gzip") in self.headers:
+            body = gzip.compress(body, FAST, mtime=0)
+        return replace(self, body=body, csrf_token=b"")
 
     async def send(self, send: Send, known_tags: bytes) -> None:
         """Send it, or that the copy which the asker has is still right."""
@@ -176,19 +211,42 @@ class Ready:
         self._limit_bytes = limit_bytes
         self._kept: OrderedDict[Hashable, Kept] = OrderedDict()
         self._proofs: OrderedDict[Asker, tuple[Mark, Proof]] = OrderedDict()
-        self._making: dict[tuple[Address, Mark], asyncio.Future[Kept | None]] = {}
+        self._coming: dict[Hashable, asyncio.Future[Kept | None]] = {}
+        self._making: dict[tuple[Hashable, Mark], asyncio.Future[Kept | None]] = {}
 
     async def find(self, scope: Scope, asked: Asked, mark: Mark) -> Kept | None:
         """Return the answer that stands ready for who asks, waiting for it when it is being made for all."""
         kept = self._standing(asked, mark)
         if kept is None:
-            making = self._making.get((asked.address, mark))
+            making = self._being_made(asked, mark)
             kept = None if making is None else await asyncio.shield(making)
-        return kept if kept is not None and await self._is_known(scope, asked, mark) else None
+            if kept is not None and kept.mark is not None:
+                mark = kept.mark  # looked for later than ours
+        if kept is None or not await self._is_known(scope, asked, mark):
+            return None
+        if kept.csrf_token:
+            kept = kept.for_log_in(self._proofs[asked.asker][1].csrf_token)
+            self._put(asked.keys[1], kept)
+        return kept
+
+    def _keys(self, asked: Asked) -> tuple[Hashable, ...]:
+        """Return under which its answer may be kept: for all, for the person, and for who asks."""
+        proven = self._proofs.get(asked.asker)
+        for_all, for_one = asked.keys
+        person = None if proven is None else proven[1].person
+        return (for_all, for_one) if person is None else (for_all, for_one, (asked.address, person))
+
+    def _being_made(self, asked: Asked, mark: Mark) -> asyncio.Future[Kept | None] | None:
+        """Return the answer that is being made and will tell of everything committed by now."""
+        for key in self._keys(asked):
+            making = self._coming.get(key) or self._making.get((key, mark))
+            if making is not None:
+                return making
+        return None
 
     def _standing(self, asked: Asked, mark: Mark) -> Kept | None:
         """Return what stands under an address, for all or for who asks, and still holds."""
-        for key in (asked.address, (asked.address, asked.asker)):
+        for key in self._keys(asked):
             kept = self._kept.get(key)
             if kept is not None and kept.mark == mark and self._is_young(kept):
                 self._kept.move_to_end(key)
@@ -204,6 +262,9 @@ class Ready:
         proven = self._proofs.get(asked.asker)
         if proven is not None and proven[0] == mark:
             return proven[1].holds(active=asked.active)
+        if proven is not None and proven[1].unchanged():
+            self.remember(asked.asker, mark, proven[1])
+            return proven[1].holds(active=asked.active)
         proof = await self._prove(scope)
         if proof is not None:
             self.remember(asked.asker, mark, proof)
@@ -218,16 +279,23 @@ class Ready:
 
     def keep(self, asked: Asked, kept: Kept, *, for_all: bool) -> None:
         """Let an answer stand ready, and give it to those who wait for it."""
+        self._put(asked.keys[0 if for_all else 1], kept)
+
+    def share(self, asked: Asked, plain: Kept, proof: Proof) -> None:
+        """Let a page stand ready for the other log-ins of the person who asked."""
+        if proof.person is not None and proof.csrf_token:
+            self._put((asked.address, proof.person), replace(plain, csrf_token=proof.csrf_token))
+
+    def _put(self, key: Hashable, kept: Kept) -> None:
         size = len(kept.body)
         if size * LARGEST_SHARE > self._limit_bytes:
             return
-        key: Hashable = asked.address if for_all else (asked.address, asked.asker)
         self._drop(key)
         self._kept[key] = kept
         self.held_bytes += size
         while self.held_bytes > self._limit_bytes:
             self._drop(next(iter(self._kept)))
-        making = self._making.get((asked.address, asked.mark)) if for_all and asked.mark else None
+        making = self._making.get((key, kept.mark)) if kept.mark else None
         if making is not None and not making.done():
             making.set_result(kept)
 
@@ -236,23 +304,45 @@ class Ready:
         kept = self._kept.pop(key, None)
         self.held_bytes -= 0 if kept is None else len(kept.body)
 
-    def begins(self, asked: Asked, mark: Mark | None) -> Callable[[], None]:
-        """Say that an answer is being made; returns what to call when that is over, however it went.
+    def comes(self, scope: Scope, asked: Asked) -> Callable[[], None]:
+        """Say that an answer will be made when its turn has come; returns what to call when that is over, however it went.
 
-        Others wait only for what stood ready for all before: of other addresses nobody knows whether the answer is theirs too.
+        Others wait only for what stood ready before: of other addresses nobody knows whose the answer will be.
         """
-        if mark is None or asked.address not in self._kept or (asked.address, mark) in self._making:
+        for_all, for_one, *for_person = self._keys(asked)
+        key = next((key for key in (for_all, *for_person, for_one) if key in self._kept), None)
+        if asked.mark is None or key is None or key in self._coming:
             return lambda: None
-        key = (asked.address, mark)
         making: asyncio.Future[Kept | None] = asyncio.get_running_loop().create_future()
-        self._making[key] = making
+        self._coming[key] = making
+        scope["state"][COMING] = key, making
 
         def over() -> None:
-            del self._making[key]
+            began = (key, scope["state"][ASKED].mark)
+            if self._coming.get(key) is making:
+                del self._coming[key]
+            if self._making.get(began) is making:
+                del self._making[began]
             if not making.done():
                 making.set_result(None)
 
         return over
+
+    async def begin(self, scope: Scope) -> None:
+        """Begin to make an answer: it will tell of everything that is committed by now, and of nothing later for sure.
+
+        Who asked meanwhile waits for it. Who asks from now on does so only if nothing is committed before.
+        """
+        asked: Asked | None = scope["state"].get(ASKED)
+        if asked is None or asked.mark is None:
+            return
+        key, making = scope["state"].get(COMING, (None, None))
+        if making is not None and self._coming.get(key) is making:
+            del self._coming[key]
+        mark = await self.changes.now()
+        scope["state"][ASKED] = replace(asked, mark=mark, beside=self.beside())
+        if making is not None and mark is not None:
+            self._making.setdefault((key, mark), making)
 
 
 class Answering:
@@ -275,7 +365,7 @@ class Answering:
             await kept.send(send, asked.known_tags)
             return
         scope["state"][ASKED] = replace(asked, mark=mark, beside=self.ready.beside())
-        over = self.ready.begins(asked, mark)
+        over = self.ready.comes(scope, scope["state"][ASKED])
         try:
             await self.app(scope, receive, send)
         finally:

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.api.dependencies import Reading, Who
+from boresight.api.keeping import same_for_one
 from boresight.pages.audit import line_of
 from boresight.pages.rendering import render
 from boresight.pages.sparkline import Sparkline, sparkline
@@ -288,7 +289,7 @@ def _counts(standings: Sequence[Standing]) -> dict[str, int]:
     return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
 
 
-@router.get("/", response_class=HTMLResponse)
+@router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def overview_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the fleet."""
     desk = _desk(session, actor, request.app.state.policy)

@@ -15,6 +15,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.api.keeping import same_for_one
 from boresight.errors import Fault, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.pages.attempts import Refusal, attempt
@@ -136,7 +137,7 @@ class Shown:
     refusal: Refusal | None = None
 
 
-@router.get("/sensors", response_class=HTMLResponse)
+@router.get("/sensors", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def sensors_page(request: Request, actor: Who, example: str = "") -> HTMLResponse:
     """Show a page of sensors and the form, filled with the example when asked."""
     return _page(request, actor, Shown(EXAMPLE if example else ""))

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import CSRF_FIELD, Reading, Who
+from boresight.api.keeping import same_for_one
 from boresight.api.numbers import row_number
 from boresight.api.uploads import Upload, Uploaded
 from boresight.errors import BoresightError, ForbiddenError, RefusedInputError
@@ -103,7 +104,7 @@ def _page(request: Request, session: Session, actor: Actor, view: View, shown: S
     )
 
 
-@router.get("/telemetry", response_class=HTMLResponse)
+@router.get("/telemetry", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def telemetry_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show a page of sets, and the form."""
     view = read_view(request, SETS)

@@ -10,7 +10,7 @@ A mark carries the number of its connection too: those of a later connection mig
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any, Generic, TypeVar
 
 from boresight.store.sessions import Engine
@@ -52,6 +52,20 @@ class Marks:
                 self._let_go()
                 return None
             return self._opened, seen
+
+    def row(self, question: str, given: Mapping[str, int | str]) -> tuple[Any, ...] | None:
+        """Return the one row that answers a question, as it is now; None where there is none or it takes a thread."""
+        if not self.at_once:
+            return None
+        with self._lock:
+            try:
+                if self._connection is None:
+                    self._connection = self._connect()
+                found: tuple[Any, ...] | None = self._connection.dbapi_connection.execute(question, given).fetchone()
+            except Exception:  # noqa: BLE001 - as above
+                self._let_go()
+                return None
+            return found
 
     def _connect(self) -> Any:
         """Open a connection outside the pool and outside transactions, which waits for nobody."""
