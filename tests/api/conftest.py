@@ -241,10 +241,9 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     return load_catalogue(tmp_path_factory.mktemp("catalogue"))
 
 
-@pytest.fixture(scope="session")
-def house(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Iterator[House]:
-    """Serve a furnished store for all tests; each makes its own sensor, runs and sets."""
-    folder = tmp_path_factory.mktemp("house")
+@contextmanager
+def house_in(folder: Path, catalogue: Catalogue) -> Iterator[House]:
+    """Serve a furnished store in a folder."""
     telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
     write_csv(telemetry, folder / "telemetry.csv")
     result = calibrate(telemetry, SCENARIO.sensor, catalogue, CalibrationSettings(method="batch"))
@@ -255,3 +254,10 @@ def house(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Ite
         yield made
         for client in made.opened:
             client.close()
+
+
+@pytest.fixture(scope="session")
+def house(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Iterator[House]:
+    """Serve a furnished store for all tests; each makes its own sensor, runs and sets."""
+    with house_in(tmp_path_factory.mktemp("house"), catalogue) as made:
+        yield made
