@@ -23,7 +23,10 @@ PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr '
 PARALLEL := --numprocesses 2 --dist loadfile
 ALONE := tests/workers tests/measurements tests/browser tests/test_wheel.py tests/transitions/test_race.py tests/transitions/test_killed_server.py
 
-.PHONY: help demo test lint pytest bench postgresql search clean lock machine
+REQUESTS ?= 100000
+SEED ?= 1
+
+.PHONY: help demo test lint pytest bench postgresql search fuzz clean lock machine
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
@@ -58,6 +61,10 @@ postgresql: $(MADE)/dev  ## run the tests on PostgreSQL instead of SQLite (a qua
 
 search: $(MADE)/dev  ## look for new counterexamples to every property (half an hour)
 	$(PYTEST) $(PARALLEL) -m hypothesis --hypothesis-profile search
+
+fuzz: $(MADE)/dev  ## send made-up requests to every operation and documents that are nearly right (REQUESTS=100000, SEED=1)
+	@mkdir -p artefacts
+	$(BIN)/python -m tests.fuzz --requests $(REQUESTS) --seed $(SEED) --json artefacts/fuzz.json
 
 clean:  ## remove what was built, cached and demonstrated; the virtual environment stays
 	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels

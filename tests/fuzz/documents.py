@@ -117,7 +117,12 @@ def _table(world: World, random_: random.Random) -> dict[str, Any]:
     number = random_.choice(world.ids["sensor_id"])
     row = world.house.person("ada").get(f"/api/v1/sensors/{number}").json()
     fields = [
-        {"name": f"F{place}", "parameter": name, "offset_bytes": 4 * place, "type": random_.choice(("float32", "int32"))}
+        {
+            "name": f"F{place}",
+            "parameter": name,
+            "offset_bytes": 4 * place,
+            "type": random_.choice(("float32", "int32")),
+        }
         for place, name in enumerate(row["document"]["initial"])
     ]
     crc = {"name": "CRC-16/CCITT-FALSE", "offset_bytes": 4 * len(fields)}
@@ -130,12 +135,16 @@ def _table(world: World, random_: random.Random) -> dict[str, Any]:
         "crc": crc,
     }
     body = {"document": changed(document, random_), "reason": "Tried."}
-    tag = world.house.person("ada").get(f"/api/v1/sensors/{number}/table-definitions?limit=1").headers.get("etag", '"v0"')
+    tag = (
+        world.house.person("ada").get(f"/api/v1/sensors/{number}/table-definitions?limit=1").headers.get("etag", '"v0"')
+    )
     return {"path": {"sensor_id": number}, "json": body, "tag": tag.removeprefix("W/")}
 
 
 def _settings(random_: random.Random) -> Any:
-    return changed({**CalibrationSettings().document(), "method": random_.choice(("batch", "sqrf", "svd", "ekf"))}, random_)
+    return changed(
+        {**CalibrationSettings().document(), "method": random_.choice(("batch", "sqrf", "svd", "ekf"))}, random_
+    )
 
 
 def _launch(world: World, random_: random.Random) -> dict[str, Any]:
@@ -156,7 +165,10 @@ def _campaign(world: World, random_: random.Random) -> dict[str, Any]:
 
 def _upload(world: World, random_: random.Random) -> dict[str, Any]:
     content, name = _file(world.house, random_)
-    fields = {"sensor_id": str(random_.choice(world.ids["sensor_id"])), "purpose": random_.choice(("calibration", "validation"))}
+    fields = {
+        "sensor_id": str(random_.choice(world.ids["sensor_id"])),
+        "purpose": random_.choice(("calibration", "validation")),
+    }
     if random_.random() < 0.1:
         fields[random_.choice(tuple(fields))] = random_.choice(("", "9" * 30, "9" * 5000, "x", "-1", "\ud7ff", "٣"))
     query = {"validate_only": "true"} if random_.random() < 0.8 else {}
@@ -203,7 +215,9 @@ def _as_lines(content: bytes) -> bytes:
     head, *rows = content.splitlines()
     names = [name.strip(b'"') for name in head.split(b",")]
     return b"\n".join(
-        b"{" + b",".join(b'"' + name + b'":' + (cell or b"null") for name, cell in zip(names, row.split(b","), strict=False)) + b"}"
+        b"{"
+        + b",".join(b'"' + name + b'":' + (cell or b"null") for name, cell in zip(names, row.split(b","), strict=False))
+        + b"}"
         for row in rows
     )
 
@@ -224,7 +238,11 @@ def _torn(content: bytes, random_: random.Random) -> bytes:
 def _dump(world: World, random_: random.Random) -> dict[str, Any]:
     number = random_.choice(world.ids["parameter_set_id"])
     tag = world.house.person("ada").get(f"/api/v1/parameter-sets/{number}").headers["etag"]
-    fields = {"source": "TM", "crc": random_.choice(("", "FFFF", "0x1", "zz", "9" * 5000)), "happened_utc": random_.choice(("", "0001-01-01T00:00:00+14:00", "2026-01-01", "x"))}
+    fields = {
+        "source": "TM",
+        "crc": random_.choice(("", "FFFF", "0x1", "zz", "9" * 5000)),
+        "happened_utc": random_.choice(("", "0001-01-01T00:00:00+14:00", "2026-01-01", "x")),
+    }
     files = {"file": ("d.bin", random_.randbytes(random_.choice((0, 1, 34, 300))))} if random_.random() < 0.7 else None
     if files is None:
         files = {"other": (None, "x")}
@@ -262,6 +280,5 @@ def fuzz_document(world: World, kind: Kind, asker: Asker, count: int, seed: int,
                 tally.server_errors.append(f"{operation.label}: {error}")
             tally.unsendable += 1
             continue
-        tally.judge(KIND, asker, bare_case(operation), request, answer)
-
-
+        path = {name: str(number) for name, number in made.get("path", {}).items()}
+        tally.judge(KIND, asker, bare_case(operation, path_parameters=path), request, answer)

@@ -62,7 +62,7 @@ def _drawn(
         ask()
     except hypothesis.errors.Unsatisfiable:
         pass  # an operation that takes nothing cannot be asked wrongly
-    except Exception as error:  # noqa: BLE001 - the maker of requests may give up on a schema; the run does not
+    except Exception as error:
         if type(error).__module__.partition(".")[0] not in {"schemathesis", "hypothesis"}:
             raise
 
@@ -95,7 +95,9 @@ def _aim(world: World, operation: APIOperation, request: dict[str, Any], random_
         request["url"] = world.house.address + path.format(**parts)
         headers = request.get("headers") or {}
         if "If-Match" in headers and random_.random() < HITS:
-            headers["If-Match"] = random_.choice(('"v1"', '"v2"', '"v3"', '"v0"')) if len(names) > 1 else _tag(world, path, parts)
+            headers["If-Match"] = (
+                random_.choice(('"v1"', '"v2"', '"v3"', '"v0"')) if len(names) > 1 else _tag(world, path, parts)
+            )
     for holder in (request.get("params"), request.get("json")):
         if isinstance(holder, dict):
             _aim_members(world, path, holder, random_)
@@ -121,5 +123,3 @@ def _tag(world: World, path: str, parts: dict[str, str]) -> str:
     noun = path[: path.index("}") + 1]
     answer = world.askers[0].send({"method": "GET", "url": world.house.address + noun.format(**parts)})
     return str(answer.headers.get("etag", '"v1"'))
-
-

@@ -131,7 +131,7 @@ def _by_name(entries: Any) -> dict[str, Mapping[str, Any]]:
     given: dict[str, Mapping[str, Any]] = {}
     for entry in entries:
         name = entry.get("name")
-        if name not in GATES:
+        if not isinstance(name, str) or name not in GATES:
             raise RefusedInputError(f"There is no gate {name!r}; the gates are {', '.join(GATES)}.")
         if name in given:
             raise RefusedInputError(f"The gate {name} is given twice: give it once.")

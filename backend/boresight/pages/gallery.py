@@ -81,7 +81,8 @@ def gallery_figure(name: str, of: str = "one") -> Response:
 @router.get("/gallery/figures/{name}/data")
 def gallery_data(name: str, of: str = "one") -> Response:
     """Send the numbers of a figure of the specimen as CSV."""
-    table = FIGURES[name].table(specimens()[_traces_of(name, of)[0]])
+    shown = _traces_of(name, of)
+    table = FIGURES[name].table(specimens()[shown[0]])
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
