@@ -14,7 +14,9 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.readers import read_telemetry, write_csv
 from tests.stores import environment_in
 
-ALWAYS, ALL, THROUGH_THE_DOOR = 60, 2000, 8
+ALL, THROUGH_THE_DOOR = 2000, 8
+#: Sixty of them; 23 and 34 make the tables of lost in space, which takes seconds.
+ALWAYS = [number for number in range(62) if number not in {23, 34}]
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +41,7 @@ def defects(numbers, bases, catalogue, folder):
 
 
 def test_some_edits_end_in_a_result_or_a_sentence(bases, catalogue, folder):
-    assert defects(range(ALWAYS), bases, catalogue, folder) == []
+    assert defects(ALWAYS, bases, catalogue, folder) == []
 
 
 @pytest.mark.full
@@ -52,7 +54,7 @@ def test_edits_through_the_command_line_end_with_a_result_or_a_line(bases, folde
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # the compiled loops stay where they are
     for name, value in environment_in(folder).items():
         monkeypatch.setenv(name, value)
-    cases = [edits.case_of(number, bases, folder) for number in range(ALWAYS, ALWAYS + THROUGH_THE_DOOR)]
+    cases = [edits.case_of(number, bases, folder) for number in range(62, 62 + THROUGH_THE_DOOR)]
     assert [edits.through_the_door(case, folder / "sensor.json") for case in cases] == [None] * THROUGH_THE_DOOR
 
 
