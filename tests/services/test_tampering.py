@@ -106,7 +106,10 @@ def _fill_the_rest(session: Session) -> None:
         ChangeProposal,
     ):
         if session.scalar(sa.select(sa.func.count()).select_from(model)) == 0:
-            session.add(_plain(model))
+            row = _plain(model)
+            if isinstance(row, ChangeProposal):
+                row.kind, row.state = "gate-profile", "OPEN"
+            session.add(row)
             session.flush()
     audit.append(session, COMMAND_LINE, "filled", "tables")
 
