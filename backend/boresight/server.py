@@ -143,7 +143,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.catalogue = _lazy_catalogue(settings)
     state.sight = Sight(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
     state.broadcast = Broadcast(state.engine)
-    state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge)
+    state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge, settings.data_folder / "last-seen")
     kept = KeptHeads(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
     state.upkeep = Upkeep(state.engine, settings.session_limits, state.blobs, kept)
     state.passwords = Passwords(state.engine, settings.login_attempts)

@@ -20,7 +20,7 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import users
+from boresight.services import clock, users
 from boresight.services.actors import POLICY, Actor, Policy, require_person
 from boresight.services.discussions import assign, openings_of, record_opening, remark, remarks_of
 from boresight.services.evidence import refuse_blocked, shown_sha256
@@ -97,7 +97,7 @@ def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Po
         refuse_signer(session, actor, approval, policy)
     except (ForbiddenError, ConflictError, StaleError) as refusal:
         return str(refusal)
-    if is_expired(approval):
+    if is_expired(approval) and not clock.is_held(session):
         return f"Request {approval.id} expired at {approval.expires_utc}; the set must be submitted again."
     return None
 

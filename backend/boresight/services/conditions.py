@@ -6,6 +6,7 @@
 `AGE`      caution  the baseline is older than `fleet.OLD_DAYS`
 `MISMATCH` critical a read-back of one of the sensor's sets did not match what was sent
 `CHAIN`    critical the audit log, or a row that it seals, is not as it was written
+`CLOCK`    serious  the clock jumped (`services.clock`): nothing expires until somebody acknowledges it
 `HEAD`     serious  the head of the audit log cannot be written to where it is kept
 `FILES`    critical a stored file that rows name was altered on the disk, or is missing
 ========== ======== ==========================================================================================

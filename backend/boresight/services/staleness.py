@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from boresight.errors import ConflictError, StaleError
+from boresight.services import clock
 from boresight.services.actors import SYSTEM, Actor
 from boresight.services.evidence import moved
 from boresight.services.transitions import move, resting_state, whose_baseline
@@ -75,12 +76,12 @@ def is_expired(approval: Approval) -> bool:
 
 def any_due(session: Session) -> bool:
     """Whether there are requests whose time is over and that still stand open."""
-    return bool(approval_rows.due(session, utc_now()))
+    return bool(approval_rows.due(session, utc_now())) and not clock.is_held(session)
 
 
 def expire_due(session: Session) -> Sequence[Approval]:
     """Close every request whose time is over, and return them; their sets may be submitted again."""
-    due = approval_rows.due(session, utc_now())
+    due = () if clock.is_held(session) else approval_rows.due(session, utc_now())
     for approval in due:
         _expire(session, approval)
     return due
@@ -105,7 +106,7 @@ def refuse_expired(session: Session, approval: Approval, row: ParameterSet) -> N
     ConflictError
         The request stays EXPIRED although the refusal is raised.
     """
-    if not is_expired(approval):
+    if not is_expired(approval) or clock.is_held(session):
         return
     _expire(session, approval)
     keep_despite_refusal(session)

@@ -53,6 +53,12 @@ def installation_changed(session: Session, found: Mapping[str, Condition | None]
     return overdue or bool(_differing(*_installation_compared(session, found)))
 
 
+def is_up(session: Session, source: str) -> bool:
+    """Whether an alarm of a source is up."""
+    row = rows.open_alarms(session).get(source)
+    return row is not None and bool(row.active)
+
+
 def files_in_alarm(session: Session) -> list[str]:
     """Return the files of an alarm that is up, so that they are looked at before it is said to be over."""
     row = rows.open_alarms(session).get(FILES)
