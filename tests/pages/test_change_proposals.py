@@ -10,6 +10,7 @@ import pytest
 from boresight.services import gate_profiles, users
 from boresight.services.actors import COMMAND_LINE
 from boresight.store.sessions import reading, writing
+from tests.passwords import new_password
 
 from .conftest import PASSWORD, PEOPLE
 from .test_gates import EDITOR, fields
@@ -24,7 +25,12 @@ def asking(house, monkeypatch):
     monkeypatch.setitem(PEOPLE, "agnes", ("administrator",))  # the next number is hers
     with writing(house.engine) as session:
         users.create_user(
-            session, COMMAND_LINE, name="agnes", printed_name="Agnes", password=PASSWORD, roles=["administrator"]
+            session,
+            COMMAND_LINE,
+            name="agnes",
+            printed_name="Agnes",
+            password=new_password(PASSWORD),
+            roles=["administrator"],
         )
     return house
 

@@ -27,6 +27,7 @@ from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, reading, utc_after, writing
 from boresight.store.tables import ChangeProposal, GateProfile, ParameterSet, User
 from boresight.uplink.plain_table import plain_definition
+from tests.passwords import new_password
 
 from .conftest import PASSWORD, SENSOR
 
@@ -41,7 +42,12 @@ def two(engine: Engine) -> People:
     with writing(engine) as session:
         for name, role in (("rita", "administrator"), ("ann", "analyst")):
             users.create_user(
-                session, COMMAND_LINE, name=name, printed_name=name.title(), password=PASSWORD, roles=[role]
+                session,
+                COMMAND_LINE,
+                name=name,
+                printed_name=name.title(),
+                password=new_password(PASSWORD),
+                roles=[role],
             )
     with reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
@@ -263,7 +269,12 @@ def race(request: pytest.FixtureRequest, engine: Engine, two: People) -> Any:
     with writing(other) as session:
         for name in ("root", "rita", "rosa"):
             users.create_user(
-                session, COMMAND_LINE, name=name, printed_name=name, password=PASSWORD, roles=["administrator"]
+                session,
+                COMMAND_LINE,
+                name=name,
+                printed_name=name,
+                password=new_password(PASSWORD),
+                roles=["administrator"],
             )
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     with reading(other) as session:
