@@ -101,7 +101,7 @@ def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(s
 def test_what_fails_is_tried_again(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     walks = []
 
-    def failing(session: object) -> None:
+    def failing(session: object, **_: object) -> None:
         walks.append(session)
         raise OSError("no disk")
 

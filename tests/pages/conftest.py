@@ -109,7 +109,7 @@ def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any])
         parameter_sets.create_ground_calibration(session, COMMAND_LINE, sensor, description)
         for purpose in ("calibration", "validation"):
             sha256 = blobs.put(purpose.encode())
-            session.add(Blob(sha256=sha256, size_bytes=11, media_type="text/csv", created_utc=utc_now()))
+            session.add(Blob(sha256=sha256, size_bytes=len(purpose), media_type="text/csv", created_utc=utc_now()))
             session.flush()
             session.add(
                 TelemetrySet(
@@ -170,7 +170,7 @@ class House:
                     session.add(
                         Blob(
                             sha256=values["result_sha256"],
-                            size_bytes=1,
+                            size_bytes=len(orjson.dumps(result)),
                             media_type="application/json",
                             created_utc=utc_now(),
                         )
