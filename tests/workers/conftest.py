@@ -115,7 +115,7 @@ class Store:
     def log(self, run_id: int, kind: str) -> list[str]:
         """Return the messages of one kind from a run's log."""
         with reading(self.database) as session:
-            return [event.message for event in events_of_run(session, run_id) if event.kind == kind]
+            return [event.message for event in events_of_run(session, run_id, 0, None) if event.kind == kind]
 
     def ends(self, run_id: int) -> list[str]:
         """Return the terminal states that were written for a run."""
