@@ -214,6 +214,8 @@ class _Walk:
 
     def look_at(self, data: mmap.mmap, group: arrow_parquet.RowGroupMetaData) -> None:
         """Add the pages of the next group."""
+        if group.num_columns != len(self.widths):  # to ask for a column that is not there ends the process
+            raise DamagedPageError("a group of rows lacks columns")
         together = 0
         for place, column in enumerate(self.widths):
             largest = {True: 0, False: 0}
