@@ -23,7 +23,7 @@ import pyarrow.parquet as arrow_parquet
 from boresight.errors import RefusedInputError
 from boresight.telemetry.formats import worth_threads
 from boresight.telemetry.limits import LIMITS, Limits
-from boresight.telemetry.parquet_pages import DELTA_BYTE_ARRAY, DamagedPageError, Page, pages_of
+from boresight.telemetry.parquet_pages import DELTA_BYTE_ARRAY, Chunk, DamagedPageError, Page, chunks_of, pages_of
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import FLOAT_COLUMNS, INTEGER_COLUMNS, OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 from boresight.telemetry.tables import FormFaults, Tables
@@ -41,7 +41,7 @@ _BUFFER_BYTES = 1_000_000
 #: A footer has some 100 bytes a column and group of rows; parsed it takes ten times as much.
 _FOOTER_BYTES = 8_000_000
 _TAIL_BYTES = 8
-_MOST_CHUNKS = 100_000
+_MOST_CHUNKS = 50_000
 #: Pages of fewer values than this, on the whole, beside the first: a header each is read, and programs write thousands.
 _LEAST_VALUES, _FIRST_PAGES = 500, 20_000
 #: Pages that are open together: one of each column, and its different texts.
@@ -194,10 +194,14 @@ def _look_at_pages(path: Path, name: str, file: arrow_parquet.ParquetFile, texts
     walk = _Walk(name, names, texts, limits, path.stat().st_size, metadata.num_rows, len(groups))
     try:
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            for group in groups:
-                walk.look_at(data, group)
+            chunks = chunks_of(data)
+            are_whole = [len(columns) for columns in chunks] == [len(names)] * len(groups)
+            for columns, group in zip(chunks, groups, strict=True) if are_whole else ():
+                walk.look_at(data, columns, group.num_rows)
     except DamagedPageError as error:
         raise _damaged(name) from error
+    if not are_whole:
+        raise _damaged(name)
     return sum(walk.widths.values())
 
 
@@ -212,14 +216,14 @@ class _Walk:
         self._pages, self._bytes = 0, 0
         self._most_pages = _FIRST_PAGES + (groups + rows // _LEAST_VALUES) * len(columns)
 
-    def look_at(self, data: mmap.mmap, group: arrow_parquet.RowGroupMetaData) -> None:
-        """Add the pages of the next group."""
-        if group.num_columns != len(self.widths):  # to ask for a column that is not there ends the process
-            raise DamagedPageError("a group of rows lacks columns")
+    def look_at(self, data: mmap.mmap, chunks: list[Chunk], rows: int) -> None:
+        """Add the pages of the next group, of so many rows."""
+        if any(chunk.values != rows for chunk in chunks):
+            raise DamagedPageError("a column has another number of rows than its group")
         together = 0
-        for place, column in enumerate(self.widths):
+        for column, chunk in zip(self.widths, chunks, strict=True):
             largest = {True: 0, False: 0}
-            for page in _pages(data, group.column(place), group.num_rows):
+            for page in pages_of(data, chunk.start, chunk.size):
                 self._count(page)
                 largest[page.is_dictionary] = max(largest[page.is_dictionary], page.uncompressed_bytes)
                 if column in self._texts:
@@ -240,16 +244,6 @@ class _Walk:
                 f"{self._name} is cut into over {self._most_pages:,} pages: write it in pages of about a megabyte."
             )
         self._limits.refuse_expansion(self._name, self._bytes, self._size)
-
-
-def _pages(data: mmap.mmap, chunk: arrow_parquet.ColumnChunkMetaData, rows: int) -> Iterator[Page]:
-    """The pages of one column of a group of rows."""
-    if chunk.num_values != rows:
-        raise DamagedPageError("a column has another number of rows than its group")
-    start, dictionary = chunk.data_page_offset, chunk.dictionary_page_offset
-    if chunk.has_dictionary_page and dictionary is not None and (0 < dictionary < start or not start):
-        start = dictionary  # a group of no rows has nothing after it
-    return pages_of(data, start, chunk.total_compressed_size)
 
 
 def _text_width(name: str, column: str, page: Page, limits: Limits) -> float:

@@ -7,6 +7,12 @@ Such a header is a Thrift struct in compact form, of which five numbers matter h
     data header     1 num_values, 2 encoding                    (DataPageHeader)
     data header v2  1 num_values, 4 encoding                    (DataPageHeaderV2)
 
+Where the pages begin stands in the footer, which is read here too: Arrow's own way to ask for a column of a group ends the process
+where the footer is damaged in the wrong place::
+
+    FileMetaData    4 row_groups                RowGroup        1 columns, 3 num_rows
+    ColumnChunk     3 meta_data                 ColumnMetaData  5 num_values, 7 total_compressed_size, 9 and 11 offsets of the pages
+
 Every field is a byte (difference of field numbers, type) and a value; integers are zigzag varints, a struct ends with 0.
 """
 
@@ -52,7 +58,52 @@ class Page:
     encoding: int
 
 
-def pages_of(file: mmap.mmap, start: int, size: int) -> Iterator[Page]:
+@dataclass(frozen=True)
+class Chunk:
+    """A column of a group of rows: how many values it has, and the bytes of its pages."""
+
+    values: int
+    start: int
+    size: int
+
+
+def chunks_of(file: mmap.mmap | bytes) -> list[list[Chunk]]:
+    """The columns of every group of rows, as the footer says.
+
+    Raises
+    ------
+    DamagedPageError
+        When it cannot be read.
+    """
+    end = len(file) - 8
+    start = end - int.from_bytes(file[end : end + 4], "little")
+    if start < 0:
+        raise DamagedPageError("the footer is longer than the file")
+    groups = _Thrift(file, start, end).struct().get(4, [])
+    return [[_chunk(column) for column in _structs(_fields(group).get(1))] for group in _structs(groups)]
+
+
+def _chunk(column: dict[int, object]) -> Chunk:
+    fields = _fields(column.get(3))
+    start, dictionary = _number(fields, 9), fields.get(11)
+    if isinstance(dictionary, int) and (0 < dictionary < start or not start):
+        start = dictionary  # a group of no rows has nothing after it
+    return Chunk(_number(fields, 5), start, _number(fields, 7))
+
+
+def _fields(value: object) -> dict[int, object]:
+    if not isinstance(value, dict):
+        raise DamagedPageError("a struct is missing")
+    return value
+
+
+def _structs(value: object) -> list[dict[int, object]]:
+    if not isinstance(value, list):
+        raise DamagedPageError("a list is missing")
+    return [_fields(item) for item in value]
+
+
+def pages_of(file: mmap.mmap | bytes, start: int, size: int) -> Iterator[Page]:
     """Yield the pages of a column chunk that lies at these bytes.
 
     Raises
@@ -91,9 +142,9 @@ def _number(fields: dict[int, object], key: int) -> int:
 
 
 class _Thrift:
-    """Reads one struct in compact form; only its numbers and inner structs are kept."""
+    """Reads one struct in compact form; only its numbers, inner structs and lists of these are kept."""
 
-    def __init__(self, data: mmap.mmap, place: int, end: int) -> None:
+    def __init__(self, data: mmap.mmap | bytes, place: int, end: int) -> None:
         self._data, self.place, self._end = data, place, end
 
     def struct(self, depth: int = 0) -> dict[int, object]:
@@ -117,8 +168,8 @@ class _Thrift:
         if kind == _STRUCT:
             return self.struct(depth + 1)
         if kind in {_LIST, _SET}:
-            self._skip_list(depth)
-        elif kind == _BINARY:
+            return self._list(depth)
+        if kind == _BINARY:
             self._skip(self._unsigned())
         elif kind in {_BYTE, _DOUBLE}:
             self._skip(1 if kind == _BYTE else 8)
@@ -126,14 +177,16 @@ class _Thrift:
             raise DamagedPageError("a page header holds what none has")
         return None
 
-    def _skip_list(self, depth: int) -> None:
+    def _list(self, depth: int) -> list[object]:
         head = self._byte()
         count, kind = head >> 4, head & 15
+        items: list[object] = []
         for _ in range(self._unsigned() if count == 15 else count):
             if kind in {_TRUE, _FALSE}:
                 self._skip(1)
-            else:
-                self._value(kind, depth + 1)
+            elif (item := self._value(kind, depth + 1)) is not None and kind == _STRUCT:
+                items.append(item)
+        return items
 
     def _skip(self, count: int) -> None:
         self.place += count
