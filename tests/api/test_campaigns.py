@@ -105,3 +105,13 @@ def test_boresights_presets_come_first_and_archived_ones_only_where_asked(house:
     ]
     assert str(options["preset_id"]) not in keys[0]
     assert str(options["preset_id"]) in keys[1]
+
+
+def test_what_a_campaign_writes_to_the_logs_of_its_runs_is_chained(house: House) -> None:
+    who, options = campaigns.campaign(house)
+    client = house.person(who)
+    assert client.get("/api/v1/audit/verification").json()["ok"]
+    address = f"/api/v1/campaigns/{options['campaign_id']}:cancel"
+    assert client.post(address, json={"reason": "Enough."}, headers=options["headers"]).status_code == 200
+    found = client.get("/api/v1/audit/verification").json()
+    assert found["ok"], found["sentence"]

@@ -47,6 +47,10 @@ def test_every_operation_says_what_every_request_may_meet(name: str) -> None:
             assert answer["content"][PROBLEM]["schema"] == {"$ref": "#/components/schemas/ProblemDocument"}
 
 
+def test_no_two_shapes_have_one_name() -> None:
+    assert [name for name in OPENAPI["components"]["schemas"] if "__" in name] == []
+
+
 def test_scopes_are_an_enumeration() -> None:
     scopes = OPENAPI["components"]["schemas"]["NewKey"]["properties"]["scopes"]
     assert scopes["items"]["enum"] == list(SCOPES)

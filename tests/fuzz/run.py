@@ -40,8 +40,8 @@ def fuzz(world: World, requests: int, seed: int = 1, tell: Any = None) -> Tally:
 
 def _piece(requests: int, world: World) -> int:
     """Return how many requests of one operation are sent at a time."""
-    jobs = len(world.operations) * len(world.askers) * (1 + OF_DOCUMENTS)
-    return max(1, min(PIECE, round(requests / jobs)))
+    jobs = len(world.operations) * len(world.askers) / (1 - OF_DOCUMENTS)
+    return max(1, min(PIECE, int(requests / jobs)))  # so that one turn comes to every operation
 
 
 def _jobs(world: World) -> Iterator[Any]:

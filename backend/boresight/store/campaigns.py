@@ -13,8 +13,9 @@ import sqlalchemy as sa
 
 from boresight.store import seals
 from boresight.store.documents import among
+from boresight.store.run_events import write_events
 from boresight.store.sessions import Session, utc_now
-from boresight.store.tables import TERMINAL_RUN_STATES, Base, Campaign, CampaignRun, Run, RunEvent, Sensor, TelemetrySet
+from boresight.store.tables import TERMINAL_RUN_STATES, Base, Campaign, CampaignRun, Run, Sensor, TelemetrySet
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,7 @@ def add_runs(session: Session, values: Sequence[Mapping[str, Any]]) -> dict[int,
     now = utc_now()
     fixed = {"state": "QUEUED", "attempt": 0, "cancel_requested": 0, "launched_utc": now}
     added = _inserted(session, Run, [{**one, **fixed} for one in values], Run.id, Run.sensor_id)
-    line = {"attempt": 0, "at_utc": now, "kind": "state", "message": "QUEUED"}
-    _inserted(session, RunEvent, [{"run_id": run_id, **line} for run_id in sorted(run_id for run_id, _ in added)])
+    write_events(session, [(run_id, 0, "state", "QUEUED") for run_id in sorted(run_id for run_id, _ in added)])
     return {sensor_id: run_id for run_id, sensor_id in added}
 
 
@@ -66,9 +66,6 @@ def _inserted(session: Session, model: type[Base], values: Sequence[Mapping[str,
     if not values:
         return []
     statement = sa.insert(model).execution_options(**seals.BULK)
-    if not returned:
-        session.execute(statement, values)
-        return []
     rows = list(session.execute(statement.returning(*returned), values))
     for row in rows:
         seals.note(session, model, row[0])
@@ -143,11 +140,7 @@ def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[in
         .returning(Run.id, Run.attempt, Run.state)
         .execution_options(synchronize_session=False, **seals.BULK)
     ).all()
-    lines = [
-        {"run_id": run_id, "attempt": attempt, "at_utc": utc_now(), "kind": "state", "message": f"{state}: {reason}"}
-        for run_id, attempt, state in stopped
-    ]
-    _inserted(session, RunEvent, lines)
+    write_events(session, [(run_id, attempt, "state", f"{state}: {reason}") for run_id, attempt, state in stopped])
     for run_id, _, state in stopped:
         if state in TERMINAL_RUN_STATES:
             seals.note(session, Run, run_id)

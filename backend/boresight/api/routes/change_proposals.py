@@ -29,7 +29,7 @@ PROPOSED: dict[int | str, dict[str, Any]] = {
 }
 
 
-class Comment(BaseModel):
+class ProposalComment(BaseModel):
     """A word to who proposed the change."""
 
     model_config = ConfigDict(extra="forbid")
@@ -89,7 +89,12 @@ def get_change_proposal(proposal_id: Id, actor: Who, session: Reading) -> Respon
     responses=TRANSITION,
 )
 def confirm_change(
-    proposal_id: Id, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing, said: Comment | None = None
+    proposal_id: Id,
+    actor: Who,
+    seen: SeenVersion,
+    once: Idempotent,
+    session: Writing,
+    said: ProposalComment | None = None,
 ) -> Response:
     """Confirm a change as a second person: one who may make it, did not propose it, and is logged in; no API key.
 
@@ -112,7 +117,7 @@ def confirm_change(
     responses=TRANSITION,
 )
 def refuse_change(
-    proposal_id: Id, said: Comment, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
+    proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
 ) -> Response:
     """Refuse a change as a second person, with a comment."""
     return once.answer(
