@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Policy
 from boresight.services.kept_heads import refuse_place
-from boresight.services.sessions import SessionLimits
+from boresight.services.session_limits import SessionLimits
 from boresight.services.webhook_targets import Targets, read_hosts
 from boresight.store.blob_places import BlobPlace, parse_address
 from boresight.store.secret_box import SecretBox

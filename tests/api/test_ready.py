@@ -15,7 +15,7 @@ from boresight.api import ready as standing
 from boresight.pages import sensors as pages_of_sensors
 from boresight.services import audit
 from boresight.services.actors import SYSTEM
-from boresight.services.sessions import SessionLimits
+from boresight.services.session_limits import SessionLimits
 from boresight.store.sessions import open_engine, utc_after, writing
 from boresight.store.tables import ApiKey, Run
 

@@ -21,6 +21,7 @@ from boresight.api.upkeep import Upkeep
 from boresight.errors import SessionEndedError, UnauthenticatedError
 from boresight.services import sessions
 from boresight.settings import Settings
+from boresight.store.blobs import open_blobs
 from boresight.store.marks import Marks
 from boresight.store.sessions import open_engine, reading, utc_after, utc_text, writing
 from boresight.store.tables import LoginSession
@@ -262,7 +263,7 @@ def test_what_lapsed_is_written_and_what_ended_long_ago_is_forgotten(tmp_path: P
     settings = settings_in(tmp_path)
     add_people(settings)
     engine = open_engine(settings.database_url)
-    upkeep = Upkeep(engine, settings.session_limits)
+    upkeep = Upkeep(engine, settings.session_limits, open_blobs(settings.blob_place))
     ages_h = {"fresh": 0.0, "idle": 1.2, "expired": 13.0}
     with writing(engine) as session:
         for age_h in ages_h.values():

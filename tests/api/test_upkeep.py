@@ -15,7 +15,7 @@ from boresight.api import upkeep as upkeep_module
 from boresight.api.upkeep import Upkeep
 from boresight.services import alarms, api_keys, audit, users
 from boresight.services.actors import COMMAND_LINE
-from boresight.services.sessions import SessionLimits
+from boresight.services.session_limits import SessionLimits
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
 from tests.passwords import new_password

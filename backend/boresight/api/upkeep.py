@@ -35,7 +35,7 @@ from boresight.services.conditions import (
     head_condition,
 )
 from boresight.services.kept_heads import KeptHead, read_head, write_head
-from boresight.services.sessions import SessionLimits
+from boresight.services.session_limits import SessionLimits
 from boresight.store import files
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, utc_now, writing

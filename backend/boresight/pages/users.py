@@ -212,7 +212,7 @@ def _sessions_page(
         status_code=refusal.status if refusal else 200,
         person=person,
         own=person.id == actor.user_id,
-        opened=[(row, limits.ends_utc(row)) for row in opened if not limits.is_idle(row.last_used_utc)],
+        opened=[(row, limits.ends_utc(row.created_utc)) for row in opened if not limits.is_idle(row.last_used_utc)],
         ended=ended,
         current=actor.session_id,
         idle_minutes=limits.idle_s / 60,

@@ -11,13 +11,13 @@ import hashlib
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 
 from boresight.errors import ForbiddenError, NotFoundError, SessionEndedError, UnauthenticatedError
 from boresight.services import audit
 from boresight.services.actors import Actor, refuse_key, require_person
+from boresight.services.session_limits import SessionLimits
 from boresight.store import login_sessions as rows
-from boresight.store.sessions import Session, utc_after, utc_now, utc_text
+from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import LoginSession
 
 KEPT_FOR_S = 90 * 24 * 3600.0
@@ -39,30 +39,6 @@ class Client:
 
 def _printable(text: str | None, longest: int) -> str:
     return "".join(letter for letter in (text or "")[:longest] if letter.isprintable())
-
-
-@dataclass(frozen=True)
-class SessionLimits:
-    """How long log-ins last.
-
-    Parameters
-    ----------
-    age_s
-        After which one ends, however much it is used.
-    idle_s
-        After which one ends that is not used; 0 = it does not.
-    """
-
-    age_s: float
-    idle_s: float
-
-    def is_idle(self, last_used_utc: str) -> bool:
-        """Whether a log-in that was last used then has ended."""
-        return bool(self.idle_s) and last_used_utc < utc_after(-self.idle_s)
-
-    def ends_utc(self, row: LoginSession) -> str:
-        """Return when a log-in ends at the latest."""
-        return utc_text(datetime.fromisoformat(row.created_utc) + timedelta(seconds=self.age_s))
 
 
 def begin(session: Session, user_id: int, client: Client) -> tuple[LoginSession, str]:

@@ -147,5 +147,5 @@ def _written(request: Request, actor: Actor, row: LoginSession) -> dict[str, Any
     """Lay out a log-in, with when it ends at the latest."""
     limits = request.app.state.settings.session_limits
     own = {name: getattr(row, name) for name in STORED}
-    more = {"ends_utc": limits.ends_utc(row), "current": row.id == actor.session_id}
+    more = {"ends_utc": limits.ends_utc(row.created_utc), "current": row.id == actor.session_id}
     return schemas.LoginSession(**own, **more).model_dump(mode="json")
