@@ -71,7 +71,11 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
     (folder / "a.csv").write_text(CSV, encoding="utf-8")
     names = list(NAMES)
     result = {
+        "schema": "boresight.calibration/1",
+        "sensor": SENSOR["name"],
+        "method": "batch",
         "camera_model": "inverted_wang",
+        "rms_arc_rad": {"initial": 1e-4, "final": 1e-5},
         "parameters": INITIAL | {"f_m": f_m},
         "sigma": SPREAD,
         "covariance": {"names": names, "matrix": np.diag([SPREAD[name] ** 2 for name in names]).tolist()},

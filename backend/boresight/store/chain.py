@@ -117,7 +117,11 @@ def write_out(session: Session) -> None:
 def _ran_back(session: Session, at_utc: str) -> AuditRecord | None:
     """Return a record that the clock ran backwards, where it did since the newest one by more than clocks are set by."""
     before = session.scalar(sa.select(AuditRecord.at_utc).order_by(AuditRecord.id.desc()).limit(1))
-    if before is None or seconds_between(at_utc, before) <= SET_BACK_S:
+    try:
+        set_back_s = 0.0 if before is None else seconds_between(at_utc, before)
+    except (ValueError, TypeError):  # a time edited by hand: verification tells of it, and writing goes on
+        return None
+    if set_back_s <= SET_BACK_S:
         return None
     return AuditRecord(
         at_utc=at_utc,
@@ -127,7 +131,7 @@ def _ran_back(session: Session, at_utc: str) -> AuditRecord | None:
         object="clock",
         before={"at_utc": before},
         after={"at_utc": at_utc},
-        reason=f"The clock was set back by {seconds_between(at_utc, before):.0f} s since the record before.",
+        reason=f"The clock was set back by {set_back_s:.0f} s since the record before.",
         roles=[],
     )
 
