@@ -13,6 +13,7 @@ from boresight.services.actors import Actor, Policy
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, reading, writing
 from boresight.store.tables import Alarm, Approval, ParameterSet
+from tests.passwords import proved
 
 AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
 DAY_S = 86_400.0
@@ -81,7 +82,16 @@ def test_whoever_signs_between_the_jump_and_the_next_beat_finds_the_request_open
 ) -> None:
     hands.wall_s += 40 * DAY_S
     with writing(engine) as session:
-        approvals.sign(session, people["cy"], due.id, "APPROVE", "I approve", "", PASSWORD, due.version)
+        approvals.sign(
+            session,
+            people["cy"],
+            due.id,
+            "APPROVE",
+            "I approve",
+            "",
+            proved(session, people["cy"], PASSWORD),
+            due.version,
+        )
     assert _state(engine, due) == "APPROVED"
 
 
