@@ -95,7 +95,7 @@ def _sensor(world: World, random_: random.Random) -> dict[str, Any]:
 
 def _edited(world: World, random_: random.Random) -> dict[str, Any]:
     number = random_.choice(world.ids["sensor_id"])
-    row = world.house.person("ada").get(f"/api/v1/sensors/{number}").json()
+    row = world.read(f"sensors/{number}").json()
     return {"path": {"sensor_id": number}, "json": changed(row["document"], random_), "tag": f'"v{row["version"]}"'}
 
 
@@ -109,13 +109,13 @@ def _gates_in_force(world: World, random_: random.Random) -> dict[str, Any]:
     if isinstance(made["json"], dict):
         made["json"].setdefault("reason", "Tried.")
     number = made["path"]["sensor_id"]
-    listed = world.house.person("ada").get(f"/api/v1/sensors/{number}/gate-profiles?limit=1")
+    listed = world.read(f"sensors/{number}/gate-profiles?limit=1")
     return {**made, "tag": listed.headers.get("etag", '"v1"').removeprefix("W/")}
 
 
 def _table(world: World, random_: random.Random) -> dict[str, Any]:
     number = random_.choice(world.ids["sensor_id"])
-    row = world.house.person("ada").get(f"/api/v1/sensors/{number}").json()
+    row = world.read(f"sensors/{number}").json()
     fields = [
         {
             "name": f"F{place}",
@@ -135,9 +135,7 @@ def _table(world: World, random_: random.Random) -> dict[str, Any]:
         "crc": crc,
     }
     body = {"document": changed(document, random_), "reason": "Tried."}
-    tag = (
-        world.house.person("ada").get(f"/api/v1/sensors/{number}/table-definitions?limit=1").headers.get("etag", '"v0"')
-    )
+    tag = world.read(f"sensors/{number}/table-definitions?limit=1").headers.get("etag", '"v0"')
     return {"path": {"sensor_id": number}, "json": body, "tag": tag.removeprefix("W/")}
 
 
@@ -237,7 +235,7 @@ def _torn(content: bytes, random_: random.Random) -> bytes:
 
 def _dump(world: World, random_: random.Random) -> dict[str, Any]:
     number = random_.choice(world.ids["parameter_set_id"])
-    tag = world.house.person("ada").get(f"/api/v1/parameter-sets/{number}").headers["etag"]
+    tag = world.read(f"parameter-sets/{number}").headers["etag"]
     fields = {
         "source": "TM",
         "crc": random_.choice(("", "FFFF", "0x1", "zz", "9" * 5000)),

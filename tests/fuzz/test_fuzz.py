@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from contextlib import closing
 
 import pytest
 
@@ -19,10 +20,8 @@ def test_no_request_ends_in_a_server_error_or_in_an_answer_that_is_not_documente
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     folder = tmp_path_factory.mktemp("fuzz")
-    with house_in(folder, load_catalogue(folder / "catalogue")) as house:
-        world = furnished(house)
+    with house_in(folder, load_catalogue(folder / "catalogue")) as house, closing(furnished(house)) as world:
         tally = fuzz(world, REQUESTS, seed=1)
-        world.close()
     assert tally.failures == []
     assert tally.requests >= 0.9 * REQUESTS
     assert len(tally.operations) == len(world.operations)
