@@ -15,6 +15,7 @@ import argparse
 import asyncio
 import json
 import os
+import subprocess
 import sys
 import tempfile
 import threading
@@ -26,9 +27,6 @@ from pathlib import Path
 import httpx
 
 from boresight.measurements.serving import allow_open_files, serving
-from boresight.services import users
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import migrate, open_engine, writing
 
 NAME, PASSWORD = "analyst", "a long enough passphrase"
 HEAD = (
@@ -159,13 +157,20 @@ def main() -> None:
         os.execve(sys.executable, [sys.executable, __file__, *rest], {**os.environ, **here})  # noqa: S606 - ourselves
     allow_open_files()
     with tempfile.TemporaryDirectory(prefix="boresight-flood-", ignore_cleanup_errors=True) as place:
-        engine = open_engine(f"sqlite:///{place}/boresight.sqlite3")
-        migrate(engine)
-        with writing(engine) as session:
-            users.create_user(
-                session, COMMAND_LINE, name=NAME, printed_name="An analyst", password=PASSWORD, roles=("analyst",)
-            )
-        engine.dispose()
+        add = [
+            sys.executable,
+            "-m",
+            "boresight",
+            "user",
+            "add",
+            NAME,
+            "--role",
+            "analyst",
+            "--printed-name",
+            "Ada Lima",
+        ]
+        environment = {**os.environ, "BORESIGHT_DATA_FOLDER": place}  # by the command, which both versions have
+        subprocess.run([*add, "--password-stdin"], input=f"{PASSWORD}\n", text=True, env=environment, check=True)
         with serving(Path(place), workers="0") as served:
             print(json.dumps(measure(served.port, given.connections, given.seconds), indent=1))
 

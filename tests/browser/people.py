@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -19,8 +20,8 @@ PRINTED_NAMES = {
 
 
 def password_of(name: str) -> str:
-    """Everybody's password is made from the log-in name."""
-    return f"{name}-on-the-night-shift"
+    """Everybody has a password of their own; the log-in name may not stand in it."""
+    return f"on-the-night-shift-{zlib.crc32(name.encode()):08x}"
 
 
 class People:
