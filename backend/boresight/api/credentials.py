@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 
+from markupsafe import escape
 from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import Scope
@@ -146,7 +147,8 @@ def _looked_up(request: Request, marks: Marks, *, active: bool) -> tuple[Known, 
         used,
         partial(rows.say_so_still, marks),
         person=(actor.user_id, others),
-        csrf_token=content.csrf_token.encode(),
+        roles=(actor.roles, others),
+        gaps=(content.csrf_token.encode(), str(escape(actor.printed_name or actor.name)).encode()),
     )
     return Known(
         actor, content.csrf_token, proof

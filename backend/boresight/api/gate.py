@@ -28,6 +28,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from boresight.api.bodies import CLOSE, read_whole
 from boresight.api.connections import CONNECTION, Connection
 from boresight.api.origins import SAFE_METHODS, network_of
+from boresight.api.ready import waited_s
 from boresight.api.turns import Turns
 from boresight.errors import BoresightError, OverloadedError, UnauthenticatedError
 
@@ -150,7 +151,7 @@ class Gate:
             await self._refuse(Request(scope), error)(scope, receive, send)
             return
         try:
-            async with (self.readers if scope["method"] in SAFE_METHODS else self.writers).turn():
+            async with (self.readers if scope["method"] in SAFE_METHODS else self.writers).turn(waited_s(scope)):
                 await self._begin(scope)
                 await self.app(scope, ready, send)
         finally:

@@ -1,8 +1,9 @@
 """Which answers may stand ready, and taking them on their way out; a tag for every JSON document that is read.
 
-`same_for_all` and `same_for_one` are dependencies by which an endpoint says what its answer follows from. The first takes the place
-of `Who`: the endpoint lets whoever is known read, and is not told who it is. `boresight.api.ready` says when a kept answer is
-given again.
+`same_for_all`, `same_for_roles` and `same_for_one` are dependencies by which an endpoint says what its answer follows from. The
+first takes the place of `Who`: whoever is known may read, and the endpoint is not told who it is. A page `same_for_roles` asks for `Roles`
+instead, and its frame is told of nobody more than these: it has gaps for the name and the token. `boresight.api.ready` says when a
+kept answer is given again.
 
 Tags. A row's tag, by which transitions say what was seen (`If-Match`), stays what it is; it stands for the whole document, and
 saves sending it, where the row's state decides everything that is shown (`whole_tag`). Where more moves under it, as the progress
@@ -16,7 +17,6 @@ import gzip
 import hashlib
 import time
 from collections.abc import MutableMapping
-from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import Depends
@@ -24,12 +24,13 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from boresight.api.credentials import current_actor, proof_of
-from boresight.api.ready import ASKED, Asked, Kept, Ready
+from boresight.api.ready import ASKED, FOR_ALL, FOR_ONE, FOR_ROLES, Asked, Kept, Proof, Ready
+from boresight.api.sheets import LEVEL, NAME_GAP, TOKEN_GAP, Sheet
 
 COMPRESS_FROM_BYTES = 2048
-COMPRESSION_LEVEL = 5
-FOR_ALL, FOR_ONE = "all", "one"
+COMPRESSION_LEVEL = LEVEL
 SAME_FOR = "same_for"  # in the request's state: whom its answer is the same for
+GAPS = "gaps"  # in the request's state: whether the page was written with gaps for who asks
 WHOLE = "tag_is_whole"  # in the request's state: whether the tag changes with everything that is shown
 ASK_AGAIN = b"private, no-cache"
 VARY = b"Accept-Encoding, Authorization, Cookie"
@@ -53,12 +54,31 @@ def same_for_one(request: Request) -> None:
     request.scope["state"][SAME_FOR] = FOR_ONE
 
 
+def same_for_roles(request: Request) -> frozenset[str]:
+    """Say that a page follows from address, store, these roles, and from what every page shows of this server and who asks.
+
+    Its endpoint may ask for `Roles`, and for nothing else of who asks.
+    """
+    roles = current_actor(request).roles
+    request.scope["state"][SAME_FOR] = FOR_ROLES
+    return roles
+
+
+def has_gaps(request: Request) -> bool:
+    """Whether a page is to be written with gaps for the name and the token of who asks: it will be filled on its way out."""
+    state, proof = request.scope["state"], proof_of(request.scope)
+    gaps = request.method == "GET" and ASKED in state and proof is not None and proof.roles is not None
+    state[GAPS] = gaps and state.get(SAME_FOR) == FOR_ROLES
+    return bool(state[GAPS])
+
+
 def whole_tag(request: Request, *, holds: bool = True) -> None:
     """Say that the row's tag changes whenever anything in the answer does."""
     request.scope["state"][WHOLE] = holds
 
 
 Known = Annotated[None, Depends(same_for_all)]
+Roles = Annotated[frozenset[str], Depends(same_for_roles)]
 
 
 class Keeping:
@@ -84,16 +104,16 @@ class _Outgoing:
         self._send = send
         self._state: MutableMapping[str, Any] = scope["state"]
         self._start: Message | None = None
-        self._body: list[bytes] = []
+        self._pieces: list[bytes] = []
 
     async def send(self, message: Message) -> None:
         """Hold back an answer that is tagged or kept until it is whole; let every other pass."""
         if message["type"] == "http.response.start" and self._is_taken(message):
             self._start = message
         elif self._start is not None and message["type"] == "http.response.body":
-            self._body.append(message.get("body", b""))
+            self._pieces.append(message.get("body", b""))
             if not message.get("more_body", False):
-                await self._finish(self._start, b"".join(self._body))
+                await self._finish(self._start, b"".join(self._pieces))
         else:
             await self._send(message)
 
@@ -108,18 +128,13 @@ class _Outgoing:
     async def _finish(self, start: Message, body: bytes) -> None:
         """Tag the answer, keep it where it may be, and send it."""
         asked: Asked | None = self._state.get(ASKED)
-        same_for = self._state.get(SAME_FOR)
-        kept = self._kept(start, body, asked, compressed=same_for is not None and asked is not None)
+        same_for, proof = self._state.get(SAME_FOR), proof_of(self._scope)
+        kept = self._kept(start, body, asked, proof)
         if same_for is not None and asked is not None and asked.mark is not None:
-            proof = proof_of(self._scope)
-            self._ready.keep(asked, kept, for_all=same_for == FOR_ALL)
-            if proof is not None:
-                self._ready.remember(asked.asker, asked.mark, proof)
-                if same_for == FOR_ONE and not kept.tag:
-                    self._ready.share(asked, replace(kept, body=body), proof)
-        await kept.send(self._send, asked.known_tags if asked else b"")
+            self._ready.keep(self._scope, asked, kept, proof, same_for)
+        await kept.send(self._send, asked.known_tags if asked else b"", proof.gaps if proof else ())
 
-    def _kept(self, start: Message, body: bytes, asked: Asked | None, *, compressed: bool) -> Kept:
+    def _kept(self, start: Message, body: bytes, asked: Asked | None, proof: Proof | None) -> Kept:
         """Write the answer as it is sent."""
         given = [(name, value) for name, value in start["headers"] if name != b"content-length"]
         headers = dict(given)
@@ -132,16 +147,27 @@ class _Outgoing:
         if b"cache-control" not in headers:
             given.append((b"cache-control", ASK_AGAIN))
         given.append((b"vary", VARY))
-        if compressed and asked is not None and asked.address[2] and len(body) >= COMPRESS_FROM_BYTES:
-            body = gzip.compress(body, COMPRESSION_LEVEL, mtime=0)
+        same_for = self._state.get(SAME_FOR)
+        compressed = (
+            same_for is not None and asked is not None and asked.address[2] and len(body) >= COMPRESS_FROM_BYTES
+        )
+        if compressed:
             given.append((b"content-encoding", b"gzip"))
         return Kept(
             headers=tuple(given),
-            body=body,
+            body=self._body(body, proof, compressed=compressed),
             tag=tag if storable else b"",
             whole=whole,
             mark=asked.mark if asked else None,
-            beside=asked.beside if asked and self._state.get(SAME_FOR) == FOR_ONE else None,
+            beside=asked.beside if asked and same_for in {FOR_ONE, FOR_ROLES} else None,
             made_s=time.monotonic(),
             route=self._scope.get("route"),
         )
+
+    def _body(self, body: bytes, proof: Proof | None, *, compressed: bool) -> bytes | Sheet:
+        """Return the body as it is kept: with gaps where other log-ins get it too."""
+        if self._state.get(GAPS):
+            return Sheet(body, (TOKEN_GAP.encode(), NAME_GAP.encode()), compressed=compressed)
+        if self._state.get(SAME_FOR) == FOR_ONE and proof is not None and proof.person is not None and proof.gaps[0]:
+            return Sheet(body, proof.gaps[:1], compressed=compressed)
+        return gzip.compress(body, COMPRESSION_LEVEL, mtime=0) if compressed else body

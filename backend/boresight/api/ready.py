@@ -8,36 +8,40 @@ An endpoint whose answer follows from the address and the rows of the store says
 2. Whoever asks is known *now*: exactly these credentials (the `Authorization` and `Cookie` headers, byte for byte) were proven
    under this mark, and their end by the clock has not come. Keys revoked, log-ins ended, people disabled, roles changed are all
    commits, so they act with the next request. Credentials not proven under this mark are proven first, by one read.
-3. It is theirs: an answer `same_for_one` stands under their credentials and is given to no others. One `same_for_all` was made by
-   an endpoint that was never told who asks, so it cannot hold anything of the one who happened to ask first.
+3. It is theirs: an answer `same_for_one` stands under the person, or the credentials where they are no log-in, and is given to no
+   others. One `same_for_roles` stands under the roles: where the frame names the person it has gaps (`boresight.api.sheets`), which
+   are filled for whoever gets it. One `same_for_all` was made by an endpoint that was never told who asks. Neither endpoint is told
+   more, so their answers cannot hold anything of the one who happened to ask first.
 4. It is young: what the rows say of time (an age, a key that expires) is never older than `HELD_S`.
 
 When many ask for one answer that does not stand ready, the first makes it and the others wait for it: those who came before it
 began to be made, whose question it answers whatever was committed while they waited for its turn, and those for whom the mark is
-the one that it began under. Everything here runs on the event loop, so nothing is locked.
+the one that it began under. The turn comes sooner the more wait (`boresight.api.turns`). Everything here runs on the event loop, so
+nothing is locked.
 """
 
 from __future__ import annotations
 
 import asyncio
-import gzip
 import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boresight.api.changes import Changes
 from boresight.api.codings import takes_gzip
+from boresight.api.sheets import Sheet
 from boresight.store.marks import Mark
 
 HELD_S = 30.0
 KEPT_BYTES = 64 << 20
 LARGEST_SHARE = 16
-FAST = 1  # level of compression for one log-in alone
 MOST_PROOFS = 10_000
+MOST_ADDRESSES = 10_000
+FOR_ALL, FOR_ROLES, FOR_ONE = "all", "roles", "one"
 ASKED, COMING = "asked", "coming"
 LISTENING = "/api/v1/events"
 BACKGROUND = (b"x-boresight-background", b"1")  # a page that renews itself says so
@@ -72,11 +76,6 @@ class Asked:
     mark: Mark | None = None
     beside: Hashable = None
 
-    @property
-    def keys(self) -> tuple[Hashable, Hashable]:
-        """Under which its answer is kept: for all, and for who asks."""
-        return self.address, (self.address, self.asker)
-
     @classmethod
     def of(cls, scope: Scope) -> Asked | None:
         """Read a request; None where it is none that an answer may stand ready for."""
@@ -110,17 +109,19 @@ class Proof:
         What is to be done whenever they are used; whether they hold still.
     unchanged
         Whether the rows that they follow from say the same now; may be asked anywhere, for it takes some microseconds.
-    person
-        Whose log-in it is, and what its cookies say besides: the same for log-ins that get the same pages but for the token.
-    csrf_token
-        The token that stands in the pages of this log-in.
+    person, roles
+        Of a log-in: whose it is, and in which roles, each with what its cookies say besides; a page that is the same for one
+        person, or for these roles, is the same wherever these are.
+    gaps
+        What stands in the pages of this log-in alone, as it is written there: its token, and the name of its person.
     """
 
     until_s: float
     use: Use
     unchanged: Callable[[], bool] = lambda: False
     person: Hashable = None
-    csrf_token: bytes = b""
+    roles: Hashable = None
+    gaps: tuple[bytes, ...] = ()
 
     def holds(self, *, active: bool = True) -> bool:
         """Whether they hold still; counts as a use where somebody did something."""
@@ -136,7 +137,7 @@ class Kept:
     headers
         Of the answer in full, without its length.
     body
-        As it is sent, compressed or not.
+        As it is sent, compressed or not; with gaps where it stands for more than one log-in.
     tag
         Its entity tag; empty where it is not to be stored by anybody.
     whole
@@ -145,43 +146,65 @@ class Kept:
         The store before it was read, what else it depends on, and when it was made.
     route
         Of the endpoint, by which it is counted.
-    csrf_token
-        The token that stands in it, where it is kept plain for other log-ins of the same person, and sent to none as it is.
     """
 
     headers: tuple[tuple[bytes, bytes], ...]
-    body: bytes
+    body: bytes | Sheet
     tag: bytes
     whole: bool
     mark: Mark | None = None
     beside: Hashable = None
     made_s: float = 0.0
     route: Any = None
-    csrf_token: bytes = b""
 
-    def for_log_in(self, csrf_token: bytes) -> Kept:
-        """Return the answer for another log-in of the same person, with its own token."""
-        body = self.body.replace(self.csrf_token, csrf_token)
-        if (b"content-encoding", b"gzip") in self.headers:
-            body = gzip.compress(body, FAST, mtime=0)
-        return replace(self, body=body, csrf_token=b"")
-
-    async def send(self, send: Send, known_tags: bytes) -> None:
-        """Send it, or that the copy which the asker has is still right."""
+    async def send(self, send: Send, known_tags: bytes, gaps: tuple[bytes, ...] = ()) -> None:
+        """Send it, its gaps filled, or say that the copy which the asker has is still right."""
         if self.whole and self.tag and knows(known_tags, self.tag):
             headers = [pair for pair in self.headers if pair[0] in {b"etag", b"vary", b"cache-control"}]
             await send({"type": "http.response.start", "status": 304, "headers": headers})
             await send({"type": "http.response.body", "body": b""})
             return
-        headers = [*self.headers, (b"content-length", str(len(self.body)).encode())]
+        body = self.body.filled(gaps) if isinstance(self.body, Sheet) else self.body
+        headers = [*self.headers, (b"content-length", str(len(body)).encode())]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
-        await send({"type": "http.response.body", "body": self.body})
+        await send({"type": "http.response.body", "body": body})
 
 
 def knows(known_tags: bytes, tag: bytes) -> bool:
     """Whether `If-None-Match` names a tag; weak and strong tags compare alike there (RFC 9110, 13.1.2)."""
     opaque = tag.removeprefix(b"W/")
     return known_tags.strip() == b"*" or opaque in [one.strip().removeprefix(b"W/") for one in known_tags.split(b",")]
+
+
+@dataclass(eq=False)
+class Making:
+    """An answer that is being made, or waits for its turn, and how long who asked for it has waited.
+
+    Parameters
+    ----------
+    key
+        Under which it will be kept.
+    """
+
+    key: Hashable
+    answer: asyncio.Future[Kept | None]
+    waiting: int = 0
+    came_s: float = field(default=0.0)  # the times at which they came, summed up
+
+    def joined(self) -> None:
+        """Count one more who waits."""
+        self.waiting += 1
+        self.came_s += time.monotonic()
+
+    def waited_s(self) -> float:
+        """Return how long all who wait for it have waited, summed up."""
+        return self.waiting * time.monotonic() - self.came_s
+
+
+def waited_s(scope: Scope) -> Callable[[], float] | None:
+    """Return what tells how long those have waited, in sum, who will have the answer to a request."""
+    making: Making | None = scope["state"].get(COMING)
+    return None if making is None else making.waited_s
 
 
 class Ready:
@@ -210,65 +233,64 @@ class Ready:
         self._prove = prove
         self._limit_bytes = limit_bytes
         self._kept: OrderedDict[Hashable, Kept] = OrderedDict()
+        self._same_for: OrderedDict[Address, str] = OrderedDict()
         self._proofs: OrderedDict[Asker, tuple[Mark, Proof]] = OrderedDict()
-        self._coming: dict[Hashable, asyncio.Future[Kept | None]] = {}
-        self._making: dict[tuple[Hashable, Mark], asyncio.Future[Kept | None]] = {}
+        self._coming: dict[Hashable, Making] = {}
+        self._making: dict[tuple[Hashable, Mark], Making] = {}
 
-    async def find(self, scope: Scope, asked: Asked, mark: Mark) -> Kept | None:
-        """Return the answer that stands ready for who asks, waiting for it when it is being made for all."""
-        kept = self._standing(asked, mark)
-        if kept is None:
-            making = self._being_made(asked, mark)
-            kept = None if making is None else await asyncio.shield(making)
-            if kept is not None and kept.mark is not None:
-                mark = kept.mark  # looked for later than ours
-        if kept is None or not await self._is_known(scope, asked, mark):
+    async def find(self, scope: Scope, asked: Asked, mark: Mark) -> tuple[Kept, Proof] | None:
+        """Return the answer that stands ready for who asks, waiting for it when it is being made, and the proof of who that is."""
+        if asked.address not in self._same_for:
+            return None  # nobody knows yet whose its answer will be
+        proof = await self._known(scope, asked, mark)
+        if proof is None:
             return None
-        if kept.csrf_token:
-            kept = kept.for_log_in(self._proofs[asked.asker][1].csrf_token)
-            self._put(asked.keys[1], kept)
+        key = self._key(asked, proof)
+        kept = self._standing(key, mark)
+        if kept is not None:
+            return kept, proof
+        making = self._coming.get(key) or self._making.get((key, mark))
+        if making is None:
+            self._comes(scope, key)
+            return None
+        making.joined()
+        kept = await asyncio.shield(making.answer)
+        if kept is None:
+            return None
+        proof = await self._known(scope, asked, kept.mark or mark)  # the mark may have been looked for later than ours
+        return None if proof is None or self._key(asked, proof) != key else (kept, proof)
+
+    def _key(self, asked: Asked, proof: Proof | None) -> Hashable:
+        """Return under what the answer to who asks is kept; a proof that was lost on the way tells of the asker alone."""
+        same_for = self._same_for.get(asked.address, FOR_ONE)
+        if same_for == FOR_ALL:
+            return asked.address
+        sharing = None if proof is None else proof.roles if same_for == FOR_ROLES else proof.person
+        return asked.address, same_for, asked.asker if sharing is None else sharing
+
+    def _standing(self, key: Hashable, mark: Mark) -> Kept | None:
+        """Return what is kept, where it still holds."""
+        kept = self._kept.get(key)
+        if kept is None or kept.mark != mark or not self._is_young(kept):
+            return None
+        self._kept.move_to_end(key)
         return kept
-
-    def _keys(self, asked: Asked) -> tuple[Hashable, ...]:
-        """Return under which its answer may be kept: for all, for the person, and for who asks."""
-        proven = self._proofs.get(asked.asker)
-        for_all, for_one = asked.keys
-        person = None if proven is None else proven[1].person
-        return (for_all, for_one) if person is None else (for_all, for_one, (asked.address, person))
-
-    def _being_made(self, asked: Asked, mark: Mark) -> asyncio.Future[Kept | None] | None:
-        """Return the answer that is being made and will tell of everything committed by now."""
-        for key in self._keys(asked):
-            making = self._coming.get(key) or self._making.get((key, mark))
-            if making is not None:
-                return making
-        return None
-
-    def _standing(self, asked: Asked, mark: Mark) -> Kept | None:
-        """Return what stands under an address, for all or for who asks, and still holds."""
-        for key in self._keys(asked):
-            kept = self._kept.get(key)
-            if kept is not None and kept.mark == mark and self._is_young(kept):
-                self._kept.move_to_end(key)
-                return kept
-        return None
 
     def _is_young(self, kept: Kept) -> bool:
         """Whether an answer is not too old, and what it depends on besides the store is as it was."""
         return time.monotonic() - kept.made_s < HELD_S and kept.beside in {None, self.beside()}
 
-    async def _is_known(self, scope: Scope, asked: Asked, mark: Mark) -> bool:
-        """Whether the credentials hold now."""
-        proven = self._proofs.get(asked.asker)
-        if proven is not None and proven[0] == mark:
-            return proven[1].holds(active=asked.active)
-        if proven is not None and proven[1].unchanged():
-            self.remember(asked.asker, mark, proven[1])
-            return proven[1].holds(active=asked.active)
-        proof = await self._prove(scope)
-        if proof is not None:
+    async def _known(self, scope: Scope, asked: Asked, mark: Mark) -> Proof | None:
+        """Return the proof of the credentials; None where they do not hold now."""
+        before, proof = self._proofs.get(asked.asker, (None, None))
+        if proof is None or (before != mark and not proof.unchanged()):
+            proof = await self._prove(scope)
+            if proof is not None:
+                self.remember(asked.asker, mark, proof)
+            return proof
+        if before != mark:
             self.remember(asked.asker, mark, proof)
-        return proof is not None
+        return proof if proof.holds(active=asked.active) else None
 
     def remember(self, asker: Asker, mark: Mark, proof: Proof) -> None:
         """Note that credentials were proven by a read after a mark."""
@@ -277,17 +299,15 @@ class Ready:
         if len(self._proofs) > MOST_PROOFS:
             self._proofs.popitem(last=False)
 
-    def keep(self, asked: Asked, kept: Kept, *, for_all: bool) -> None:
+    def keep(self, scope: Scope, asked: Asked, kept: Kept, proof: Proof | None, same_for: str) -> None:
         """Let an answer stand ready, and give it to those who wait for it."""
-        self._put(asked.keys[0 if for_all else 1], kept)
-
-    def share(self, asked: Asked, plain: Kept, proof: Proof) -> None:
-        """Let a page stand ready for the other log-ins of the person who asked."""
-        if proof.person is not None and proof.csrf_token:
-            self._put((asked.address, proof.person), replace(plain, csrf_token=proof.csrf_token))
-
-    def _put(self, key: Hashable, kept: Kept) -> None:
-        size = len(kept.body)
+        if asked.mark is not None and proof is not None:
+            self.remember(asked.asker, asked.mark, proof)
+        self._same_for[asked.address] = same_for
+        self._same_for.move_to_end(asked.address)
+        if len(self._same_for) > MOST_ADDRESSES:
+            self._same_for.popitem(last=False)
+        size, key = len(kept.body), self._key(asked, proof)
         if size * LARGEST_SHARE > self._limit_bytes:
             return
         self._drop(key)
@@ -295,38 +315,20 @@ class Ready:
         self.held_bytes += size
         while self.held_bytes > self._limit_bytes:
             self._drop(next(iter(self._kept)))
-        making = self._making.get((key, kept.mark)) if kept.mark else None
-        if making is not None and not making.done():
-            making.set_result(kept)
+        making: Making | None = scope["state"].get(COMING)
+        if making is not None and making.key == key and not making.answer.done():
+            making.answer.set_result(kept)
 
     def _drop(self, key: Hashable) -> None:
         """Let go of an answer."""
         kept = self._kept.pop(key, None)
         self.held_bytes -= 0 if kept is None else len(kept.body)
 
-    def comes(self, scope: Scope, asked: Asked) -> Callable[[], None]:
-        """Say that an answer will be made when its turn has come; returns what to call when that is over, however it went.
-
-        Others wait only for what stood ready before: of other addresses nobody knows whose the answer will be.
-        """
-        for_all, for_one, *for_person = self._keys(asked)
-        key = next((key for key in (for_all, *for_person, for_one) if key in self._kept), None)
-        if asked.mark is None or key is None or key in self._coming:
-            return lambda: None
-        making: asyncio.Future[Kept | None] = asyncio.get_running_loop().create_future()
-        self._coming[key] = making
-        scope["state"][COMING] = key, making
-
-        def over() -> None:
-            began = (key, scope["state"][ASKED].mark)
-            if self._coming.get(key) is making:
-                del self._coming[key]
-            if self._making.get(began) is making:
-                del self._making[began]
-            if not making.done():
-                making.set_result(None)
-
-        return over
+    def _comes(self, scope: Scope, key: Hashable) -> None:
+        """Say that an answer will be made when its turn has come."""
+        making = Making(key, asyncio.get_running_loop().create_future())
+        making.joined()
+        self._coming[key] = scope["state"][COMING] = making
 
     async def begin(self, scope: Scope) -> None:
         """Begin to make an answer: it will tell of everything that is committed by now, and of nothing later for sure.
@@ -336,13 +338,26 @@ class Ready:
         asked: Asked | None = scope["state"].get(ASKED)
         if asked is None or asked.mark is None:
             return
-        key, making = scope["state"].get(COMING, (None, None))
-        if making is not None and self._coming.get(key) is making:
-            del self._coming[key]
+        making: Making | None = scope["state"].get(COMING)
+        if making is not None and self._coming.get(making.key) is making:
+            del self._coming[making.key]
         mark = await self.changes.now()
         scope["state"][ASKED] = replace(asked, mark=mark, beside=self.beside())
         if making is not None and mark is not None:
-            self._making.setdefault((key, mark), making)
+            self._making.setdefault((making.key, mark), making)
+
+    def over(self, scope: Scope) -> None:
+        """Say that a request was answered, however: who still waits for its answer makes one."""
+        making: Making | None = scope["state"].get(COMING)
+        if making is None:
+            return
+        began = (making.key, scope["state"][ASKED].mark)
+        if self._coming.get(making.key) is making:
+            del self._coming[making.key]
+        if self._making.get(began) is making:
+            del self._making[began]
+        if not making.answer.done():
+            making.answer.set_result(None)
 
 
 class Answering:
@@ -359,14 +374,14 @@ class Answering:
             await self.app(scope, receive, send)
             return
         mark = await self.ready.changes.now()
-        kept = None if mark is None else await self.ready.find(scope, asked, mark)
-        if kept is not None:
+        found = None if mark is None else await self.ready.find(scope, asked, mark)
+        if found is not None:
+            kept, proof = found
             scope["route"] = kept.route
-            await kept.send(send, asked.known_tags)
+            await kept.send(send, asked.known_tags, proof.gaps)
             return
         scope["state"][ASKED] = replace(asked, mark=mark, beside=self.ready.beside())
-        over = self.ready.comes(scope, scope["state"][ASKED])
         try:
             await self.app(scope, receive, send)
         finally:
-            over()
+            self.ready.over(scope)

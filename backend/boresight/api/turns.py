@@ -1,9 +1,13 @@
-"""In which order requests that were let in are worked on: few at once, and writers apart from readers.
+"""In which order requests that were let in are worked on: few at once, writers apart from readers, and first what most wait for.
 
 An endpoint and each of its dependencies need a thread, one after the other. Were all requests let at the threads together, each
 would wait for one again and again behind all others, and a writer would hold the store's write lock meanwhile: so twenty writers
 among two hundred readers waited seven seconds. Here a request waits once, for its turn, and then finds a thread whenever it
 needs one. More turns at once than `most` only take the interpreter from each other.
+
+The next turn goes to the request for whose answer the longest time was waited, summed up over all who will have it
+(`boresight.api.ready`). Among requests of one asker each that is the order of their coming; of an answer that two hundred wait for
+it makes the first. Nobody waits for ever: how long they have waited grows until it is the most.
 
 A turn is lent for `LENT_S`: who works longer, on a figure or a report, keeps the thread but makes room for the next.
 """
@@ -11,15 +15,15 @@ A turn is lent for `LENT_S`: who works longer, on a figure or a report, keeps th
 from __future__ import annotations
 
 import asyncio
-from collections import deque
-from collections.abc import AsyncIterator
+import time
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 LENT_S = 0.25
 
 
 class Turns:
-    """The turns of one kind of requests, given in the order of their coming.
+    """The turns of one kind of requests, given to those that were waited for longest.
 
     Parameters
     ----------
@@ -32,15 +36,22 @@ class Turns:
     def __init__(self, most: int, lent_s: float = LENT_S) -> None:
         self._free = most
         self._lent_s = lent_s
-        self._waiting: deque[asyncio.Future[None]] = deque()
+        self._waiting: dict[asyncio.Future[None], Callable[[], float]] = {}
 
     @asynccontextmanager
-    async def turn(self) -> AsyncIterator[None]:
-        """Wait for a turn, and have it."""
+    async def turn(self, waited_s: Callable[[], float] | None = None) -> AsyncIterator[None]:
+        """Wait for a turn, and have it.
+
+        Parameters
+        ----------
+        waited_s
+            Tells how long was waited for what will be done in it, by all who wait for that; by whoever asks alone, where not given.
+        """
         if self._free:
             self._free -= 1
         else:
-            await self._wait()
+            came_s = time.monotonic()
+            await self._wait(waited_s or (lambda: time.monotonic() - came_s))
         is_over = False
 
         def end() -> None:
@@ -56,20 +67,22 @@ class Turns:
             lent.cancel()
             end()
 
-    async def _wait(self) -> None:
+    async def _wait(self, waited_s: Callable[[], float]) -> None:
         mine: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._waiting.append(mine)
+        self._waiting[mine] = waited_s
         try:
             await mine
         except asyncio.CancelledError:
             if mine.done() and not mine.cancelled():
                 self._next()  # it had just been given
+            self._waiting.pop(mine, None)
             raise
 
     def _next(self) -> None:
-        """Give a turn that is over to whoever waits longest."""
+        """Give a turn that is over to what was waited for longest."""
         while self._waiting:
-            waiting = self._waiting.popleft()
+            waiting = max(self._waiting, key=lambda one: self._waiting[one]())
+            del self._waiting[waiting]
             if not waiting.done():
                 waiting.set_result(None)
                 return

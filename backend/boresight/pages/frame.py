@@ -19,6 +19,8 @@ from urllib.parse import unquote
 from fastapi import Request
 
 from boresight.api.credentials import current_actor
+from boresight.api.keeping import has_gaps
+from boresight.api.sheets import NAME_GAP, TOKEN_GAP
 from boresight.api.upkeep import Light
 from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.pages.fleet import FleetMemory, Standing
@@ -125,14 +127,17 @@ def know_fleet(request: Request) -> None:
         request.state.fleet = _fleet(request, current_actor(request))
 
 
-def frame_of(request: Request) -> Frame:
-    """Gather the frame's values for a request."""
+def frame_of(request: Request, *, is_answer: bool = True) -> Frame:
+    """Gather the frame's values for a request; `is_answer` where the page is what was asked for, and no refusal."""
     actor: Any = getattr(request.state, "actor", None)
     fleet, waiting, alarms = _fleet(request, actor)
+    flash, token = _read_flash(request), getattr(request.state, "csrf_token", "")
+    if is_answer and flash is None and has_gaps(request):
+        actor, token = Actor(None, NAME_GAP, NAME_GAP, actor.roles, ""), TOKEN_GAP
     return Frame(
         mode=request.app.state.settings.mode,
         actor=actor,
-        csrf_token=getattr(request.state, "csrf_token", ""),
+        csrf_token=token,
         path=request.url.path,
         now=day_of_year(datetime.now(UTC)),
         fleet=fleet,
@@ -140,6 +145,6 @@ def frame_of(request: Request) -> Frame:
         alarms_unacknowledged=alarms,
         light=request.app.state.upkeep.light(),
         four_eyes=request.app.state.policy.four_eyes,
-        flash=_read_flash(request),
+        flash=flash,
         navigation=NAVIGATION if actor else (),
     )

@@ -11,7 +11,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.credentials import current_actor
 from boresight.api.dependencies import Reading
-from boresight.api.keeping import same_for_one
+from boresight.api.keeping import same_for_roles
 from boresight.pages.rendering import render
 from boresight.pages.runs import Names, read_names
 from boresight.pages.sensor_choices import choices_of
@@ -58,7 +58,7 @@ CSV_FIELDS = {
 router = APIRouter(dependencies=[Depends(current_actor)])
 
 
-@router.get("/parameter-sets", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
+@router.get("/parameter-sets", response_class=HTMLResponse, dependencies=[Depends(same_for_roles)])
 def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
     """Show a page of sets."""
     view = read_view(request, SETS)

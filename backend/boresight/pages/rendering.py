@@ -8,6 +8,7 @@ next page. Undefined names are errors, and everything is escaped.
 from __future__ import annotations
 
 import json
+from http import HTTPStatus
 from typing import Any
 from urllib.parse import quote
 
@@ -55,7 +56,7 @@ def render(request: Request, template: str, *, status_code: int = 200, **values:
     values
         What the template names, besides `frame` and `request`.
     """
-    frame = frame_of(request)
+    frame = frame_of(request, is_answer=status_code == HTTPStatus.OK)
     page = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
     response = HTMLResponse(page, status_code=status_code, headers={"Cache-Control": "no-store"})
     if frame.flash:

@@ -14,7 +14,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.credentials import current_actor
 from boresight.api.dependencies import Reading
-from boresight.api.keeping import same_for_one
+from boresight.api.keeping import same_for_roles
 from boresight.figures.evidence import WORD_OF_LEVEL
 from boresight.figures.numbers import MISSING, NARROW_SPACE, number, urad
 from boresight.pages.formats import instant, seconds_since
@@ -205,7 +205,7 @@ def seconds_of(run: Run) -> float | None:
     return (instant(run.ended_utc) - instant(run.started_utc)).total_seconds()
 
 
-@router.get("/runs", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
+@router.get("/runs", response_class=HTMLResponse, dependencies=[Depends(same_for_roles)])
 def runs_page(request: Request, session: Reading) -> HTMLResponse:
     """Show a page of runs."""
     view = read_view(request, RUNS)

@@ -15,7 +15,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
 
 from boresight.api.dependencies import Reading, Who, csrf
-from boresight.api.keeping import same_for_one
+from boresight.api.keeping import Roles
 from boresight.errors import Fault, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.pages.attempts import Refusal, attempt
@@ -137,10 +137,10 @@ class Shown:
     refusal: Refusal | None = None
 
 
-@router.get("/sensors", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
-def sensors_page(request: Request, actor: Who, example: str = "") -> HTMLResponse:
+@router.get("/sensors", response_class=HTMLResponse)
+def sensors_page(request: Request, roles: Roles, example: str = "") -> HTMLResponse:
     """Show a page of sensors and the form, filled with the example when asked."""
-    return _page(request, actor, Shown(EXAMPLE if example else ""))
+    return _page(request, roles, Shown(EXAMPLE if example else ""))
 
 
 @router.get("/sensors.csv")
@@ -195,7 +195,7 @@ def _csv_row(tile: SensorTile) -> dict[str, Any]:
     }
 
 
-def _page(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
+def _page(request: Request, roles: frozenset[str], shown: Shown) -> HTMLResponse:
     """Render the list and the form."""
     view = read_view(request, SENSORS)
     with reading(request.app.state.engine) as session:
@@ -211,7 +211,7 @@ def _page(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
             fitting=None if chosen is None or "q" in view.where else len(chosen),
             last=found.last,
             levels=tuple(reversed(LEVELS)),
-            may_register=bool({"analyst", "administrator"} & actor.roles),
+            may_register=bool({"analyst", "administrator"} & roles),
             example=EXAMPLE,
             fields=FIELDS,
             models=_models(),
@@ -230,13 +230,13 @@ async def register(request: Request, actor: Who) -> Response:
     try:
         text = await typed_document(await request.form())
     except RefusedInputError as error:
-        return await run_in_threadpool(_page, request, actor, Shown(refusal=Refusal.of(error)))
+        return await run_in_threadpool(_page, request, actor.roles, Shown(refusal=Refusal.of(error)))
     outcome = await attempt(request, partial(_register, actor, text))
     if outcome.value is not None:
         sensor = outcome.value
         flash = f"{sensor.name} is registered; its ground calibration PS-{sensor.name}-0 is the baseline."
         return redirect(f"/sensors/{sensor.id}", flash=flash)
-    return await run_in_threadpool(_page, request, actor, Shown(text, outcome.refusal))
+    return await run_in_threadpool(_page, request, actor.roles, Shown(text, outcome.refusal))
 
 
 def _register(actor: Actor, text: str, session: Session) -> Sensor:

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Request
 from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import CSRF_FIELD, Reading, Who
-from boresight.api.keeping import same_for_one
+from boresight.api.keeping import Roles
 from boresight.api.numbers import row_number
 from boresight.api.uploads import Upload, Uploaded
 from boresight.errors import BoresightError, ForbiddenError, RefusedInputError
@@ -85,7 +85,7 @@ def _in_use(view: View) -> dict[str, Any]:
     return {"archived": None, "in_use": None if view.where.get("archived") else 1}
 
 
-def _page(request: Request, session: Session, actor: Actor, view: View, shown: Shown) -> HTMLResponse:
+def _page(request: Request, session: Session, roles: frozenset[str], view: View, shown: Shown) -> HTMLResponse:
     """Render the list and the form."""
     found = page_of(session, view, **_in_use(view))
     return render(
@@ -98,19 +98,19 @@ def _page(request: Request, session: Session, actor: Actor, view: View, shown: S
         choices=choices_of(session, view, find=shown.find, keep=[shown.sensor] if shown.sensor else []),
         names=read_names(session, sensors_of=found.rows),
         purposes=PURPOSES,
-        may_upload="analyst" in actor.roles,
+        may_upload="analyst" in roles,
         limit_mb=request.app.state.settings.upload_limit_mb,
         shown=shown,
     )
 
 
-@router.get("/telemetry", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
-def telemetry_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+@router.get("/telemetry", response_class=HTMLResponse)
+def telemetry_page(request: Request, session: Reading, roles: Roles) -> HTMLResponse:
     """Show a page of sets, and the form."""
     view = read_view(request, SETS)
     sensor = view.where.get("sensor")
     find = request.query_params.get("find", "")
-    return _page(request, session, actor, view, Shown(row_number(sensor or ""), find))
+    return _page(request, session, roles, view, Shown(row_number(sensor or ""), find))
 
 
 @router.get("/telemetry.csv")
@@ -209,4 +209,4 @@ def _again(request: Request, actor: Actor, upload: Upload, refusal: Refusal | No
     known = purpose if purpose in PURPOSES else PURPOSES[0]
     shown = Shown(row_number(sensor), purpose=known, refusal=refusal)
     with reading(request.app.state.engine) as session:
-        return _page(request, session, actor, read_view(request, SETS), shown)
+        return _page(request, session, actor.roles, read_view(request, SETS), shown)
