@@ -10,7 +10,9 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
+import sys
 import threading
+from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import cache
@@ -64,7 +66,7 @@ from boresight.services.webhook_secrets import encrypt_all
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blobs import open_blobs
-from boresight.store.marks import Marks
+from boresight.store.marks import Kept, Marks
 from boresight.store.sessions import migrate, open_engine, reading
 from boresight.workers.engine import Engine
 
@@ -77,7 +79,9 @@ ROUTES = APIRouter(generate_unique_id_function=lambda route: route.name)
 api_routes.join(ROUTES)
 ROUTES.include_router(static_files.router)
 pages.join(ROUTES)
-
+SWITCH_S = (
+    0.001  # after so long a thread that computes lets another go on; the event loop waits for that with each answer
+)
 THREADS = 12  # of requests: those whose turn it is, and those that take long (`boresight.api.turns`)
 
 
@@ -152,7 +156,8 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.deliveries = Deliveries(state.engine, settings.targets, state.secret_box)
     marks = Marks(state.engine)
     state.changes, state.fleet = Changes(marks), FleetMemory(state.engine, marks)
-    state.known = Memory(marks)
+    state.known, state.overview = Memory(marks), Kept[object](marks)
+    state.written = OrderedDict()
     state.ready = Ready(state.changes, _prove, lambda: _beside(app))
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
@@ -324,5 +329,6 @@ def configured(app: FastAPI, settings: Settings, connections: Connections | None
 
 def serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
     """Serve until told to stop by SIGINT or SIGTERM; `on_open` is called once connections are accepted."""
+    sys.setswitchinterval(SWITCH_S)
     connections = Connections(open_file_limit())
     _Server(configured(create_app(settings), settings, connections), on_open).run()

@@ -1,9 +1,9 @@
 """Which answers may stand ready, and taking them on their way out; a tag for every JSON document that is read.
 
 `same_for_all`, `same_for_roles` and `same_for_one` are dependencies by which an endpoint says what its answer follows from. The
-first takes the place of `Who`: whoever is known may read, and the endpoint is not told who it is. A page `same_for_roles` asks for `Roles`
-instead, and its frame is told of nobody more than these: it has gaps for the name and the token. `boresight.api.ready` says when a
-kept answer is given again.
+first takes the place of `Who`: whoever is known may read, and the endpoint is not told who it is. A page `same_for_roles` asks for
+`Roles` instead. The frame of a page that is kept for log-ins is told of nobody more than the roles: it has gaps for name and
+token. `boresight.api.ready` says when a kept answer is given again.
 
 Tags. A row's tag, by which transitions say what was seen (`If-Match`), stays what it is; it stands for the whole document, and
 saves sending it, where the row's state decides everything that is shown (`whole_tag`). Where more moves under it, as the progress
@@ -24,7 +24,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from boresight.api.credentials import current_actor, proof_of
-from boresight.api.ready import ASKED, FOR_ALL, FOR_ONE, FOR_ROLES, Asked, Kept, Proof, Ready
+from boresight.api.ready import ASKED, FOR_ALL, FOR_ONE, FOR_ROLES, Asked, Kept, Ready
 from boresight.api.sheets import LEVEL, NAME_GAP, TOKEN_GAP, Sheet
 
 COMPRESS_FROM_BYTES = 2048
@@ -67,8 +67,8 @@ def same_for_roles(request: Request) -> frozenset[str]:
 def has_gaps(request: Request) -> bool:
     """Whether a page is to be written with gaps for the name and the token of who asks: it will be filled on its way out."""
     state, proof = request.scope["state"], proof_of(request.scope)
-    gaps = request.method == "GET" and ASKED in state and proof is not None and proof.roles is not None
-    state[GAPS] = gaps and state.get(SAME_FOR) == FOR_ROLES
+    log_in = request.method == "GET" and ASKED in state and proof is not None and proof.roles is not None
+    state[GAPS] = log_in and state.get(SAME_FOR) in {FOR_ROLES, FOR_ONE}
     return bool(state[GAPS])
 
 
@@ -129,12 +129,12 @@ class _Outgoing:
         """Tag the answer, keep it where it may be, and send it."""
         asked: Asked | None = self._state.get(ASKED)
         same_for, proof = self._state.get(SAME_FOR), proof_of(self._scope)
-        kept = self._kept(start, body, asked, proof)
+        kept = self._kept(start, body, asked)
         if same_for is not None and asked is not None and asked.mark is not None:
             self._ready.keep(self._scope, asked, kept, proof, same_for)
         await kept.send(self._send, asked.known_tags if asked else b"", proof.gaps if proof else ())
 
-    def _kept(self, start: Message, body: bytes, asked: Asked | None, proof: Proof | None) -> Kept:
+    def _kept(self, start: Message, body: bytes, asked: Asked | None) -> Kept:
         """Write the answer as it is sent."""
         given = [(name, value) for name, value in start["headers"] if name != b"content-length"]
         headers = dict(given)
@@ -155,7 +155,7 @@ class _Outgoing:
             given.append((b"content-encoding", b"gzip"))
         return Kept(
             headers=tuple(given),
-            body=self._body(body, proof, compressed=compressed),
+            body=self._body(body, compressed=compressed),
             tag=tag if storable else b"",
             whole=whole,
             mark=asked.mark if asked else None,
@@ -164,10 +164,8 @@ class _Outgoing:
             route=self._scope.get("route"),
         )
 
-    def _body(self, body: bytes, proof: Proof | None, *, compressed: bool) -> bytes | Sheet:
+    def _body(self, body: bytes, *, compressed: bool) -> bytes | Sheet:
         """Return the body as it is kept: with gaps where other log-ins get it too."""
         if self._state.get(GAPS):
             return Sheet(body, (TOKEN_GAP.encode(), NAME_GAP.encode()), compressed=compressed)
-        if self._state.get(SAME_FOR) == FOR_ONE and proof is not None and proof.person is not None and proof.gaps[0]:
-            return Sheet(body, proof.gaps[:1], compressed=compressed)
         return gzip.compress(body, COMPRESSION_LEVEL, mtime=0) if compressed else body

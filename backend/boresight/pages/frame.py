@@ -132,7 +132,7 @@ def frame_of(request: Request, *, is_answer: bool = True) -> Frame:
     actor: Any = getattr(request.state, "actor", None)
     fleet, waiting, alarms = _fleet(request, actor)
     flash, token = _read_flash(request), getattr(request.state, "csrf_token", "")
-    if is_answer and flash is None and has_gaps(request):
+    if is_answer and flash is None and has_gaps(request):  # whoever writes the page is not told more than the roles
         actor, token = Actor(None, NAME_GAP, NAME_GAP, actor.roles, ""), TOKEN_GAP
     return Frame(
         mode=request.app.state.settings.mode,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
@@ -11,6 +13,7 @@ from fastapi.responses import HTMLResponse
 
 from boresight.api.dependencies import Reading, Who
 from boresight.api.keeping import same_for_one
+from boresight.api.ready import HELD_S
 from boresight.pages.audit import line_of
 from boresight.pages.rendering import render
 from boresight.pages.sparkline import Sparkline, sparkline
@@ -28,6 +31,7 @@ from boresight.services import (
 )
 from boresight.services.actors import Actor, Policy
 from boresight.services.fleet import SensorTile, Standing
+from boresight.store.marks import Kept
 from boresight.store.sessions import Session
 from boresight.store.tables import TERMINAL_RUN_STATES, Alarm
 
@@ -171,8 +175,20 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Desk:
-    """Everything that the overview shows of the fleet's work.
+class Event:
+    """Something that happened: somebody did it, or a run ended."""
+
+    at_utc: str
+    who: str
+    did: str
+    to: str
+    address: str | None
+    gist: str
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """What the overview shows to everybody; read once after a commit, whoever looks.
 
     Parameters
     ----------
@@ -182,20 +198,18 @@ class Desk:
         The sensors that are drawn: all, or of a large fleet those that stand worst.
     courses, waiting
         By sensor that is drawn: how its calibrations went lately, and the number of its open request.
-    signatures, actions
-        What waits for the person who looks: requests to sign, and everything, these among it; of calibrations, those of the sensors
-        that are drawn.
     queue
         How many runs are in each state.
+    events
+        What happened last, newest first.
     """
 
     standings: Sequence[Standing]
     tiles: Sequence[SensorTile]
     courses: Mapping[int, Course]
     waiting: Mapping[int, int]
-    signatures: Waiting
-    actions: Waiting
     queue: Mapping[str, int]
+    events: Sequence[Event]
 
     @property
     def is_whole(self) -> bool:
@@ -228,38 +242,6 @@ def _course(summaries: Sequence[Mapping[str, Any]], drift: Alarm | None) -> Cour
     return Course(sparkline([value for value in rms if value]), seen[-1] if seen else None, drift)
 
 
-def _desk(session: Session, actor: Actor, policy: Policy) -> Desk:
-    """Gather the fleet's work for a person."""
-    standings = fleet.standings(session)
-    tiles = fleet.tiles(session, drawn_of(standings))
-    signatures = _signatures(session, actor, policy)
-    calibrations = list(_calibrations(session, tiles, actor))
-    kinds = [
-        _alarms(session, actor),
-        signatures,
-        _proposals(session, actor),
-        *_promotions(session, actor),
-        *_own_requests(session, actor),
-        Waiting(len(calibrations), calibrations),
-    ]
-    first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
-    actions = Waiting(sum(kind.count for kind in kinds), first)
-    waiting = approvals.newest_open(session, [tile.sensor.id for tile in tiles])
-    return Desk(standings, tiles, _courses(session, tiles), waiting, signatures, actions, runs.count_by_state(session))
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that happened: somebody did it, or a run ended."""
-
-    at_utc: str
-    who: str
-    did: str
-    to: str
-    address: str | None
-    gist: str
-
-
 def _recorded(session: Session) -> Iterator[Event]:
     """Yield the newest records of the audit log, but for the ends of runs, which tell more by their rows."""
     for record in audit.list_records(session, limit=RECENT_EVENTS):
@@ -284,6 +266,36 @@ def _events(session: Session, standings: Sequence[Standing]) -> list[Event]:
     return sorted(found, key=lambda event: event.at_utc, reverse=True)[:RECENT_EVENTS]
 
 
+def _fleet(session: Session) -> Fleet:
+    """Read what everybody is shown."""
+    standings = fleet.standings(session)
+    tiles = fleet.tiles(session, drawn_of(standings))
+    return Fleet(
+        standings,
+        tiles,
+        _courses(session, tiles),
+        approvals.newest_open(session, [tile.sensor.id for tile in tiles]),
+        runs.count_by_state(session),
+        _events(session, standings),
+    )
+
+
+def _mine(session: Session, actor: Actor, policy: Policy, tiles: Sequence[SensorTile]) -> tuple[Waiting, Waiting]:
+    """Gather what waits for a person: requests to sign, and everything, these among it; of calibrations, those of what is drawn."""
+    signatures = _signatures(session, actor, policy)
+    calibrations = list(_calibrations(session, tiles, actor))
+    kinds = [
+        _alarms(session, actor),
+        signatures,
+        _proposals(session, actor),
+        *_promotions(session, actor),
+        *_own_requests(session, actor),
+        Waiting(len(calibrations), calibrations),
+    ]
+    first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
+    return signatures, Waiting(sum(kind.count for kind in kinds), first)
+
+
 def _counts(standings: Sequence[Standing]) -> dict[str, int]:
     """Count the sensors by level, worst first; every level, so that the strip keeps its shape."""
     return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
@@ -292,16 +304,23 @@ def _counts(standings: Sequence[Standing]) -> dict[str, int]:
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def overview_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the fleet."""
-    desk = _desk(session, actor, request.app.state.policy)
+    kept: Kept[Fleet] = request.app.state.overview
+    ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
+    desk = kept.answer(
+        ages, partial(_fleet, session)
+    )  # first of all: what was read before might be older than its mark
+    signatures, actions = _mine(session, actor, request.app.state.policy, desk.tiles)
+    workers = request.app.state.workers.state() if request.app.state.workers else None
     return render(
         request,
         "overview.html",
+        of=(desk, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
         desk=desk,
         counts=_counts(desk.standings),
-        actions=desk.actions.first,
-        more_actions=desk.actions.count - len(desk.actions.first),
-        waiting_for_me=desk.signatures.count,
-        events=_events(session, desk.standings),
-        workers=request.app.state.workers.state() if request.app.state.workers else None,
+        actions=actions.first,
+        more_actions=actions.count - len(actions.first),
+        waiting_for_me=signatures.count,
+        events=desk.events,
+        workers=workers,
         may_register=bool({"analyst", "administrator"} & actor.roles),
     )

@@ -8,6 +8,9 @@ next page. Undefined names are errors, and everything is escaped.
 from __future__ import annotations
 
 import json
+from collections import OrderedDict
+from collections.abc import Hashable
+from dataclasses import replace
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import quote
@@ -17,6 +20,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 import boresight
+from boresight.api.keeping import GAPS
 from boresight.pages import formats
 from boresight.pages.frame import FLASH_COOKIE, frame_of
 from boresight.pages.states import LEVELS, level_of, worst
@@ -24,6 +28,7 @@ from boresight.resources import folder
 from boresight.services.history import how_known
 
 FLASH_SECONDS = 60
+MOST_WRITTEN = 8  # pages
 
 
 def _environment() -> Environment:
@@ -44,7 +49,9 @@ def _environment() -> Environment:
 TEMPLATES = _environment()
 
 
-def render(request: Request, template: str, *, status_code: int = 200, **values: Any) -> HTMLResponse:
+def render(
+    request: Request, template: str, *, status_code: int = 200, of: Hashable = None, **values: Any
+) -> HTMLResponse:
     """Render a template inside the frame.
 
     Parameters
@@ -53,11 +60,22 @@ def render(request: Request, template: str, *, status_code: int = 200, **values:
         File name in `frontend/templates`.
     status_code
         200, or the code of the refusal that the page shows.
+    of
+        What all values follow from, where the page is worth being written once for those to whom the same is shown.
     values
         What the template names, besides `frame` and `request`.
     """
     frame = frame_of(request, is_answer=status_code == HTTPStatus.OK)
-    page = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
+    given = (template, replace(frame, now=""), of)  # the clock in the page goes by itself
+    written: OrderedDict[Hashable, str] = request.app.state.written
+    shared = of is not None and request.scope["state"].get(GAPS)
+    page = written.get(given) if shared else None
+    if page is None:
+        page = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
+        if shared:
+            written[given] = page
+            while len(written) > MOST_WRITTEN:
+                written.popitem(last=False)
     response = HTMLResponse(page, status_code=status_code, headers={"Cache-Control": "no-store"})
     if frame.flash:
         response.delete_cookie(FLASH_COOKIE, path="/")

@@ -127,8 +127,8 @@ def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Itera
 def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collection[int] | None) -> Names:
     """Read the names of every person, and of these sensors and telemetry sets; of all where None is given."""
     return Names(
-        sensors.names_of(session, sensor_ids),
-        telemetry_sets.names_of(session, set_ids),
+        {} if sensor_ids == set() else sensors.names_of(session, sensor_ids),
+        {} if set_ids == set() else telemetry_sets.names_of(session, set_ids),
         {person.id: person.printed_name for person in users.list_users(session)},
     )
 

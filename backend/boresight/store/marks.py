@@ -108,8 +108,9 @@ class Kept(Generic[T]):
     def answer(self, question: Hashable, read: Callable[[], T]) -> T:
         """Return what `read` finds, or what it found the last time."""
         mark = self._marks.look()  # before reading: what is committed in between is read twice, and not missed
-        if mark is not None and self._last is not None and self._last[:2] == (mark, question):
-            return self._last[2]
+        last = self._last
+        if mark is not None and last is not None and last[:2] == (mark, question):
+            return last[2]
         found = read()
         self._last = None if mark is None else (mark, question, found)
         return found
