@@ -164,9 +164,9 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
 
 
 def _beside(app: FastAPI) -> tuple[object, ...]:
-    """Return what pages show besides the store: the light of the audit log, and how the workers are."""
+    """Return what pages show besides the store: whether four eyes are asked for, the light of the audit log, how the workers are."""
     workers = app.state.workers
-    return (app.state.upkeep.light(), *(workers.state().values() if workers else ()))
+    return (app.state.policy.four_eyes, app.state.upkeep.light(), *(workers.state().values() if workers else ()))
 
 
 def _count_runs(app: FastAPI) -> dict[str, int]:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from boresight.api import ready as standing
@@ -17,9 +21,9 @@ from boresight.services import audit
 from boresight.services.actors import SYSTEM
 from boresight.services.session_limits import SessionLimits
 from boresight.store.sessions import open_engine, utc_after, writing
-from boresight.store.tables import ApiKey, Run
+from boresight.store.tables import ApiKey, Run, User
 
-from .conftest import PASSWORD, House
+from .conftest import PASSWORD, House, serving
 from .test_gate import gate_of
 
 RUNS = "/api/v1/runs"
@@ -307,6 +311,129 @@ def test_what_stands_ready_is_bounded(house: House, monkeypatch: pytest.MonkeyPa
         client.get(f"{RUNS}?limit={limit}")
     assert house.app.state.ready.held_bytes <= max(20_000, 2 * size)
     assert served(house) > 0
+
+
+def test_people_of_the_same_roles_share_the_making_of_a_page_and_each_has_their_own_name_and_token(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = [house.new_person("viewer")[0] for _ in range(3)]
+    clients = [house.log_in(name) for name in names]
+    analyst = house.log_in("ada")
+    for path in ("/sensors", "/telemetry", "/runs", "/parameter-sets"):
+        clients[0].get(path)
+        house.launched()
+        made: list[str] = []
+        original = house.app.state.ready.keep
+        monkeypatch.setattr(
+            house.app.state.ready, "keep", lambda *g, made=made, o=original: (made.append(""), o(*g))[1]
+        )
+        pages = [(client, client.get(path).text) for client in (*clients, *clients, analyst)]
+        monkeypatch.undo()
+        assert len(made) == 2, path  # one for viewers, one for analysts
+        for name, (client, page) in zip((*names, *names, "ada"), pages, strict=True):
+            assert f"<b>{name.title()}</b>" in page
+            assert {one.headers["X-CSRF-Token"] in page for one in (client,)} == {True}
+            assert not any(one.headers["X-CSRF-Token"] in page for one in (*clients, analyst) if one is not client)
+            assert sum(f"<b>{other.title()}</b>" in page for other in (*names, "ada")) == 1
+            assert "gap-" not in page
+
+
+def test_who_gets_another_role_gets_another_page_at_once(house: House) -> None:
+    name, number = house.new_person("viewer")
+    client, other = house.log_in(name), house.person("victor")
+    for one in (client, other, client):
+        assert "<small>viewer</small>" in one.get("/sensors").text
+    act_on_store(house, "new role", [], number)
+    assert "<small>analyst</small>" in client.get("/sensors").text
+    assert "<small>viewer</small>" in other.get("/sensors").text
+
+
+def test_a_refusal_and_a_page_with_a_flash_line_hold_no_gap(house: House) -> None:
+    client = house.log_in("ada")
+    client.get("/sensors")
+    client.cookies.set("boresight_flash", "%5B%22normal%22%2C%20%22Done.%22%5D", domain="127.0.0.1")
+    for page in (client.get("/sensors"), client.get("/runs/999999", headers={"Accept": "text/html"}), client.get("/")):
+        assert "gap-" not in page.text
+        assert "<b>Ada</b>" in page.text
+
+
+class NothingKept(dict[Any, Any]):
+    """Forgets what it is told."""
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        """Keep nothing."""
+
+
+@contextmanager
+def beside(house: House) -> Iterator[str]:
+    """Serve the same store by a second server that keeps nothing; yields its address."""
+    with serving(house.app.state.settings, house.app.state.catalogue()) as (address, app):
+        app.state.ready._limit_bytes = 0
+        app.state.overview = SimpleNamespace(answer=lambda _, read: read())
+        app.state.written = NothingKept()
+        app.state.workers.stop()
+        app.state.workers = house.app.state.workers
+        app.state.upkeep.light = house.app.state.upkeep.light
+        yield address
+
+
+def without_times(page: str) -> str:
+    """Leave out of a page what the clock alone moves."""
+    return re.sub(r"<time.*?</time>|[\d.]+\s(s|min)\b[^<]*|#\d+ \d\d:\d\dZ", "", page)
+
+
+PAGES = ("/", "/runs", "/sensors", "/telemetry", "/parameter-sets")
+PEOPLE = ("ada", "victor", "olga", "bo", "alan", "adele")
+PAGE_ACTS = st.lists(
+    st.tuples(
+        st.sampled_from(("launch", "end", "sensor", "note", "new role", "new name", "nothing")),
+        st.sampled_from(PAGES),
+        st.lists(st.sampled_from(PEOPLE), min_size=2, max_size=3),
+    ),
+    min_size=2,
+    max_size=4,
+)
+
+
+@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture], phases=[Phase.generate])
+@given(acts=PAGE_ACTS)
+def test_after_any_acts_of_anybody_each_gets_the_page_that_a_server_would_make_that_keeps_nothing(
+    house: House, acts: list[tuple[str, str, list[str]]]
+) -> None:
+    runs: list[dict[str, Any]] = []
+    changing = house.new_person("viewer")
+    with beside(house) as address:
+        people = {name: house.person(name) for name in PEOPLE} | {changing[0]: house.log_in(changing[0])}
+        for act, path, names in acts:
+            act_on_store(house, act, runs, changing[1])
+            for name in (*names, changing[0], *names):
+                client = people[name]
+                kept = client.get(path)
+                made = client.get(f"{address}{path}")
+                assert kept.status_code == made.status_code == 200
+                differing = set(without_times(kept.text).splitlines()) ^ set(without_times(made.text).splitlines())
+                assert not differing, (act, path, name)
+
+
+def act_on_store(house: House, act: str, runs: list[dict[str, Any]], person: int) -> None:
+    """Change something."""
+    if act == "launch":
+        runs.append(house.launched())
+    elif act == "end" and runs:
+        house.end(runs.pop()["id"])
+    elif act == "sensor":
+        house.new_sensor()
+    elif act == "note":
+        noted = house.person("ada").post(f"{RUNS}/{house.launched()['id']}/notes", json={"text": "Seen."})
+        assert noted.status_code == 201
+    elif act in {"new role", "new name"}:
+        with writing(house.app.state.engine) as session:
+            user = session.get_one(User, person)
+            if act == "new role":
+                user.roles = ["analyst"] if user.roles == ["viewer"] else ["viewer"]
+            else:
+                user.printed_name += " II"
+            audit.append(session, SYSTEM, "changed", f"users/{person}")
 
 
 ACTS = st.lists(st.sampled_from(("launch", "cancel", "end", "sensor", "read")), min_size=1, max_size=8)

@@ -68,3 +68,18 @@ def test_who_leaves_while_waiting_or_fails_takes_no_turn_along() -> None:
         return turns._free
 
     assert asyncio.run(run()) == 1
+
+
+def test_the_next_turn_goes_to_what_was_waited_for_longest_by_all_who_wait() -> None:
+    async def run() -> list[str]:
+        turns, order = Turns(1, 60.0), list[str]()
+
+        async def work(name: str, waited_s: float | None = None) -> None:
+            async with turns.turn(None if waited_s is None else lambda: waited_s):
+                order.append(name)
+                await asyncio.sleep(0.01)
+
+        await asyncio.gather(work("at once"), work("alone"), work("for two", 2.0), work("for many", 20.0))
+        return order
+
+    assert asyncio.run(run()) == ["at once", "for many", "for two", "alone"]
