@@ -4,7 +4,7 @@
     python benchmarks/readers_writers.py --checkout DIR    # the server of another checkout, to compare with
     python benchmarks/readers_writers.py --think 1         # each reader pauses so long after an answer
 
-Every client has a connection and a log-in of its own (ten people) and asks again as soon as it is answered: a closed loop
+Every client has a connection and a log-in of its own (of ten people, or of `--people N`) and asks again as soon as it is answered: a closed loop
 without pauses, on the cores that the server has too, which is harsher than people are. By Little's law a mean of t seconds
 for n readers is n / t answers a second. Readers go through the lists of runs, sensors and telemetry sets and one run, by REST
 and as pages, and the overview, each from another place of the round. Writers in turn write a note on a run, save a preset,
@@ -168,6 +168,7 @@ def main() -> None:
     words.add_argument("--checkout", type=Path, help="serve the code of this checkout")
     words.add_argument("--readers", type=int, default=200)
     words.add_argument("--writers", type=int, default=20)
+    words.add_argument("--people", type=int, default=10, help="whose log-ins they are; every other has one role more")
     words.add_argument("--seconds", type=float, default=60.0)
     words.add_argument("--think", type=float, default=0.0, help="seconds that a reader pauses after an answer")
     given = words.parse_args()
@@ -178,7 +179,7 @@ def main() -> None:
         os.execve(sys.executable, [sys.executable, __file__, *rest], {**os.environ, **here})  # noqa: S606 - ourselves
     allow_open_files()
     with tempfile.TemporaryDirectory(prefix="boresight-load-", ignore_cleanup_errors=True) as place:
-        filled = fill(Path(place), RUNS, given.readers + given.writers)
+        filled = fill(Path(place), RUNS, given.readers + given.writers, given.people)
         add_sensors(Path(place), filled, SENSORS, 1)
         with serving(Path(place), workers="0") as served:
             with httpx.Client(base_url=f"http://127.0.0.1:{served.port}", timeout=60) as client:
@@ -195,9 +196,10 @@ def main() -> None:
                 "sensor_document": document,
             }
             print(f"loading process {served.pid}", file=sys.stderr, flush=True)
-            before_s = served.processor_s()
+            before_s, own_before_s = served.processor_s(), time.process_time()
             tally = asyncio.run(load(served, log_ins, order, given))
             used_s = served.processor_s() - before_s
+            own_s = time.process_time() - own_before_s
     reads = [one for name, found in tally.seconds.items() if name.startswith("GET") for one in found]
     writes = [one for name, found in tally.seconds.items() if name.startswith("POST") for one in found]
     found = {
@@ -208,7 +210,9 @@ def main() -> None:
         "reads": told(reads),
         "writes": told(writes),
         "failures": dict(tally.failures),
+        "people": given.people,
         "server_processor_s": round(used_s, 1),
+        "client_processor_s": round(own_s, 1),
         "by_kind": {name: told(one) for name, one in sorted(tally.seconds.items())},
     }
     print(json.dumps(found, indent=1))

@@ -164,7 +164,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
 
 
 def _beside(app: FastAPI) -> tuple[object, ...]:
-    """Return what pages show besides the store: whether four eyes are asked for, the light of the audit log, how the workers are."""
+    """Return what pages show besides the store: whether two are asked for, the light of the audit log, how the workers are."""
     workers = app.state.workers
     return (app.state.policy.four_eyes, app.state.upkeep.light(), *(workers.state().values() if workers else ()))
 

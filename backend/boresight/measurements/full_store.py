@@ -71,13 +71,13 @@ def settings_in(folder: Path) -> Settings:
     return read_settings({"BORESIGHT_DATA_FOLDER": str(folder)})
 
 
-def fill(folder: Path, runs: int, clients: int) -> Filled:
+def fill(folder: Path, runs: int, clients: int, people_in_all: int = PEOPLE) -> Filled:
     """Make a store in a folder, with so many runs, and a log-in and a key for each of so many clients."""
     settings = settings_in(folder)
     engine = open_engine(settings.database_url)
     try:
         migrate(engine)
-        people = _people(engine)
+        people = _people(engine, people_in_all)
         sensor_id, set_id = _sensor(engine, settings, people[0])
         _add_runs(engine, runs, sensor_id, set_id)
         return Filled(sensor_id, set_id, _log_ins(engine, settings, people, clients), _keys(engine, people, clients))
@@ -85,7 +85,7 @@ def fill(folder: Path, runs: int, clients: int) -> Filled:
         engine.dispose()
 
 
-def _people(engine: Engine) -> list[Actor]:
+def _people(engine: Engine, number_of_people: int) -> list[Actor]:
     """Make analysts, who act as if they had logged in."""
     password = prepare_unjudged(PASSWORD)
     with writing(engine) as session:
@@ -98,7 +98,7 @@ def _people(engine: Engine) -> list[Actor]:
                 password=password,
                 roles=("analyst", "viewer") if number % 2 else ("analyst",),
             )
-            for number in range(PEOPLE)
+            for number in range(number_of_people)
         ]
     return [Actor(user.id, user.name, user.printed_name, frozenset(user.roles), "session") for user in made]
 

@@ -314,7 +314,7 @@ def overview_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
     return render(
         request,
         "overview.html",
-        of=(desk, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
+        follows_from=(desk, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
         desk=desk,
         counts=_counts(desk.standings),
         actions=actions.first,

@@ -50,7 +50,7 @@ TEMPLATES = _environment()
 
 
 def render(
-    request: Request, template: str, *, status_code: int = 200, of: Hashable = None, **values: Any
+    request: Request, template: str, *, status_code: int = 200, follows_from: Hashable = None, **values: Any
 ) -> HTMLResponse:
     """Render a template inside the frame.
 
@@ -60,15 +60,15 @@ def render(
         File name in `frontend/templates`.
     status_code
         200, or the code of the refusal that the page shows.
-    of
+    follows_from
         What all values follow from, where the page is worth being written once for those to whom the same is shown.
     values
         What the template names, besides `frame` and `request`.
     """
     frame = frame_of(request, is_answer=status_code == HTTPStatus.OK)
-    given = (template, replace(frame, now=""), of)  # the clock in the page goes by itself
+    given = (template, replace(frame, now=""), follows_from)  # the clock in the page goes by itself
     written: OrderedDict[Hashable, str] = request.app.state.written
-    shared = of is not None and request.scope["state"].get(GAPS)
+    shared = follows_from is not None and request.scope["state"].get(GAPS)
     page = written.get(given) if shared else None
     if page is None:
         page = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
