@@ -5,9 +5,9 @@
     python benchmarks/readers_writers.py --think 1         # each reader pauses so long after an answer
 
 Every client has a connection and a log-in of its own (of ten people, or of `--people N`) and asks again as soon as it is answered:
-a closed loop without pauses, on the cores that the server has too, which is harsher than people are. By Little's law a mean of t seconds
-for n readers is n / t answers a second. Readers go through the lists of runs, sensors and telemetry sets and one run, by REST
-and as pages, and the overview, each from another place of the round. Writers in turn write a note on a run, save a preset,
+a closed loop without pauses, on the cores that the server has too, which is harsher than people are. By Little's law a mean of t
+seconds for n readers is n / t answers a second. Readers go through the lists of runs, sensors and telemetry sets and one run, by
+REST and as pages, and the overview, each from another place of the round. Writers in turn write a note on a run, save a preset,
 register a sensor, launch a run, and write a note on a sensor. The store holds 2,000 runs of 12 sensors.
 """
 

@@ -1,8 +1,8 @@
 """A page with gaps: compressed once, and filled for each who gets it with what is theirs alone, a token or a name.
 
-Compressing a page of 60 kB takes 0.8 to 5 ms, filling its gaps 0.1 ms. What stands between two gaps is compressed by itself, with no
-reference to what was before (a full flush, RFC 1951 and zlib's manual); what fills a gap goes between as a stored block. So a
-filled page is one ordinary gzip stream.
+Compressing a page of 60 kB takes 0.8 to 5 ms, filling its gaps 0.1 ms. What stands between two gaps is compressed by itself,
+without reference to what was before (a full flush, RFC 1951 and zlib's manual); what fills a gap goes between as a stored block. So
+a filled page is one ordinary gzip stream.
 """
 
 from __future__ import annotations
