@@ -132,7 +132,7 @@ def _package(house: House) -> Made:
 
 def _new_user(house: House) -> dict[str, Any]:
     name = house.sensor_file()["name"]
-    return {"name": name, "printed_name": "Someone", "password": PASSWORD, "roles": ["viewer"]}
+    return {"name": name, "printed_name": f"Someone {name}", "password": PASSWORD, "roles": ["viewer"]}
 
 
 def _user(house: House, **options: Any) -> Made:

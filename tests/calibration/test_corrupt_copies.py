@@ -9,6 +9,8 @@ import pytest
 
 from boresight.calibration.streaming.columns import write_columns
 from boresight.errors import CorruptFileError
+from boresight.telemetry.limits import LIMITS
+from boresight.telemetry.parquet import Layout
 from boresight.telemetry.stretches import Stretch
 
 
@@ -27,5 +29,5 @@ def test_a_flipped_bit_in_a_working_copy_is_refused(tmp_path: Path) -> None:
 def test_a_stretch_of_a_table_that_was_altered_is_refused(tmp_path: Path) -> None:
     (tmp_path / "table").write_bytes(b"PAR1")
     with pytest.raises(CorruptFileError) as refused:
-        next(Stretch(tmp_path / "table", "table", 0, 1, "0" * 64).chunks(1))
+        next(Stretch(tmp_path / "table", "table", 0, 1, Layout((), 0, (), 1), LIMITS, "0" * 64).chunks(1))
     assert refused.value.sha256 == "0" * 64

@@ -7,7 +7,7 @@ import pytest
 from boresight.store.sessions import current_revision, head_revision, open_engine
 from tests.stores import url_in
 
-ADD = ("--role", "analyst", "--printed-name", "Ana", "--password-stdin")
+ADD = ("--role", "analyst", "--password-stdin")
 PASSWORD = "correct horse battery\n"
 
 
@@ -25,15 +25,17 @@ def _revision(folder):
 
 
 def test_what_a_way_back_removes_is_told_and_wants_agreement_and_a_backup_of_just_now(store, tmp_path):
-    assert store("user", "add", "ana", *ADD, stdin=PASSWORD).exit_code == 0
+    assert store("user", "add", "ana", "--printed-name", "Analyst ana", *ADD, stdin=PASSWORD).exit_code == 0
     assert store("backup", "--out", tmp_path / "old.zip").exit_code == 0
-    assert store("user", "add", "bo", *ADD, stdin=PASSWORD).exit_code == 0
+    assert store("user", "add", "bo", "--printed-name", "Analyst bo", *ADD, stdin=PASSWORD).exit_code == 0
     for words in ((), ("--yes",), ("--backup", tmp_path / "old.zip"), ("--yes", "--backup", tmp_path / "old.zip")):
         refused = store("migrate", "--down", "base", *words)
         assert (refused.exit_code, "removes 2 rows of users" in refused.stdout) == (1, True), words
         assert "Nothing was changed" in refused.stderr
         assert _revision(tmp_path) == head_revision()
-    assert store("user", "add", "cy", *ADD, stdin=PASSWORD).exit_code == 0  # the tables are all there
+    assert (
+        store("user", "add", "cy", "--printed-name", "Analyst cy", *ADD, stdin=PASSWORD).exit_code == 0
+    )  # the tables are all there
     assert store("backup", "--out", tmp_path / "new.zip").exit_code == 0
     done = store("migrate", "--down", "base", "--yes", "--backup", tmp_path / "new.zip")
     assert (done.exit_code, "removes 3 rows of users" in done.stdout) == (0, True), done.stderr
@@ -41,7 +43,7 @@ def test_what_a_way_back_removes_is_told_and_wants_agreement_and_a_backup_of_jus
 
 
 def test_a_way_back_that_removes_columns_with_content_names_them(store, tmp_path):
-    assert store("user", "add", "ana", *ADD, stdin=PASSWORD).exit_code == 0
+    assert store("user", "add", "ana", "--printed-name", "Analyst ana", *ADD, stdin=PASSWORD).exit_code == 0
     refused = store("migrate", "--down", "0002")
     assert refused.exit_code == 1
     assert "removes audit.rows of" in refused.stdout
@@ -55,7 +57,7 @@ def test_a_way_back_on_an_empty_store_asks_nothing(store, tmp_path):
 
 
 def test_what_is_no_backup_is_refused(store, tmp_path):
-    assert store("user", "add", "ana", *ADD, stdin=PASSWORD).exit_code == 0
+    assert store("user", "add", "ana", "--printed-name", "Analyst ana", *ADD, stdin=PASSWORD).exit_code == 0
     (tmp_path / "a.zip").write_text("no zip")
     refused = store("migrate", "--down", "base", "--yes", "--backup", tmp_path / "a.zip")
     assert (refused.exit_code, "cannot be read as a backup" in refused.stderr) == (1, True)

@@ -26,7 +26,7 @@ def _parts(sql: str) -> set[str]:
     body, _, tail = rest.rpartition(")")
     depths = accumulate((letter == "(") - (letter == ")") for letter in body)
     cut = "".join("\n" if letter == "," and depth == 0 else letter for letter, depth in zip(body, depths, strict=True))
-    return {head.strip(), tail.strip(), *(part.strip().replace('"', "") for part in cut.split("\n"))}
+    return {head.strip().replace('"', ""), tail.strip(), *(part.strip().replace('"', "") for part in cut.split("\n"))}
 
 
 def _spelling(engine: Engine) -> dict[str, str]:

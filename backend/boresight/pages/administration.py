@@ -75,6 +75,7 @@ def administration_page(request: Request, session: Reading, actor: Who) -> HTMLR
         counts=runs.count_by_state(session),
         policy=state.policy,
         session_hours=state.settings.session_hours,
+        login_attempts=state.settings.login_attempts,
         blobs_at=state.blobs.kept_at,
         light=state.upkeep.light(),
         administrator="administrator" in actor.roles,
