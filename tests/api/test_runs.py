@@ -32,10 +32,10 @@ def test_a_body_with_a_number_that_no_row_can_have_is_refused(house: House, memb
 
 def test_a_label_with_a_control_character_is_refused(house: House) -> None:
     sensor_id, set_id = house.ready_sensor()
-    order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "label": "a\x00b"}
+    order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "label": "a\x02b"}
     answer = house.person("ada").post("/api/v1/runs", json=order)
     assert answer.status_code == 422
-    assert answer.json()["detail"] == "The label has the control character U+0000 at place 2; remove it."
+    assert answer.json()["detail"] == "The label has the control character U+0002 at place 2; remove it."
 
 
 @pytest.mark.parametrize("where", ["query", "body"])

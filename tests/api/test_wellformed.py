@@ -10,6 +10,7 @@ from urllib.parse import quote
 import orjson
 import pytest
 
+from boresight.api.gate import SMALL_BODY_BYTES
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import SYSTEM
@@ -65,7 +66,10 @@ def test_json_that_is_none_or_cannot_be_kept_is_refused_by_every_post(house: Hou
 
 @pytest.mark.parametrize("what", UNREADABLE)
 def test_nobody_unknown_fells_the_log_in_either(house: House, what: str) -> None:
-    assert house.anybody().post("/api/v1/sessions", content=UNREADABLE[what], headers=JSON).status_code == 422
+    answer = house.anybody().post("/api/v1/sessions", content=UNREADABLE[what], headers=JSON)
+    assert answer.status_code == (
+        401 if len(UNREADABLE[what]) > SMALL_BODY_BYTES else 422
+    )  # not read of who is not known
 
 
 def test_json_with_a_byte_order_mark_is_read(house: House) -> None:

@@ -30,7 +30,7 @@ ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--pa
         ("UPDATE users SET password_hash = 'x'", "Record 1 sealed it otherwise: users/1 was changed"),
         ("DELETE FROM users", "users/1 was removed outside Boresight"),
         (
-            "INSERT INTO users SELECT 2, 'eve', printed_name, password_hash, roles, created_utc, NULL, 0, 0 FROM users",
+            "INSERT INTO users SELECT 2, 'eve', printed_name, password_hash, roles, created_utc, NULL, 0, 0, NULL, NULL FROM users",
             "No record put it there: users/2 was inserted",
         ),
         (

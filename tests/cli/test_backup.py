@@ -107,7 +107,9 @@ def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monke
     there = boresight("restore", archive)
     assert there.exit_code == 0, there.stderr
     assert "are as they were written" in there.stdout
-    added = boresight(*ADD[:2], "bo", *ADD[3:], stdin=f"{PASSWORD}\n")  # numbered after those that came over
+    added = boresight(
+        *ADD[:2], "bo", *ADD[3:6], "Bo", ADD[-1], stdin=f"{PASSWORD}\n"
+    )  # numbered after those that came over
     assert added.exit_code == 0, added.stderr
     again = boresight("restore", archive)
     assert (again.exit_code, "rows in the database already" in again.stderr) == (1, True)

@@ -172,7 +172,8 @@ def test_the_dry_run_shows_predicted_sigmas_weak_directions_and_what_would_help(
 
 
 def test_a_check_holds_no_lock_that_writers_wait_for(house):
+    visitor = house.visitor("ada")
     with writing(house.engine) as session:
         session.get_one(TelemetrySet, 1)
-        answer = house.visitor("ada").post("/runs/new", **FORM, intent="check")
+        answer = visitor.post("/runs/new", **FORM, intent="check")
     assert answer.status_code == 200
