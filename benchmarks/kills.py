@@ -46,6 +46,7 @@ LEASE_S = 3.0
 MAX_ATTEMPTS = 100
 MEAN_S = 5.0  # between two kills
 LOOK_EVERY_S = 0.1
+PAGE = 100
 AHEAD = 2  # kills for which runs are launched beforehand, so that there is always something to lose
 STALLED_S = 240.0
 TARGETS = {
@@ -175,7 +176,7 @@ class Pass:
         faults, attempts = Counter(lost=0, doubled=0, stuck=0), Counter()
         with reading(self.constellation.database) as session:
             rows, before = [], None
-            while page := runs.list_runs(session, before_id=before, limit=runs.LONGEST_PAGE):
+            while page := runs.list_runs(session, before_id=before, limit=PAGE):
                 rows, before = rows + page, page[-1].id
             for row in rows:
                 attempts[row.attempt] += 1

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import httpx
+import sqlalchemy as sa
 
 from boresight.store.sessions import Engine
 from tests.postgresql import server
@@ -23,6 +24,8 @@ def test_requests_are_refused_while_postgresql_is_gone_and_answered_when_it_is_b
     add_people(settings)
     with serving(settings) as (address, _), httpx.Client(base_url=address, timeout=30) as client:
         assert client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).status_code == 201
+        with postgresql.connect() as connection:
+            connection.execute(sa.text("CHECKPOINT"))  # the tests' server writes no commit to disk by itself
         server().stop()
         try:
             gone = client.get("/api/v1/sensors")
