@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from boresight.api.feed import Event, Place, Ring, events_after
+from boresight.api.feed import PAGE, Event, Place, Ring, events_after
 from boresight.api.rounds import Rounds
 from boresight.services.actors import Actor
 from boresight.store import login_sessions
@@ -32,6 +32,7 @@ from boresight.store.sessions import Engine, reading, utc_now
 QUEUE_LENGTH = 4096  # events; they are shared by all who wait for them
 KEPT = 512  # progress events: about a minute of two runs
 LOOK_EVERY_S = 0.5
+LOOK_AFTER_S = 0.05  # after a look that found something or not, however many commit
 PAUSE_A_LISTENER_S = 1e-4
 
 
@@ -116,7 +117,7 @@ class Broadcast:
         self._mark: Mark | None = None
         self._ended_utc = utc_now()  # the newest end of a log-in that was noticed
         self._revoked: tuple[str | None, str | None] = (None, None)  # when a key was last revoked, a person disabled
-        self._rounds = Rounds("event feed", [self._follow], lambda: LOOK_EVERY_S)
+        self._rounds = Rounds("event feed", [self._follow], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
         self._is_closed = False
 
     def start(self) -> None:
@@ -185,7 +186,7 @@ class Broadcast:
         while found and not self._is_closed:
             with reading(self._database) as session:
                 events = events_after(session, self._found)
-            found = bool(events)  # numbers have gaps, so a page that is not full need not be the last
+            found = len(events) >= PAGE  # otherwise neither kind has more
             with self._lock:
                 self._find(events)
         self._mark = mark

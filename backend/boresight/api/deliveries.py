@@ -27,6 +27,7 @@ from boresight.store.secret_box import SecretBox
 from boresight.store.sessions import Engine, reading, writing
 
 LOOK_EVERY_S = 1.0
+LOOK_AFTER_S = 0.25
 AT_ONCE = 20
 TIMEOUT_S = 10.0
 HEARD = 200  # characters of a refusing answer that the log keeps
@@ -49,7 +50,7 @@ class Deliveries:
         self._database = database
         self.targets = targets
         self._box = box
-        self._rounds = Rounds("delivery", [self.deliver], lambda: LOOK_EVERY_S)
+        self._rounds = Rounds("delivery", [self.deliver], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
 
     def start(self) -> None:
         """Begin to look for messages."""

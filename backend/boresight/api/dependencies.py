@@ -14,11 +14,11 @@ from contextlib import asynccontextmanager
 from typing import Annotated, Any
 
 from fastapi import Depends, Header, Query
-from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
+from fastapi.concurrency import contextmanager_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.api.credentials import bearer, current_actor
+from boresight.api.credentials import bearer, who_acts
 from boresight.api.numbers import row_number
 from boresight.api.origins import SAFE_METHODS
 from boresight.api.passwords import Passwords
@@ -43,8 +43,13 @@ DRY = "Check everything, change nothing: 200 with what would be, and `X-Validate
 
 
 async def read_session(request: Request) -> AsyncIterator[Session]:
-    """Open the request's transaction for reading: one state of the database."""
-    async with contextmanager_in_threadpool(reading(request.app.state.engine)) as session:
+    """Open the request's transaction for reading: one state of the database, from its first query on."""
+    engine = request.app.state.engine
+    if engine.dialect.name == "sqlite":  # neither beginning nor ending to read waits for anything there
+        with reading(engine) as session:
+            yield session
+        return
+    async with contextmanager_in_threadpool(reading(engine)) as session:
         yield session
 
 
@@ -112,7 +117,7 @@ async def csrf(request: Request) -> None:
     if request.app.state.log_in_cookie.name not in request.cookies:
         return  # nothing to abuse; whoever needs an actor refuses it
     try:
-        await run_in_threadpool(current_actor, request)
+        await who_acts(request)
     except UnauthenticatedError:
         return  # neither is there with a log-in that has ended; it must not keep anybody from logging in anew
     given = request.headers.get(CSRF_HEADER) or await _form_token(request)
@@ -245,7 +250,7 @@ def clear_cookie(request: Request, response: Response) -> None:
     request.app.state.log_in_cookie.clear(response)
 
 
-Who = Annotated[Actor, Depends(current_actor)]
+Who = Annotated[Actor, Depends(who_acts)]
 Reading = Annotated[Session, Depends(read_session, scope="function")]
 Writing = Annotated[Session, Depends(write_or_try, scope="function")]
 LoggingIn = Annotated[Session, Depends(write_session, scope="function")]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import heapq
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -19,8 +20,7 @@ from typing import Any
 import orjson
 
 from boresight.api.numbers import row_number
-from boresight.services import audit
-from boresight.store import run_events
+from boresight.store import audit, run_events
 from boresight.store.sessions import Session
 from boresight.store.tables import RunEvent
 
@@ -53,8 +53,7 @@ class Place:
     @classmethod
     def now(cls, session: Session, progress: int = 0) -> Place:
         """Return the place after everything stored, and after this progress."""
-        newest = audit.list_records(session, limit=1)
-        return cls(run_events.newest_event_id(session), newest[0].id if newest else 0, progress)
+        return cls(run_events.newest_event_id(session), audit.newest_id(session), progress)
 
 
 PART_OF_KIND = {"run": "run_event", "log": "run_event", "audit": "record", "progress": "progress"}
@@ -136,7 +135,8 @@ class Ring:
 def events_after(session: Session, place: Place) -> list[Event]:
     """Return the rows after a place as events, those of either kind in their order, at most a page of each."""
     lines = [_line(row) for row in run_events.events_after(session, place.run_event, PAGE)]
-    return list(heapq.merge(lines, _records_after(session, place.record), key=lambda event: str(event.data["at_utc"])))
+    records = [_told(row) for row in audit.heads_after(session, place.record, PAGE)]
+    return list(heapq.merge(lines, records, key=lambda event: str(event.data["at_utc"])))
 
 
 def _line(row: RunEvent) -> Event:
@@ -147,18 +147,6 @@ def _line(row: RunEvent) -> Event:
     return Event("log", told | {"kind": row.kind}, row.id)
 
 
-def _records_after(session: Session, record: int) -> list[Event]:
-    """Return a page of the audit records after a number, oldest first; what they changed is left to the log itself."""
-    newest = audit.list_records(session, limit=1)
-    last = newest[0].id if newest else 0
-    for top in range(record + PAGE, last + PAGE, PAGE):  # the next window, further on where numbers have gaps
-        page = audit.list_records(session, before_id=top + 1, limit=min(PAGE, last - record))  # none that were told
-        if page and page[0].id > record:
-            return [_told(row) for row in reversed(page) if row.id > record]
-    return []
-
-
-def _told(row: Any) -> Event:
-    """Tell an audit record as an event."""
-    names = ("id", "at_utc", "actor", "action", "object")
-    return Event("audit", {name: getattr(row, name) for name in names}, row.id)
+def _told(row: Mapping[str, Any]) -> Event:
+    """Tell an audit record as an event; what it changed is left to the log itself."""
+    return Event("audit", dict(row), row["id"])

@@ -23,7 +23,7 @@ from fastapi import Depends
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from boresight.api.credentials import current_actor, proof_of
+from boresight.api.credentials import proof_of, who_acts
 from boresight.api.ready import ASKED, FOR_ALL, FOR_ONE, FOR_ROLES, Asked, Kept, Ready
 from boresight.api.sheets import LEVEL, NAME_GAP, TOKEN_GAP, Sheet
 
@@ -36,7 +36,7 @@ ASK_AGAIN = b"private, no-cache"
 VARY = b"Accept-Encoding, Authorization, Cookie"
 
 
-def same_for_all(request: Request) -> None:
+async def same_for_all(request: Request) -> None:
     """Let whoever is known read what is the same for all: the answer follows from address and store alone.
 
     Raises
@@ -44,22 +44,22 @@ def same_for_all(request: Request) -> None:
     UnauthenticatedError
         When nobody is logged in, the log-in has ended, or the key is not valid.
     """
-    current_actor(request)
+    await who_acts(request)
     request.scope["state"][SAME_FOR] = FOR_ALL
 
 
-def same_for_one(request: Request) -> None:
+async def same_for_one(request: Request) -> None:
     """Say that the answer follows from address, store and who asks, and from what every page shows of this server."""
-    current_actor(request)
+    await who_acts(request)
     request.scope["state"][SAME_FOR] = FOR_ONE
 
 
-def same_for_roles(request: Request) -> frozenset[str]:
+async def same_for_roles(request: Request) -> frozenset[str]:
     """Say that a page follows from address, store, these roles, and from what every page shows of this server and who asks.
 
     Its endpoint may ask for `Roles`, and for nothing else of who asks.
     """
-    roles = current_actor(request).roles
+    roles = (await who_acts(request)).roles
     request.scope["state"][SAME_FOR] = FOR_ROLES
     return roles
 

@@ -24,12 +24,17 @@ class Rounds:
         What is done in every round, in this order.
     rest_s
         Returns the seconds between two rounds.
+    least_s
+        Between two rounds however often it is nudged: what many commits ask for is done once for all of them.
     """
 
-    def __init__(self, name: str, steps: Sequence[Callable[[], None]], rest_s: Callable[[], float]) -> None:
+    def __init__(
+        self, name: str, steps: Sequence[Callable[[], None]], rest_s: Callable[[], float], least_s: float = 0.0
+    ) -> None:
         self._name = name
         self._steps = steps
         self._rest_s = rest_s
+        self._least_s = least_s
         self._nudge = threading.Event()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -69,5 +74,6 @@ class Rounds:
         while not self._closing.is_set():
             for step in self._steps:
                 self.take(step)
+            self._closing.wait(self._least_s)
             self._nudge.wait(self._rest_s())
             self._nudge.clear()

@@ -21,7 +21,7 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
 from boresight.api.answers import IdempotencyKey, Once, digest
-from boresight.api.credentials import current_actor
+from boresight.api.credentials import who_acts
 from boresight.api.dependencies import OnlyAsked
 from boresight.api.numbers import row_number
 from boresight.errors import RefusedInputError
@@ -155,7 +155,7 @@ def _text(value: bytes | None) -> str:
 
 async def uploaded(
     request: Request,
-    actor: Annotated[Actor, Depends(current_actor)],  # noqa: ARG001 - nothing is read for nobody
+    actor: Annotated[Actor, Depends(who_acts)],  # noqa: ARG001 - nothing is read for nobody
 ) -> AsyncIterator[Upload]:
     """Stream the request's file to the disk and remove it before the answer is sent."""
     folder = request.app.state.settings.data_folder / "uploads"

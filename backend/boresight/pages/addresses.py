@@ -13,7 +13,7 @@ MOST_DIGITS = len(str(GREATEST_NUMBER))
 NUMBERED = frozenset({"sensor", "set", "clone", "before", "runs", "reference"})
 
 
-def check_numbers(request: Request) -> None:
+async def check_numbers(request: Request) -> None:
     """Refuse an address with a number that no row can have.
 
     Raises

@@ -15,7 +15,7 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
-from boresight.api.credentials import current_actor
+from boresight.api.credentials import who_acts
 from boresight.api.dependencies import Reading
 from boresight.api.numbers import row_number
 from boresight.errors import RefusedInputError
@@ -35,7 +35,7 @@ CROWDED_RUNS = 8
 OVERLAYS = {"lines": "every run", "band": "lowest to highest", "table": "no figures, tables only"}
 ALIGNED_BY = {"frame": "frame number", "time": "time since the first frame", "update": "update"}
 
-router = APIRouter(dependencies=[Depends(current_actor)])
+router = APIRouter(dependencies=[Depends(who_acts)])
 
 
 @dataclass(frozen=True)

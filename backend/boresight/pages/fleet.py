@@ -66,14 +66,23 @@ class FleetMemory:
         self._known: tuple[Mark, float, tuple[Standing, int, int]] | None = None
         self._resting_until_s = 0.0
 
+    def known_now(self) -> tuple[Standing, int, int] | None:
+        """Return what `standing` would without a look at the fleet; None where it takes one, or to tell takes a thread."""
+        return self._remembered(self._marks.look()) if self._marks.at_once else None
+
+    def _remembered(self, mark: Mark | None) -> tuple[Standing, int, int] | None:
+        """Return what the last look found, where that holds."""
+        known, now_s = self._known, time.monotonic()
+        if known is not None and (now_s < self._resting_until_s or (mark == known[0] and now_s - known[1] < HELD_S)):
+            return known[2]
+        return None
+
     def standing(self) -> tuple[Standing, int, int]:
         """Return what `fleet_standing` does, from a look that no commit came after, or of a large fleet not many."""
         with self._looking:
-            mark, known, now_s = self._marks.look(), self._known, time.monotonic()
-            if known is not None and (
-                now_s < self._resting_until_s or (mark == known[0] and now_s - known[1] < HELD_S)
-            ):
-                return known[2]
+            mark, now_s = self._marks.look(), time.monotonic()
+            if (remembered := self._remembered(mark)) is not None:
+                return remembered
             with reading(self._engine) as session:
                 found = fleet_standing(session)
                 is_large = sensors.count(session) > LARGE

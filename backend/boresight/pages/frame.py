@@ -17,8 +17,9 @@ from typing import Any
 from urllib.parse import unquote
 
 from fastapi import Request
+from fastapi.concurrency import run_in_threadpool
 
-from boresight.api.credentials import current_actor
+from boresight.api.credentials import who_acts
 from boresight.api.keeping import has_gaps
 from boresight.api.sheets import NAME_GAP, TOKEN_GAP
 from boresight.api.upkeep import Light
@@ -121,10 +122,12 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None,
         return UNREAD, None, None
 
 
-def know_fleet(request: Request) -> None:
+async def know_fleet(request: Request) -> None:
     """Read what the frame shows of the store, for a request by somebody who is logged in."""
+    memory: FleetMemory = request.app.state.fleet
     with suppress(UnauthenticatedError, PasswordDueError):
-        request.state.fleet = _fleet(request, current_actor(request))
+        actor = await who_acts(request)
+        request.state.fleet = memory.known_now() or await run_in_threadpool(_fleet, request, actor)
 
 
 def frame_of(request: Request, *, is_answer: bool = True) -> Frame:

@@ -13,7 +13,7 @@ from itertools import zip_longest
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.credentials import current_actor
+from boresight.api.credentials import who_acts
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES, WIDE, figure_json
 from boresight.figures.evidence import LEVELS, marks
@@ -30,7 +30,7 @@ STATES = {
     "nothing": ("Nothing yet", ("nothing",)),
 }
 
-router = APIRouter(dependencies=[Depends(current_actor)])
+router = APIRouter(dependencies=[Depends(who_acts)])
 
 
 def _traces_of(name: str, of: str) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.credentials import current_actor
+from boresight.api.credentials import who_acts
 from boresight.api.dependencies import Reading
 from boresight.api.keeping import same_for_roles
 from boresight.pages.rendering import render
@@ -55,7 +55,7 @@ CSV_FIELDS = {
     "baseline": ("baseline_from_utc", "baseline_to_utc"),
 }
 
-router = APIRouter(dependencies=[Depends(current_actor)])
+router = APIRouter(dependencies=[Depends(who_acts)])
 
 
 @router.get("/parameter-sets", response_class=HTMLResponse, dependencies=[Depends(same_for_roles)])

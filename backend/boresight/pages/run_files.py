@@ -5,11 +5,11 @@ from __future__ import annotations
 from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse, PlainTextResponse
 
-from boresight.api.credentials import current_actor
+from boresight.api.credentials import who_acts
 from boresight.api.dependencies import Reading
 from boresight.services import runs
 
-router = APIRouter(dependencies=[Depends(current_actor)])
+router = APIRouter(dependencies=[Depends(who_acts)])
 
 
 def _attachment(name: str) -> dict[str, str]:

@@ -12,7 +12,7 @@ from typing import Any
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.api.credentials import current_actor
+from boresight.api.credentials import who_acts
 from boresight.api.dependencies import Reading
 from boresight.api.keeping import same_for_roles
 from boresight.figures.evidence import WORD_OF_LEVEL
@@ -93,7 +93,7 @@ OF_SUMMARY = (
     "frames",
 )
 
-router = APIRouter(dependencies=[Depends(current_actor)])
+router = APIRouter(dependencies=[Depends(who_acts)])
 
 
 @dataclass(frozen=True)

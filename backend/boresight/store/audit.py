@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields
 from typing import Any
@@ -64,6 +64,18 @@ def records(session: Session, *, before_id: int | None, sought: Sought, limit: i
         if (value := getattr(sought, field.name)) is not None:
             query = query.where(_condition(field.name, value))
     return session.scalars(query).all()
+
+
+def newest_id(session: Session) -> int:
+    """Return the number of the newest record."""
+    return session.scalar(sa.select(sa.func.max(AuditRecord.id))) or 0
+
+
+def heads_after(session: Session, after_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
+    """Return number, time, actor, action and object of the records after a number, oldest first."""
+    columns = (AuditRecord.id, AuditRecord.at_utc, AuditRecord.actor, AuditRecord.action, AuditRecord.object)
+    query = sa.select(*columns).where(AuditRecord.id > after_id).order_by(AuditRecord.id).limit(limit)
+    return session.execute(query).mappings().all()  # type: ignore[return-value]  # SQLAlchemy's keys are its own type
 
 
 def _condition(name: str, value: str) -> sa.ColumnElement[bool]:

@@ -17,7 +17,7 @@ from starlette.responses import Response
 
 from boresight.api import schemas
 from boresight.api.answers import Answer, IdempotencyKey, Idempotent, Once, digest
-from boresight.api.credentials import current_actor
+from boresight.api.credentials import who_acts
 from boresight.api.dependencies import OnlyAsked, SeenVersion, Who, Writing, check_own
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
@@ -59,7 +59,7 @@ class ReadBack:
 
 async def read_form(
     request: Request,
-    actor: Annotated[Actor, Depends(current_actor)],  # noqa: ARG001 - nothing is read for nobody
+    actor: Annotated[Actor, Depends(who_acts)],  # noqa: ARG001 - nothing is read for nobody
 ) -> ReadBack:
     """Read the form; what is no file is a text, and a field that is left out is an empty one."""
     async with request.form(max_files=1, max_fields=MOST_FIELDS) as form:
