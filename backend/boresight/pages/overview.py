@@ -269,7 +269,7 @@ def _events(session: Session, standings: Sequence[Standing]) -> list[Event]:
 def _fleet(session: Session) -> Fleet:
     """Read what everybody is shown."""
     standings = fleet.standings(session)
-    tiles = fleet.tiles(session, drawn_of(standings))
+    tiles = fleet.tiles(session, drawn_of(standings), documents=False)
     return Fleet(
         standings,
         tiles,

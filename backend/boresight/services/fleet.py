@@ -110,11 +110,14 @@ def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) 
     return tiles(session, standings(session, sensor_ids))
 
 
-def tiles(session: Session, stand: Sequence[Standing]) -> list[SensorTile]:
-    """Return the tiles of sensors that stand so, in their order: what a page counts and what it draws are one look."""
+def tiles(session: Session, stand: Sequence[Standing], *, documents: bool = True) -> list[SensorTile]:
+    """Return the tiles of sensors that stand so, in their order: what a page counts and what it draws are one look.
+
+    On request sensors and baselines come without their documents.
+    """
     ids = [one.sensor_id for one in stand]
-    sensors = {sensor.id: sensor for sensor in rows.sensors(session, ids)}
-    baselines, runs = rows.baselines(session, ids), rows.last_runs(session, ids)
+    sensors = {sensor.id: sensor for sensor in rows.sensors(session, ids, documents=documents)}
+    baselines, runs = rows.baselines(session, ids, documents=documents), rows.last_runs(session, ids)
     onboard, counts = rows.onboard_sets(session, ids), rows.set_counts(session, ids)
     return [
         SensorTile(

@@ -138,7 +138,7 @@ def _ran_back(session: Session, at_utc: str) -> AuditRecord | None:
 
 def write_before_reading(state: ORMExecuteState) -> None:
     """Let a query of the log see what its own transaction appended."""
-    if state.is_select and sa.inspect(AuditRecord) in state.all_mappers:
+    if state.session.info.get(PENDING) and state.is_select and sa.inspect(AuditRecord) in state.all_mappers:
         write_out(state.session)
 
 

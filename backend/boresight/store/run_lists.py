@@ -12,8 +12,11 @@ from boresight.store.tables import Run
 
 
 def page_of_runs(session: Session, *, where: Mapping[str, Any], before_id: int | None, limit: int | None) -> list[Run]:
-    """Return up to `limit` runs, newest first, whose columns equal (or, given several values, are one of) `where`."""
-    query = sa.select(Run).order_by(Run.id.desc()).limit(limit)
+    """Return up to `limit` runs, newest first, whose columns equal (or, given several values, are one of) `where`.
+
+    Their sensors' documents are read when they are asked for.
+    """
+    query = sa.select(Run).options(sa.orm.defer(Run.sensor_document)).order_by(Run.id.desc()).limit(limit)
     for name, value in where.items():
         column = getattr(Run, name)
         query = query.where(column == value if isinstance(value, str | int) else column.in_(value))

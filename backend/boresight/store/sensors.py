@@ -17,9 +17,11 @@ def sensor_named(session: Session, name: str) -> Sensor | None:
     return session.scalar(sa.select(Sensor).where(Sensor.name == name))
 
 
-def sensors(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[Sensor]:
-    """Return the fleet, or some of it, by name."""
-    query = sa.select(Sensor).where(*_of(Sensor.id, sensor_ids))
+def sensors(session: Session, sensor_ids: Collection[int] | None = None, *, documents: bool = True) -> Sequence[Sensor]:
+    """Return the fleet, or some of it, by name; on request without their documents, which then cannot be asked for."""
+    query = (
+        sa.select(Sensor).where(*_of(Sensor.id, sensor_ids)).options(*_but(documents, Sensor.document, Sensor.truth))
+    )
     return session.scalars(query.order_by(Sensor.name)).all()
 
 
@@ -51,9 +53,12 @@ def _holding(text: str) -> list[sa.ColumnElement[bool]]:
     return [Sensor.name.icontains(text, autoescape=True)] if text else []
 
 
-def baselines(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, ParameterSet]:
-    """Return each sensor's baseline, or those of some, by sensor."""
-    return {row.sensor_id: row for row in session.scalars(_baselines(sensor_ids, ParameterSet))}
+def baselines(
+    session: Session, sensor_ids: Collection[int] | None = None, *, documents: bool = True
+) -> dict[int, ParameterSet]:
+    """Return each sensor's baseline, or those of some, by sensor; on request without their documents."""
+    query = _baselines(sensor_ids, ParameterSet).options(*_but(documents, ParameterSet.document))
+    return {row.sensor_id: row for row in session.scalars(query)}
 
 
 def baseline_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Any]:
@@ -69,8 +74,9 @@ def _baselines(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[A
 
 
 def last_runs(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Run]:
-    """Return each sensor's newest run, or those of some, by sensor."""
-    return {row.sensor_id: row for row in session.scalars(_last_runs(sensor_ids, Run))}
+    """Return each sensor's newest run, or those of some, by sensor, without their sensors' documents."""
+    query = _last_runs(sensor_ids, Run).options(*_but(False, Run.sensor_document, Run.settings))
+    return {row.sensor_id: row for row in session.scalars(query)}
 
 
 def last_run_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Any]:
@@ -101,8 +107,11 @@ def waiting_approvals(session: Session, sensor_ids: Collection[int] | None = Non
 
 
 def onboard_sets(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[ParameterSet]]:
-    """Return the sets whose on-board state says something about what a sensor runs with, by sensor; not those without any."""
-    return _by_sensor(session.scalars(_onboard(sensor_ids, ParameterSet)))
+    """Return the sets whose on-board state says something about what a sensor runs with, by sensor; not those without any.
+
+    They come without their documents.
+    """
+    return _by_sensor(session.scalars(_onboard(sensor_ids, ParameterSet).options(*_but(False, ParameterSet.document))))
 
 
 def onboard_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[Any]]:
@@ -114,6 +123,11 @@ def onboard_heads(session: Session, sensor_ids: Collection[int] | None = None) -
 def _onboard(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[Any]:
     query = sa.select(*columns).where(ParameterSet.onboard_state.in_(("ACTIVE", "MISMATCH")))
     return query.where(*_of(ParameterSet.sensor_id, sensor_ids))
+
+
+def _but(whole: bool, *documents: Any) -> list[Any]:
+    """Leave documents out, which are most of a row and of the time that it takes to read, unless rows are asked for whole."""
+    return [] if whole else [sa.orm.defer(column, raiseload=True) for column in documents]
 
 
 def _by_sensor(found: Iterable[Any]) -> dict[int, list[Any]]:
