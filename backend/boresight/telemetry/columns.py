@@ -127,17 +127,21 @@ def times(column: pa.ChunkedArray, name: str, faults: Faults) -> NDArray[np.date
 
 
 def texts(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return a column nobody interprets as (n,) texts, empty where absent; a dictionary stays one, of texts."""
+    """Return a column nobody interprets as (n,) texts, empty where absent; a dictionary stays one, of the texts that are used."""
     if not pa.types.is_dictionary(column.type):
         return pa.chunked_array([_texts(_plain(column))], pa.string())
-    chunks = [
-        pa.DictionaryArray.from_arrays(
-            chunk.indices.cast(pa.int32()).fill_null(len(chunk.dictionary)),
-            pa.concat_arrays([_texts(chunk.dictionary), pa.array([""] if chunk.null_count else [], pa.string())]),
-        )
-        for chunk in column.chunks
-    ]
-    return pa.chunked_array(chunks, pa.dictionary(pa.int32(), pa.string()))
+    return pa.chunked_array(map(_used_texts, column.chunks), pa.dictionary(pa.int32(), pa.string()))
+
+
+def _used_texts(chunk: pa.DictionaryArray) -> pa.DictionaryArray:
+    """Return a dictionary without the texts that no row has: a batch brings those of all batches before it."""
+    absent = len(chunk.dictionary)
+    indices = chunk.indices.cast(pa.int32()).fill_null(absent).to_numpy()
+    used, place = np.unique(indices, return_inverse=True)
+    known = _texts(chunk.dictionary.take(pa.array(used[used < absent])))
+    if len(known) < len(used):
+        known = pa.concat_arrays([known, pa.array([""])])
+    return pa.DictionaryArray.from_arrays(pa.array(place.astype(np.int32)), known)
 
 
 def _texts(cells: pa.Array) -> pa.Array:

@@ -273,6 +273,7 @@ def _tables(path: Path, name: str, layout: Layout, rows: range, limits: Limits) 
             batch.validate(full=True)  # text that is not UTF-8 would only be noticed where it is used
             yield pa.Table.from_batches([batch])
             row += len(batch)
+            pa.default_memory_pool().release_unused()  # or what was freed stays with us, batch for batch
 
 
 def _text_bytes(name: str, column: str, cells: pa.Array, row: int, limits: Limits) -> int:
