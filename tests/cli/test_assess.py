@@ -102,4 +102,4 @@ def test_what_cannot_be_used_is_refused_in_one_line(assess, written, option, doc
 def test_what_is_no_calibration_is_refused(boresight, simulated):
     done = boresight("assess", simulated / "truth.json", "--sensor", simulated / "sensor.json")
     assert done.exit_code == 1
-    assert "truth.json is no calibration" in done.stderr
+    assert "truth.json is no whole calibration (schema" in done.stderr

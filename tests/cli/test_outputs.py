@@ -139,3 +139,20 @@ def test_nobody_is_told_to_install_what_is_not_needed(boresight, simulated, monk
 
     assert done.exit_code == 0, done.stderr
     assert "pip install" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("member", ["schema", "status", "parameters", "sensor"])
+@pytest.mark.parametrize("command", ["report", "assess"])
+def test_a_calibration_without_a_member_it_needs_is_refused_by_the_name_of_that_member(
+    boresight, calibration, simulated, tmp_path, command, member
+):
+    document = json.loads(calibration.read_text())
+    del document[member]
+    cut = tmp_path / "cut.json"
+    cut.write_text(json.dumps(document))
+    more = ["--out", tmp_path / "report.html"] if command == "report" else ["--sensor", simulated / "sensor.json"]
+
+    done = boresight(command, cut, *more)
+
+    assert done.exit_code == 1
+    assert f"cut.json is no whole calibration ({member}" in done.stderr

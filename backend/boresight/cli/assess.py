@@ -50,14 +50,14 @@ def _assess(files: tuple[Path, Path, Path | None, Path | None, Path | None], rep
     """Read the files and judge."""
     from boresight.gates import parse_profile
     from boresight.gates.assessment import as_set, assess, ground_set
+    from boresight.services.calibration_document import refuse_incomplete
     from boresight.telemetry.sensors import read_sensor
 
     calibration, sensor_file, against, telemetry, profile_file = files
     sensor = read_sensor(sensor_file)
     profile = parse_profile({} if profile_file is None else _read_object(profile_file, "a gate profile"))
     result = _read_object(calibration, "a calibration JSON")
-    if result.get("schema") != "boresight.calibration/1":
-        raise RefusedInputError(f"{calibration.name} is no calibration: give what `boresight calibrate --json` wrote.")
+    refuse_incomplete(result, calibration.name)
     incumbent = ground_set(sensor) if against is None else as_set(_read_object(against, "parameters"), sensor)
     frames = None if telemetry is None else _frames(telemetry, sensor, report)
     report("measuring and judging")

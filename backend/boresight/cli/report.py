@@ -49,6 +49,8 @@ def _check_out(out_file: str) -> None:
 
 def _read(source: str) -> dict[str, Any]:
     """Read a calibration from a file."""
+    from boresight.services.calibration_document import refuse_incomplete
+
     try:
         document: dict[str, Any] = orjson.loads(Path(source).read_bytes())
     except FileNotFoundError as error:
@@ -59,6 +61,7 @@ def _read(source: str) -> dict[str, Any]:
         ) from error
     except OSError as error:
         raise RefusedInputError(f"{source} cannot be read: {error.strerror}.") from error
+    refuse_incomplete(document, Path(source).name)
     return document
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from boresight.errors import ConflictError
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.store.blobs import BlobStore
 from boresight.store.recent import Recent
 
@@ -195,8 +195,30 @@ def read_result(blobs: BlobStore, sha256: str, run_id: int | None = None) -> Doc
 
 def _is_final(document: Any) -> bool:
     """Whether a document has every member of an ended calibration, each of its type."""
+    return _fault_of(document) is None
+
+
+def _fault_of(document: Any) -> str | None:
+    """Say what keeps a document from being an ended calibration: the first member that is missing or of another type."""
     try:
         Calibration.model_validate(document)
-    except ValidationError:
-        return False
-    return all(document.get(name) is not None for name in FINAL)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        return f"{where}: {first['msg']}" if where else str(first["msg"])
+    missing = [name for name in FINAL if document.get(name) is None]
+    return f"{missing[0]}: missing" if missing else None
+
+
+def refuse_incomplete(document: Any, name: str) -> None:
+    """Refuse a document that somebody gave as an ended calibration and that is none.
+
+    Raises
+    ------
+    RefusedInputError
+        Names the first member that is missing or of another type.
+    """
+    if (fault := _fault_of(document)) is not None:
+        raise RefusedInputError(
+            f"{name} is no whole calibration ({fault}): give the file that `boresight calibrate --json` wrote, as it was written."
+        )

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.errors import NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
+from boresight.errors import PreconditionRequiredError, RefusedInputError, StaleError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.services import audit, proposals, staleness
 from boresight.services.actors import Actor, require_role, require_scope
@@ -29,20 +29,6 @@ LARGEST_DOCUMENT = 200_000
 def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | None:
     """Return the definition that a sensor's sets are exported by; None where the mission configured none."""
     return rows.definition_in_force(session, sensor_id)
-
-
-def get_definition(session: Session, table_definition_id: int) -> TableDefinition:
-    """Return a definition.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
-    row = session.get(TableDefinition, table_definition_id)
-    if row is None:
-        raise NotFoundError(f"There is no table definition {table_definition_id}.")
-    return row
 
 
 def list_definitions(

@@ -120,11 +120,6 @@ def standings(session: Session, campaign_id: int, *, after_id: int = 0, limit: i
     return [Standing(*row) for row in session.execute(query)]
 
 
-def campaign_of_run(session: Session, run_id: int) -> int | None:
-    """Return the campaign that launched a run, or None."""
-    return session.scalar(sa.select(CampaignRun.campaign_id).where(CampaignRun.run_id == run_id))
-
-
 def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[int, str]]:
     """Ask every run of a campaign that has not ended to stop; return them with their new states."""
     of_campaign = sa.select(CampaignRun.run_id).where(CampaignRun.campaign_id == campaign_id)
