@@ -37,8 +37,8 @@ def test_every_success_of_every_operation_is_typed(name: str) -> None:
 def test_every_operation_says_what_every_request_may_meet(name: str) -> None:
     operation = OPERATIONS[name]
     documented = set(operation["responses"])
-    assert {"401", "403", "422", "503"} <= documented
-    assert "requestBody" not in operation or {"400", "413", "415"} <= documented
+    assert {"400", "401", "403", "408", "422", "431", "503"} <= documented
+    assert "requestBody" not in operation or {"413", "415"} <= documented
     assert "{" not in operation["path"] or "404" in documented
     assert operation["method"] == "GET" or "409" in documented
     assert "Retry-After" in operation["responses"]["503"]["headers"]

@@ -83,10 +83,11 @@ HEADERS = {
     "Content-Disposition": _header("The name to keep the file under."),
 }
 SENTENCES = {
-    400: "The body cannot be read.",
+    400: "This is no HTTP request, or its body cannot be read.",
     401: "Nobody is logged in, or the key is not valid.",
     403: "This person or key may not do this, or the CSRF token is missing.",
     404: "There is no such thing.",
+    408: "The request did not come whole in time.",
     409: "It is not in a state that allows this.",
     412: "Somebody changed it since you read it.",
     413: "The body is over the size limit.",
@@ -94,6 +95,7 @@ SENTENCES = {
     422: "The input is refused; `errors` says where.",
     428: "`If-Match` is missing.",
     429: "Too many wrong passwords; `Retry-After` says how many seconds to wait.",
+    431: "The head of the request is too large.",
     503: "More is asked at once than can be answered, or the store does not answer; `Retry-After` says when to ask again.",
 }
 
@@ -171,9 +173,9 @@ def _describe_trial(operation: dict[str, Any]) -> None:
 def _refused(path: str, method: str, operation: dict[str, Any]) -> Iterator[int]:
     """Yield the refusals that follow from what an operation takes and touches."""
     named, has_body = _parameters(operation), "requestBody" in operation
-    yield from (401, 403, 422, 503)
+    yield from (400, 401, 403, 408, 422, 431, 503)
     if has_body:
-        yield from (400, 413, 415)
+        yield from (413, 415)
     names_rows = any(name in ROWS or name.endswith("_id") for name in named)
     if "{" in path or has_body or names_rows:
         yield 404
