@@ -8,6 +8,7 @@ server takes no longer than the requests that are under way.
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import socket
 import sys
@@ -82,6 +83,7 @@ pages.join(ROUTES)
 SWITCH_S = (
     0.001  # after so long a thread that computes lets another go on; the event loop waits for that with each answer
 )
+COLLECTIONS = (20_000, 20, 50)  # an answer makes thousands of objects, nearly all of which are let go one by one
 THREADS = 12  # of requests: those whose turn it is, and those that take long (`boresight.api.turns`)
 
 
@@ -330,5 +332,7 @@ def configured(app: FastAPI, settings: Settings, connections: Connections | None
 def serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None:
     """Serve until told to stop by SIGINT or SIGTERM; `on_open` is called once connections are accepted."""
     sys.setswitchinterval(SWITCH_S)
+    gc.freeze()  # what was imported stays: no collection looks through it again
+    gc.set_threshold(*COLLECTIONS)
     connections = Connections(open_file_limit())
     _Server(configured(create_app(settings), settings, connections), on_open).run()

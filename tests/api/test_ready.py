@@ -369,7 +369,7 @@ def beside(house: House) -> Iterator[str]:
     """Serve the same store by a second server that keeps nothing; yields its address."""
     with serving(house.app.state.settings, house.app.state.catalogue()) as (address, app):
         app.state.ready._limit_bytes = 0
-        app.state.overview = SimpleNamespace(answer=lambda _, read: read())
+        app.state.overview = SimpleNamespace(answer=lambda _question, read, _asked_s: read())
         app.state.written = NothingKept()
         app.state.workers.stop()
         app.state.workers = house.app.state.workers

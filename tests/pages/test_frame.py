@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from urllib.parse import quote
@@ -164,13 +165,32 @@ def test_a_look_at_a_large_fleet_is_followed_by_a_rest_whatever_is_committed(hou
     monkeypatch.setattr("boresight.pages.fleet.time", SimpleNamespace(monotonic=lambda: clock[0]))
     memory = FleetMemory(house.engine, Marks(house.engine))
     for _ in range(3):
-        memory.standing()
+        memory.standing(clock[0])
         with writing(house.engine) as session:
             audit.append(session, COMMAND_LINE, "did", "things/1")
     assert len(asked) == looks
     clock[0] += REST * 2.0
-    memory.standing()
+    memory.standing(clock[0])
     assert len(asked) == looks + 1
+
+
+def test_a_look_answers_who_asked_before_it_began_whatever_is_committed_after_it(house, monkeypatch):
+    clock, asked = [100.0], []
+
+    def look(_session):
+        asked.append(1)
+        return (worst_standing([]), 0, 0)
+
+    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", look)
+    monkeypatch.setattr("boresight.pages.fleet.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    memory = FleetMemory(house.engine, Marks(house.engine))
+    memory.standing(99.0)
+    with writing(house.engine) as session:
+        audit.append(session, COMMAND_LINE, "did", "things/1")
+    memory.standing(99.5)
+    assert len(asked) == 1
+    memory.standing(100.5)
+    assert len(asked) == 2
 
 
 def test_one_page_looks_at_the_fleet_for_all_that_ask_meanwhile(house, monkeypatch):
@@ -184,7 +204,7 @@ def test_one_page_looks_at_the_fleet_for_all_that_ask_meanwhile(house, monkeypat
     monkeypatch.setattr("boresight.pages.fleet.fleet_standing", look)
     memory = FleetMemory(house.engine, Marks(house.engine))
     with ThreadPoolExecutor(4) as pool:
-        found = [pool.submit(memory.standing) for _ in range(4)]
+        found = [pool.submit(memory.standing, time.monotonic()) for _ in range(4)]
         go.set()
         assert len({future.result() for future in found}) == 1
     assert len(asked) == 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from boresight.store.chain import append_own
@@ -85,6 +87,21 @@ def test_what_is_committed_while_it_is_read_is_read_again(store):
 
     kept.answer("a", read)
     assert kept.answer("a", lambda: "anew") == "anew"
+    marks.close()
+
+
+def test_who_asked_before_it_was_read_is_given_it_whatever_is_committed_after(store):
+    marks = Marks(store)
+    kept, asked_s = Kept(marks), time.monotonic()
+    assert kept.answer("a", lambda: "once") == "once"
+    with writing(store) as session:
+        append_own(session, "did", "thing/1")
+    assert kept.answer("a", lambda: "anew", asked_s) == "once"
+    assert kept.answer("b", lambda: "of another question", asked_s) == "of another question"
+    assert kept.answer("b", lambda: "anew") == "of another question"
+    with writing(store) as session:
+        append_own(session, "did", "thing/1")
+    assert kept.answer("b", lambda: "anew") == "anew"
     marks.close()
 
 

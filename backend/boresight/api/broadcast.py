@@ -32,7 +32,7 @@ from boresight.store.sessions import Engine, reading, utc_now
 QUEUE_LENGTH = 4096  # events; they are shared by all who wait for them
 KEPT = 512  # progress events: about a minute of two runs
 LOOK_EVERY_S = 0.5
-LOOK_AFTER_S = 0.05  # after a look that found something or not, however many commit
+LOOK_AFTER_S = 0.1  # after a look that found something or not, however many commit
 PAUSE_A_LISTENER_S = 1e-4
 
 

@@ -38,7 +38,7 @@ ALWAYS = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")
 Refuse = Callable[[Request, Exception], Response]
 Identify = Callable[[Scope], Awaitable[int | None]]
 Begin = Callable[[Scope], Awaitable[None]]
-READERS, WRITERS = 2, 4  # worked on at once; of the writers, all but one wait for the store
+READERS, WRITERS = 2, 2  # worked on at once; of the writers, all but one wait for the store
 
 
 @dataclass(frozen=True)

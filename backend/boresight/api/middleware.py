@@ -151,6 +151,7 @@ class _Answer:
         self._four_eyes = four_eyes
         self._state: MutableMapping[str, Any] = scope.setdefault("state", {})
         self._state["request_id"] = request_id_of(Headers(scope=scope))
+        self._state["came_s"] = time.monotonic()
 
     async def send(self, message: Message) -> None:
         """Add the headers to the start of the answer."""

@@ -1,9 +1,9 @@
 """How the fleet stands, for the top bar of every page: as its worst sensor does, that sensor named.
 
 It takes a look at every sensor, so it is remembered while nothing is committed (`store.marks`), and no longer than `HELD_S`, for
-baselines age by the clock. Of a fleet of more than `LARGE` sensors it is remembered `REST` times as long as the look took, whatever
-is committed: so the top bar of thousands of sensors takes a fixed share of one processor, and most pages wait for none of it. One
-page looks for all that ask meanwhile.
+baselines age by the clock; who asked before the look began is given it too, whatever was committed since. Of a fleet of more than
+`LARGE` sensors it is remembered `REST` times as long as the look took, whatever is committed: so the top bar of thousands of sensors
+takes a fixed share of one processor, and most pages wait for none of it. One page looks for all that ask meanwhile.
 """
 
 from __future__ import annotations
@@ -63,31 +63,37 @@ class FleetMemory:
     def __init__(self, engine: Engine, marks: Marks) -> None:
         self._engine, self._marks = engine, marks
         self._looking = threading.Lock()
-        self._known: tuple[Mark, float, tuple[Standing, int, int]] | None = None
+        self._known: tuple[Mark, float, float, tuple[Standing, int, int]] | None = None  # when its look began and ended
         self._resting_until_s = 0.0
 
-    def known_now(self) -> tuple[Standing, int, int] | None:
+    def known_now(self, asked_s: float) -> tuple[Standing, int, int] | None:
         """Return what `standing` would without a look at the fleet; None where it takes one, or to tell takes a thread."""
-        return self._remembered(self._marks.look()) if self._marks.at_once else None
+        return self._remembered(self._marks.look(), asked_s) if self._marks.at_once else None
 
-    def _remembered(self, mark: Mark | None) -> tuple[Standing, int, int] | None:
-        """Return what the last look found, where that holds."""
-        known, now_s = self._known, time.monotonic()
-        if known is not None and (now_s < self._resting_until_s or (mark == known[0] and now_s - known[1] < HELD_S)):
-            return known[2]
-        return None
+    def _remembered(self, mark: Mark | None, asked_s: float) -> tuple[Standing, int, int] | None:
+        """Return what the last look found, where that holds for who asked at a time of the monotonic clock."""
+        now_s = time.monotonic()
+        if self._known is None:
+            return None
+        of_mark, began_s, ended_s, found = self._known
+        holds = now_s < self._resting_until_s or began_s > asked_s or mark == of_mark
+        return found if holds and now_s - ended_s < HELD_S else None
 
-    def standing(self) -> tuple[Standing, int, int]:
-        """Return what `fleet_standing` does, from a look that no commit came after, or of a large fleet not many."""
+    def standing(self, asked_s: float) -> tuple[Standing, int, int]:
+        """Return what `fleet_standing` does, from a look that began after it was asked for or that no commit came after.
+
+        Of a large fleet the look may be older.
+        """
         with self._looking:
-            mark, now_s = self._marks.look(), time.monotonic()
-            if (remembered := self._remembered(mark)) is not None:
+            now_s = time.monotonic()
+            mark = self._marks.look()
+            if (remembered := self._remembered(mark, asked_s)) is not None:
                 return remembered
             with reading(self._engine) as session:
                 found = fleet_standing(session)
                 is_large = sensors.count(session) > LARGE
             ended_s = time.monotonic()
             took_s = ended_s - now_s
-            self._known = None if mark is None else (mark, ended_s, found)
+            self._known = None if mark is None else (mark, now_s, ended_s, found)
             self._resting_until_s = ended_s + min(HELD_S, REST * took_s) if is_large else 0.0
             return found

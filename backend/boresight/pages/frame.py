@@ -116,7 +116,7 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None,
         return known
     try:
         memory: FleetMemory = request.app.state.fleet
-        return memory.standing()
+        return memory.standing(request.state.came_s)
     except Exception:
         log.exception("The frame could not read the store")
         return UNREAD, None, None
@@ -127,7 +127,7 @@ async def know_fleet(request: Request) -> None:
     memory: FleetMemory = request.app.state.fleet
     with suppress(UnauthenticatedError, PasswordDueError):
         actor = await who_acts(request)
-        request.state.fleet = memory.known_now() or await run_in_threadpool(_fleet, request, actor)
+        request.state.fleet = memory.known_now(request.state.came_s) or await run_in_threadpool(_fleet, request, actor)
 
 
 def frame_of(request: Request, *, is_answer: bool = True) -> Frame:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -39,6 +39,7 @@ RECENT_EVENTS = 12
 MOST_ACTIONS = 8
 MOST_TILES = 120
 RUNS_IN_A_SPARKLINE = 16
+CAME_BACK = ("STALE", "REJECTED")  # states of a request that its submitter is told of
 
 router = APIRouter()
 
@@ -61,11 +62,14 @@ class Waiting:
     first: Sequence[Action]
 
 
+NOTHING = Waiting(0, ())
+
+
 def _signatures(session: Session, actor: Actor, policy: Policy) -> Waiting:
     """Find the open requests that this person may sign now."""
     signatory = approvals.signatory(session, actor, policy=policy)
     if signatory is None:
-        return Waiting(0, ())
+        return NOTHING
     return _requests(session, {"open_to": signatory}, "standby", "waits for your signature", "Review")
 
 
@@ -100,7 +104,7 @@ def _proposals(session: Session, actor: Actor) -> Waiting:
 def _alarms(session: Session, actor: Actor) -> Waiting:
     """Find the alarms that wait for whoever may handle them."""
     if not actor.roles.intersection(alarms.HANDLERS):
-        return Waiting(0, ())
+        return NOTHING
     newest = alarms.list_alarms(session, alarms.Sought(state="unacknowledged"), limit=MOST_ACTIONS)
     first = []
     for alarm in newest:
@@ -129,7 +133,7 @@ def _own_requests(session: Session, actor: Actor) -> Iterator[Waiting]:
     """Yield this person's requests that came back."""
     if actor.user_id is None:
         return
-    for state, words in (("STALE", "went stale: evaluate again"), ("REJECTED", "was refused: read why")):
+    for state, words in zip(CAME_BACK, ("went stale: evaluate again", "was refused: read why"), strict=True):
         yield _requests(session, {"state": state, "submitted_by": actor.user_id}, "caution", words, "Read")
 
 
@@ -202,6 +206,12 @@ class Fleet:
         How many runs are in each state.
     events
         What happened last, newest first.
+    open_requests, open_proposals
+        How many wait for whoever may sign or decide.
+    submitters
+        Whose requests came back.
+    by_roles
+        What waits for those of the same roles; found for the first who looks.
     """
 
     standings: Sequence[Standing]
@@ -210,6 +220,10 @@ class Fleet:
     waiting: Mapping[int, int]
     queue: Mapping[str, int]
     events: Sequence[Event]
+    open_requests: int = 0
+    open_proposals: int = 0
+    submitters: Collection[int] = ()
+    by_roles: dict[frozenset[str], tuple[Waiting, Sequence[Waiting]]] = field(default_factory=dict)
 
     @property
     def is_whole(self) -> bool:
@@ -277,21 +291,32 @@ def _fleet(session: Session) -> Fleet:
         approvals.newest_open(session, [tile.sensor.id for tile in tiles]),
         runs.count_by_state(session),
         _events(session, standings),
+        lists.count(session, "approvals", {"state": "OPEN"}),
+        len(proposals.open_proposals(session)),
+        approvals.submitters(session, CAME_BACK),
     )
 
 
-def _mine(session: Session, actor: Actor, policy: Policy, tiles: Sequence[SensorTile]) -> tuple[Waiting, Waiting]:
-    """Gather what waits for a person: requests to sign, and everything, these among it; of calibrations, those of what is drawn."""
-    signatures = _signatures(session, actor, policy)
-    calibrations = list(_calibrations(session, tiles, actor))
-    kinds = [
-        _alarms(session, actor),
-        signatures,
-        _proposals(session, actor),
-        *_promotions(session, actor),
-        *_own_requests(session, actor),
-        Waiting(len(calibrations), calibrations),
-    ]
+def _ours(session: Session, actor: Actor, desk: Fleet) -> tuple[Waiting, Sequence[Waiting]]:
+    """Gather what waits for everybody of the same roles: alarms, and promotions with the calibrations of what is drawn."""
+    found = desk.by_roles.get(actor.roles)
+    if found is None:
+        calibrations = list(_calibrations(session, desk.tiles, actor))
+        rest = (*_promotions(session, actor), Waiting(len(calibrations), calibrations))
+        found = desk.by_roles[actor.roles] = (_alarms(session, actor), rest)
+    return found
+
+
+def _mine(session: Session, actor: Actor, policy: Policy, desk: Fleet) -> tuple[Waiting, Waiting]:
+    """Gather what waits for a person: requests to sign, and everything, these among it.
+
+    What cannot be there, as everybody's look at the fleet tells, is not asked for.
+    """
+    signatures = _signatures(session, actor, policy) if desk.open_requests else NOTHING
+    own = _own_requests(session, actor) if actor.user_id in desk.submitters else ()
+    decisions = _proposals(session, actor) if desk.open_proposals else NOTHING
+    alarming, (*promotions, calibrations) = _ours(session, actor, desk)
+    kinds = [alarming, signatures, decisions, *promotions, *own, calibrations]
     first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
     return signatures, Waiting(sum(kind.count for kind in kinds), first)
 
@@ -306,10 +331,8 @@ def overview_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
     """Show the fleet."""
     kept: Kept[Fleet] = request.app.state.overview
     ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
-    desk = kept.answer(
-        ages, partial(_fleet, session)
-    )  # first of all: what was read before might be older than its mark
-    signatures, actions = _mine(session, actor, request.app.state.policy, desk.tiles)
+    desk = kept.answer(ages, partial(_fleet, session), request.state.came_s)  # before anything else is read
+    signatures, actions = _mine(session, actor, request.app.state.policy, desk)
     workers = request.app.state.workers.state() if request.app.state.workers else None
     return render(
         request,

@@ -84,6 +84,11 @@ def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Sig
     return Signatory(user_id, utc_now(), policy.four_eyes)
 
 
+def submitters(session: Session, states: Collection[str]) -> frozenset[int]:
+    """Return who submitted the requests that are in one of these states."""
+    return rows.submitters(session, states)
+
+
 def signatures_of(session: Session, approval_id: int) -> Sequence[Signature]:
     """Return who signed a request, in order."""
     return rows.signatures(session, approval_id)

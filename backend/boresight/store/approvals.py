@@ -19,6 +19,11 @@ from boresight.store.tables import (
 UNDECIDED = ("OPEN", "APPROVED")  # states that a promotion of another set makes stale
 
 
+def submitters(session: Session, states: Collection[str]) -> frozenset[int]:
+    """Return who submitted the requests that are in one of these states."""
+    return frozenset(session.scalars(sa.select(Approval.submitted_by).where(Approval.state.in_(states)).distinct()))
+
+
 def latest_of(session: Session, parameter_set_id: int, *states: str) -> Approval | None:
     """Return a set's newest request in one of these states."""
     query = sa.select(Approval).where(Approval.parameter_set_id == parameter_set_id, Approval.state.in_(states))

@@ -9,7 +9,9 @@ A mark carries the number of its connection too: those of a later connection mig
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -93,7 +95,7 @@ class Marks:
 
 
 class Kept(Generic[T]):
-    """What was read last, given again for the same question until anything is committed.
+    """What was read last, given again for the same question until anything is committed, and to who asked before it was read.
 
     Parameters
     ----------
@@ -103,14 +105,21 @@ class Kept(Generic[T]):
 
     def __init__(self, marks: Marks) -> None:
         self._marks = marks
-        self._last: tuple[Mark, Hashable, T] | None = None
+        self._last: tuple[Hashable, Mark, float, T] | None = None
 
-    def answer(self, question: Hashable, read: Callable[[], T]) -> T:
-        """Return what `read` finds, or what it found the last time."""
-        mark = self._marks.look()  # before reading: what is committed in between is read twice, and not missed
+    def known(self, question: Hashable, asked_s: float) -> T | None:
+        """Return what was found the last time, where that holds for who asked at a time of the monotonic clock."""
         last = self._last
-        if mark is not None and last is not None and last[:2] == (mark, question):
-            return last[2]
+        if last is None or last[0] != question:
+            return None
+        return last[3] if last[2] > asked_s or last[1] == self._marks.look() else None
+
+    def answer(self, question: Hashable, read: Callable[[], T], asked_s: float = math.inf) -> T:
+        """Return what `read` finds, or what it found the last time; asked just now where no time is given."""
+        if (known := self.known(question, asked_s)) is not None:
+            return known
+        began_s = time.monotonic()
+        mark = self._marks.look()  # before reading: what is committed in between is read twice, and not missed
         found = read()
-        self._last = None if mark is None else (mark, question, found)
+        self._last = None if mark is None else (question, mark, began_s, found)
         return found
