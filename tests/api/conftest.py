@@ -86,8 +86,8 @@ class House:
 
     address: str
     app: Any
-    telemetry_csv: bytes
-    result: dict[str, Any]
+    telemetry_csv: bytes = field(repr=False)
+    result: dict[str, Any] = field(repr=False)
     clients: dict[str, httpx.Client] = field(default_factory=dict)
     opened: list[httpx.Client] = field(default_factory=list)
 

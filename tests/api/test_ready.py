@@ -379,7 +379,7 @@ def beside(house: House) -> Iterator[str]:
 
 def without_times(page: str) -> str:
     """Leave out of a page what the clock alone moves."""
-    return re.sub(r"<time.*?</time>|[\d.]+\s(s|min)\b[^<]*|#\d+ \d\d:\d\dZ", "", page)
+    return re.sub(r"<time.*?</time>|[\d.]+\s(ms|s|min)\b[^<]*|#\d+ \d\d:\d\dZ", "", page)
 
 
 PAGES = ("/", "/runs", "/sensors", "/telemetry", "/parameter-sets")

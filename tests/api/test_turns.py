@@ -75,7 +75,7 @@ def test_the_next_turn_goes_to_what_was_waited_for_longest_by_all_who_wait() -> 
         turns, order = Turns(1, 60.0), list[str]()
 
         async def work(name: str, waited_s: float | None = None) -> None:
-            async with turns.turn(None if waited_s is None else lambda: waited_s):
+            async with turns.turn(None if waited_s is None else lambda _: waited_s):
                 order.append(name)
                 await asyncio.sleep(0.01)
 

@@ -196,12 +196,12 @@ class Making:
         self.waiting += 1
         self.came_s += time.monotonic()
 
-    def waited_s(self) -> float:
-        """Return how long all who wait for it have waited, summed up."""
-        return self.waiting * time.monotonic() - self.came_s
+    def waited_s(self, now_s: float) -> float:
+        """Return how long all who wait for it have waited until now, summed up."""
+        return self.waiting * now_s - self.came_s
 
 
-def waited_s(scope: Scope) -> Callable[[], float] | None:
+def waited_s(scope: Scope) -> Callable[[float], float] | None:
     """Return what tells how long those have waited, in sum, who will have the answer to a request."""
     making: Making | None = scope["state"].get(COMING)
     return None if making is None else making.waited_s

@@ -36,22 +36,23 @@ class Turns:
     def __init__(self, most: int, lent_s: float = LENT_S) -> None:
         self._free = most
         self._lent_s = lent_s
-        self._waiting: dict[asyncio.Future[None], Callable[[], float]] = {}
+        self._waiting: dict[asyncio.Future[None], Callable[[float], float]] = {}
 
     @asynccontextmanager
-    async def turn(self, waited_s: Callable[[], float] | None = None) -> AsyncIterator[None]:
+    async def turn(self, waited_s: Callable[[float], float] | None = None) -> AsyncIterator[None]:
         """Wait for a turn, and have it.
 
         Parameters
         ----------
         waited_s
-            Tells how long was waited for what will be done in it, by all who wait for that; by whoever asks alone, where not given.
+            Tells how long, at a time of the monotonic clock, was waited for what will be done in it, by all who wait for that; by
+            whoever asks alone, where not given.
         """
         if self._free:
             self._free -= 1
         else:
             came_s = time.monotonic()
-            await self._wait(waited_s or (lambda: time.monotonic() - came_s))
+            await self._wait(waited_s or (lambda now_s: now_s - came_s))
         is_over = False
 
         def end() -> None:
@@ -67,7 +68,7 @@ class Turns:
             lent.cancel()
             end()
 
-    async def _wait(self, waited_s: Callable[[], float]) -> None:
+    async def _wait(self, waited_s: Callable[[float], float]) -> None:
         mine: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting[mine] = waited_s
         try:
@@ -80,8 +81,9 @@ class Turns:
 
     def _next(self) -> None:
         """Give a turn that is over to what was waited for longest."""
+        now_s = time.monotonic()
         while self._waiting:
-            waiting = max(self._waiting, key=lambda one: self._waiting[one]())
+            waiting = max(self._waiting, key=lambda one: self._waiting[one](now_s))
             del self._waiting[waiting]
             if not waiting.done():
                 waiting.set_result(None)
