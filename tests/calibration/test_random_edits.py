@@ -17,6 +17,8 @@ from tests.stores import environment_in
 ALL, THROUGH_THE_DOOR = 2000, 8
 #: Sixty of them; 23 and 34 make the tables of lost in space, which takes seconds.
 ALWAYS = [number for number in range(62) if number not in {23, 34}]
+#: Cases that once ended in neither.
+ONCE_DEFECTS = (1182, 1312, 1688, 1791, 1883, 1886)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,7 @@ def defects(numbers, bases, catalogue, folder):
 
 
 def test_some_edits_end_in_a_result_or_a_sentence(bases, catalogue, folder):
-    assert defects(ALWAYS, bases, catalogue, folder) == []
+    assert defects((*ALWAYS, *ONCE_DEFECTS), bases, catalogue, folder) == []
 
 
 @pytest.mark.full

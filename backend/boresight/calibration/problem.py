@@ -73,8 +73,8 @@ class AnyProblem(Protocol):
     def place_of(self, frame: IntArray) -> IntArray:
         """Places (n,) of frame numbers (n,) among those that take part."""
 
-    def time_of(self, place: IntArray) -> NDArray[np.datetime64] | None:
-        """Times (n,) of the frames at these places; None where the set has none."""
+    def times_of(self, frame: IntArray) -> NDArray[np.datetime64] | None:
+        """Times (n,) of frames (n,), NaT of those that take no part; None where the set has none."""
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,16 @@ class Problem:
         """Places (n,) of frame numbers (n,) among those that take part."""
         return np.asarray(np.searchsorted(self.arcs.frame, frame))
 
-    def time_of(self, place: IntArray) -> NDArray[np.datetime64] | None:
-        """Times (n,) of the frames at these places; None where the set has none."""
-        return None if self.time_utc is None else self.time_utc[place]
+    def times_of(self, frame: IntArray) -> NDArray[np.datetime64] | None:
+        """Times (n,) of frames (n,), NaT of those that take no part; None where the set has none."""
+        return None if self.time_utc is None else times_at(frame, self.arcs.frame, self.time_utc)
+
+
+def times_at(frame: IntArray, known: IntArray, times: NDArray[np.datetime64]) -> NDArray[np.datetime64]:
+    """Times (n,) of frames (n,) among known ones (m,) in their order with theirs (m,); NaT of the others."""
+    place = np.minimum(np.searchsorted(known, frame), max(len(known) - 1, 0))
+    unknown = np.datetime64("NaT", "us")
+    return np.where(known[place] == frame, times[place], unknown) if len(known) else np.full(len(frame), unknown)
 
 
 def weighed(arcs: ArcSet, camera: CameraModel, x: FloatArray) -> ArcSet:

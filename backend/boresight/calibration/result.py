@@ -204,8 +204,8 @@ def _bounds(test: ChiSquare) -> dict[str, Any]:
 
 
 def _innovations(estimate: Estimate) -> ChiSquare | None:
-    """A filter's normalised innovations per degree of freedom."""
-    if not estimate.history:
+    """A filter's normalised innovations per degree of freedom; None of the batch, and where every one was left out."""
+    if not estimate.history or not estimate.history.dof_sum:
         return None
     return chi_square(estimate.history.nis_sum, estimate.history.dof_sum)
 

@@ -53,10 +53,10 @@ def history_view(problem: AnyProblem, parameters: Parameters, estimate: Estimate
     kept = history.taken(places)
     sigma = np.full(kept["states"].shape, np.nan)
     sigma[:, parameters.free] = kept["sigmas"] * parameters.scale
-    times = problem.time_of(problem.place_of(kept["frame"]))
+    times = problem.times_of(kept["frame"])
     return {
         "frame": _list(kept["frame"]),
-        "time_utc": None if times is None else [f"{value}Z" for value in times],
+        "time_utc": None if times is None else [None if np.isnat(value) else f"{value}Z" for value in times],
         "parameters": _list(kept["states"]),
         "sigma": _list(sigma),
         "tail_rms_rad": _list(_tail(arcs, np.ascontiguousarray(kept["states"]))),

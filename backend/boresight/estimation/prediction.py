@@ -21,10 +21,14 @@ Särkkä, García-Fernández, "Temporal parallelization of Bayesian smoothers", 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+#: Share of what a filter knew that is nothing: further frames are like those before, where a direction is seen at all.
+FORGOTTEN = 1e-100
 Run = tuple[FloatArray, FloatArray, FloatArray]
 
 
@@ -48,6 +52,8 @@ def further_covariance(
     """
     if frames <= 0:
         return P
+    if forgetting_factor < 1.0:
+        frames = min(frames, math.ceil(math.log(FORGOTTEN) / math.log(forgetting_factor)))
     values, vectors = np.linalg.eigh(per_frame)
     F, C, G = _repeated(_one_step(np.maximum(values, 0.0), process_noise**2, forgetting_factor), frames)
     here = vectors.T @ P @ vectors

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.problem import LeftOut, weigh_part
+from boresight.calibration.problem import LeftOut, times_at, weigh_part
 from boresight.calibration.spread import Spread
 from boresight.calibration.streaming.stored_arcs import ArcsPiece, StoredArcs
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
@@ -57,26 +57,20 @@ class StoredProblem:
         """Places (n,) of frame numbers (n,) among those that take part, or would if they did."""
         places = np.empty(len(frame), np.int64)
         pieces = self.arcs.pieces
+        begins = np.cumsum([0, *(piece.n_frames for piece in pieces)], dtype=np.int64)
         of = np.searchsorted([piece.column("frame")[0] for piece in pieces], frame, side="right") - 1
         for k in np.unique(of := np.maximum(of, 0)):
             mine = of == k
-            places[mine] = self._begins[k] + np.searchsorted(pieces[k].column("frame"), frame[mine])
+            places[mine] = begins[k] + np.searchsorted(pieces[k].column("frame"), frame[mine])
         return places
 
-    def time_of(self, place: IntArray) -> NDArray[np.datetime64] | None:
-        """Times (n,) of the frames at these places; None where the set has none."""
-        times = np.full(len(place), np.datetime64("NaT", "us"))
-        of = np.searchsorted(self._begins, place, side="right") - 1
+    def times_of(self, frame: IntArray) -> NDArray[np.datetime64] | None:
+        """Times (n,) of frames (n,), NaT of those that take no part; None where the set has none."""
+        times, pieces = np.full(len(frame), np.datetime64("NaT", "us")), self.arcs.pieces
+        of = np.maximum(np.searchsorted([piece.column("frame")[0] for piece in pieces], frame, side="right") - 1, 0)
         for k in np.unique(of):
-            piece = self.arcs.pieces[k]
-            if not piece.has("time_utc"):
+            if not pieces[k].has("time_utc"):
                 return None
             mine = of == k
-            times[mine] = piece.column("time_utc")[place[mine] - self._begins[k]]
+            times[mine] = times_at(frame[mine], pieces[k].column("frame"), pieces[k].column("time_utc"))
         return times
-
-    @cached_property
-    def _begins(self) -> IntArray:
-        """Frames before each piece."""
-        counts = [piece.n_frames for piece in self.arcs.pieces]
-        return np.cumsum([0, *counts], dtype=np.int64)[:-1]

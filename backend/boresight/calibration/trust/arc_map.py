@@ -63,6 +63,8 @@ def arc_sigma_map(ground: Ground) -> dict[str, Any]:
     sensor = ground.problem.sensor
     row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
     sigma, length = field_arc_sigma(sensor, ground.estimate.x, ground.full_covariance(ground.estimate.P))
+    if not np.isfinite(sigma).any():
+        raise Unavailable("At these parameters no arc of the detector has a bounded error: look at sensor and matches.")
     sigma_arcsec = ARCSEC * sigma
     best, worst, degrees = np.nanmin(sigma_arcsec), np.nanmax(sigma_arcsec), np.degrees(length)
     return {

@@ -42,6 +42,8 @@ def efficiency(ground: Ground) -> dict[str, Any]:
     if ground.settings.sequential:
         held = held + np.eye(len(held)) / ground.settings.initial_sigma_scale**2
     bound, P = np.linalg.inv(held) * _noise(ground), ground.estimate.P
+    if not (np.diag(P) > 0).all() or not (np.diag(bound) > 0).all():
+        raise np.linalg.LinAlgError("Expected positive variances, received rounding errors")
     ratio = np.sqrt(np.diag(P) / np.diag(bound))
     overall = float(np.exp((np.linalg.slogdet(P)[1] - np.linalg.slogdet(bound)[1]) / (2 * len(P))))
     sigma = np.sqrt(np.diag(bound)) * ground.parameters.scale

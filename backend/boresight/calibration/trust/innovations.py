@@ -66,9 +66,10 @@ def _series(ground: Ground) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Frame numbers, sums of squares and their degrees of freedom, (n,) each."""
     history, updated = ground.estimate.history, ground.estimate.updated
     if history is not None and updated is not None:
-        if not len(history.nis):
+        took = history.dof > 0  # an update whose measurements were all left out says nothing
+        if not took.any():
             raise Unavailable("The filter took no frame in.")
-        return updated, history.nis, history.dof.astype(float)
+        return updated[took], history.nis[took], history.dof[took].astype(float)
     if ground.sums.dof.min() < 1:
         raise Unavailable(
             "One frame alone determines most of the parameters, so it cannot be judged by the rest: add frames."
