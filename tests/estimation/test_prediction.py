@@ -40,6 +40,13 @@ def test_with_noise_a_million_frames_end_where_a_thousand_do():
     np.testing.assert_allclose(further_covariance(P, a, 1_000_000, 0.1), further_covariance(P, a, 5000, 0.1), rtol=1e-9)
 
 
+@pytest.mark.parametrize("forgetting", [0.5, 0.9])
+def test_with_forgetting_a_million_frames_end_where_a_thousand_do(forgetting):
+    a, P = _problem(3)
+    few, many = (further_covariance(P, a, frames, 0.1, forgetting) for frames in (1_000, 1_000_000))
+    np.testing.assert_allclose(many, few, rtol=1e-9)
+
+
 def test_a_direction_that_no_frame_tells_of_keeps_its_sigma():
     a = np.diag([1.0, 0.0])
 
