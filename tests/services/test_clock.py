@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from boresight.api.heartbeat import Heartbeat
-from boresight.services import alarms, approvals, clock, parameter_sets
+from boresight.services import alarms, approvals, clock, lists, parameter_sets
 from boresight.services.actors import Actor, Policy
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, reading, writing
@@ -93,6 +93,19 @@ def test_whoever_signs_between_the_jump_and_the_next_beat_finds_the_request_open
             due.version,
         )
     assert _state(engine, due) == "APPROVED"
+
+
+@pytest.mark.usefixtures("due")
+def test_a_request_that_a_jump_would_let_expire_still_waits_for_who_may_sign_it(
+    engine: Engine, people: Mapping[str, Actor], hands: Hands
+) -> None:
+    def waiting() -> int:
+        with reading(engine) as session:
+            return lists.count(session, "approvals", {"open_to": approvals.signatory(session, people["cy"])})
+
+    assert waiting() == 0
+    hands.wall_s += 40 * DAY_S
+    assert waiting() == 1
 
 
 def test_time_that_passes_and_small_corrections_are_no_jump(engine: Engine, due: Approval, hands: Hands) -> None:

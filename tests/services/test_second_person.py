@@ -14,6 +14,7 @@ from boresight.services import (
     api_keys,
     approvals,
     audit,
+    clock,
     gate_profiles,
     parameter_sets,
     proposals,
@@ -306,3 +307,19 @@ def test_of_many_that_confirm_at_once_one_does(race: tuple[Engine, People]) -> N
         assert audit.verify(session).ok
     assert list(numbers) == [0, 1]
     assert len(confirmed) == 1
+
+
+def test_a_jump_of_the_clock_expires_no_proposal_before_somebody_has_acknowledged_it(
+    engine: Engine, two: People, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wall_s, steady_s = [1.8e9], 1000.0
+    monkeypatch.setattr(clock, "OURS", clock.Clock(lambda: wall_s[0], lambda: steady_s))
+    with writing(engine) as session:
+        at_once = Policy(second_person=True, approval_days=0.0)
+        row = second_person.change(session, two["root"], "gate-profile", 1, SHIFT, "To be tried.", 0, policy=at_once)
+    assert isinstance(row, ChangeProposal)
+    wall_s[0] += 40 * 86_400.0
+    with writing(engine) as session:
+        assert not proposals.any_due(session)
+        assert not proposals.expire_due(session)
+    assert _state(engine, _confirm(engine, two["rita"], row)) == "CONFIRMED"

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.services import clock
 from boresight.services.actors import SYSTEM, Actor, require_role, require_scope
 from boresight.services.transitions import move, require_seen, who_changed
 from boresight.services.words import refuse_control_characters
@@ -91,7 +92,7 @@ def why_closed(session: Session, row: ChangeProposal) -> str | None:
     """Say why nobody can decide on a proposal any more; None while somebody can."""
     if row.state != "OPEN":
         return f"Proposal {row.id} is {row.state}: {who_changed(session, row)}. Propose the change anew."
-    if row.expires_utc <= utc_now():
+    if row.expires_utc <= utc_now() and not clock.is_held(session):
         return f"Proposal {row.id} expired at {row.expires_utc}. Propose the change anew."
     return None
 
@@ -141,12 +142,12 @@ def make_stale(session: Session, actor: Actor, sensor_id: int, kind: str, number
 
 def any_due(session: Session) -> bool:
     """Whether there are proposals whose time is over and that still stand open."""
-    return bool(rows.due(session, utc_now()))
+    return bool(rows.due(session, utc_now())) and not clock.is_held(session)
 
 
 def expire_due(session: Session) -> Sequence[ChangeProposal]:
     """Close every proposal whose time is over, and return them."""
-    found = rows.due(session, utc_now())
+    found = () if clock.is_held(session) else rows.due(session, utc_now())
     for row in found:
         _expire(session, row)
     return found
