@@ -12,7 +12,9 @@ from boresight.services.words import comparison_key
 
 LEAST_GUESSES = 1e8  # zxcvbn's score 3: safe against guessing at the rate that logging in allows, many times over
 JUDGED_LETTERS = 40  # at either end; the costliest text of this length takes 0.1 s
-SHORTEST_NAME = 3  # a shorter one is in half of all sentences
+SHORTEST_NAME = 3  # a shorter one is part of words in half of all sentences: it counts where it stands as a word
+
+CONTAINS_NAME = "The password contains the log-in name or the printed name; use one that does not."
 
 
 def guessable(password: str, names: tuple[str, ...] = ()) -> str | None:
@@ -28,7 +30,9 @@ def guessable(password: str, names: tuple[str, ...] = ()) -> str | None:
     letters = "".join(letter for letter in plain if letter.isalnum())
     for name in known:
         if any(form in text for form in (name, name[::-1]) for text in (plain, letters)):
-            return "The password contains the log-in name or the printed name; use one that does not."
+            return CONTAINS_NAME
+    if _words(plain) & {name for name in map(comparison_key, names) if len(name) < SHORTEST_NAME}:
+        return CONTAINS_NAME
     ends = {plain[:JUDGED_LETTERS], plain[-JUDGED_LETTERS:], password[:JUDGED_LETTERS], password[-JUDGED_LETTERS:]}
     if len(plain) <= JUDGED_LETTERS:
         ends = {plain, password}
@@ -41,6 +45,11 @@ def guessable(password: str, names: tuple[str, ...] = ()) -> str | None:
             "use several words that do not belong together."
         )
     return None
+
+
+def _words(text: str) -> set[str]:
+    """Return the words of a text, whatever stands between them."""
+    return set("".join(letter if letter.isalnum() else " " for letter in text).split())
 
 
 def _parts(names: tuple[str, ...]) -> list[str]:
