@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +16,7 @@ import httpx
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from starlette.types import Scope
 
 from boresight.api import ready as standing
 from boresight.pages import sensors as pages_of_sensors
@@ -357,6 +360,34 @@ def test_a_refusal_and_a_page_with_a_flash_line_hold_no_gap(house: House) -> Non
         assert "<b>Ada</b>" in page.text
 
 
+def test_a_look_at_the_fleet_of_before_a_commit_is_given_to_nobody_who_asks_after_it(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = gate_of(house.app)
+    begin, held, go = gate._begin, threading.Event(), threading.Event()
+
+    async def hold(scope: Scope) -> None:
+        if (b"x-hold", b"1") in scope["headers"]:
+            held.set()
+            await asyncio.to_thread(go.wait, 10)
+        await begin(scope)
+
+    monkeypatch.setattr(gate, "_begin", hold)
+    early, late, ada = house.log_in("victor"), house.log_in("victor"), house.person("ada")
+    for client in (early, late, ada):
+        client.get("/")
+    assert ada.post(f"{RUNS}/{house.launched()['id']}/notes", json={"text": "Seen."}).status_code == 201
+    with ThreadPoolExecutor(1) as thread:
+        waits = thread.submit(early.get, "/", headers={"X-Hold": "1"})
+        assert held.wait(10)
+        ada.get("/")  # a look at the fleet, begun after the other page was asked for
+        name = house.new_sensor()["name"]
+        go.set()
+        assert waits.result().status_code == 200
+    assert name in late.get("/").text
+    assert name in early.get("/").text
+
+
 class NothingKept(dict[Any, Any]):
     """Forgets what it is told."""
 
@@ -369,7 +400,7 @@ def beside(house: House) -> Iterator[str]:
     """Serve the same store by a second server that keeps nothing; yields its address."""
     with serving(house.app.state.settings, house.app.state.catalogue()) as (address, app):
         app.state.ready._limit_bytes = 0
-        app.state.overview = SimpleNamespace(answer=lambda _question, read, _asked_s: read())
+        app.state.overview = SimpleNamespace(answer_to=lambda _question, read, _asked_s: (read(), False))
         app.state.written = NothingKept()
         app.state.workers.stop()
         app.state.workers = house.app.state.workers

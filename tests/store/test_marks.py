@@ -90,18 +90,18 @@ def test_what_is_committed_while_it_is_read_is_read_again(store):
     marks.close()
 
 
-def test_who_asked_before_it_was_read_is_given_it_whatever_is_committed_after(store):
+def test_who_asked_before_it_was_read_is_given_it_whatever_is_committed_after_and_told_so(store):
     marks = Marks(store)
     kept, asked_s = Kept(marks), time.monotonic()
-    assert kept.answer("a", lambda: "once") == "once"
+    assert kept.answer_to("a", lambda: "once", time.monotonic()) == ("once", False)
     with writing(store) as session:
         append_own(session, "did", "thing/1")
-    assert kept.answer("a", lambda: "anew", asked_s) == "once"
-    assert kept.answer("b", lambda: "of another question", asked_s) == "of another question"
+    assert kept.answer_to("a", lambda: "anew", asked_s) == ("once", True)
+    assert kept.answer_to("b", lambda: "of another question", asked_s) == ("of another question", False)
     assert kept.answer("b", lambda: "anew") == "of another question"
     with writing(store) as session:
         append_own(session, "did", "thing/1")
-    assert kept.answer("b", lambda: "anew") == "anew"
+    assert kept.answer_to("b", lambda: "anew", time.monotonic()) == ("anew", False)
     marks.close()
 
 

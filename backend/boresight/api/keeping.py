@@ -31,6 +31,7 @@ COMPRESS_FROM_BYTES = 2048
 COMPRESSION_LEVEL = LEVEL
 SAME_FOR = "same_for"  # in the request's state: whom its answer is the same for
 GAPS = "gaps"  # in the request's state: whether the page was written with gaps for who asks
+OLDER = "is_older"  # in the request's state: whether part of its answer was read before a commit that its mark counts
 WHOLE = "tag_is_whole"  # in the request's state: whether the tag changes with everything that is shown
 ASK_AGAIN = b"private, no-cache"
 VARY = b"Accept-Encoding, Authorization, Cookie"
@@ -70,6 +71,11 @@ def has_gaps(request: Request) -> bool:
     log_in = request.method == "GET" and ASKED in state and proof is not None and proof.roles is not None
     state[GAPS] = log_in and state.get(SAME_FOR) in {FOR_ROLES, FOR_ONE}
     return bool(state[GAPS])
+
+
+def tell_older(request: Request) -> None:
+    """Say that something was committed since part of an answer was read: it is good for who asked before, and not given again."""
+    request.scope["state"][OLDER] = True
 
 
 def whole_tag(request: Request, *, holds: bool = True) -> None:
@@ -159,6 +165,7 @@ class _Outgoing:
             tag=tag if storable else b"",
             whole=whole,
             mark=asked.mark if asked else None,
+            is_older=OLDER in self._state,
             beside=asked.beside if asked and same_for in {FOR_ONE, FOR_ROLES} else None,
             made_s=time.monotonic(),
             route=self._scope.get("route"),

@@ -146,6 +146,8 @@ class Kept:
         The store before it was read, what else it depends on, and when it was made.
     route
         Of the endpoint, by which it is counted.
+    is_older
+        Whether part of it was read before a commit that came before the mark: good for who asked before, and not kept.
     """
 
     headers: tuple[tuple[bytes, bytes], ...]
@@ -156,6 +158,7 @@ class Kept:
     beside: Hashable = None
     made_s: float = 0.0
     route: Any = None
+    is_older: bool = False
 
     async def send(self, send: Send, known_tags: bytes, gaps: tuple[bytes, ...] = ()) -> None:
         """Send it, its gaps filled, or say that the copy which the asker has is still right."""
@@ -189,12 +192,14 @@ class Making:
     key: Hashable
     answer: asyncio.Future[Kept | None]
     waiting: int = 0
+    newest_s: float = 0.0  # when the last of them came
     came_s: float = field(default=0.0)  # the times at which they came, summed up
 
     def joined(self) -> None:
         """Count one more who waits."""
         self.waiting += 1
-        self.came_s += time.monotonic()
+        self.newest_s = time.monotonic()
+        self.came_s += self.newest_s
 
     def waited_s(self, now_s: float) -> float:
         """Return how long all who wait for it have waited until now, summed up."""
@@ -249,16 +254,26 @@ class Ready:
         kept = self._standing(key, mark)
         if kept is not None:
             return kept, proof
-        making = self._coming.get(key) or self._making.get((key, mark))
-        if making is None:
-            self._comes(scope, key)
-            return None
+        coming = self._coming.get(key)
+        making = coming or self._making.get((key, mark))
+        if making is not None:
+            return await self._wait(scope, asked, mark, making, has_begun=coming is None)
+        self._comes(scope, key)
+        return None
+
+    async def _wait(
+        self, scope: Scope, asked: Asked, mark: Mark, making: Making, *, has_begun: bool
+    ) -> tuple[Kept, Proof] | None:
+        """Wait for an answer that is coming, or has begun to be made under our mark."""
         making.joined()
         kept = await asyncio.shield(making.answer)
         if kept is None:
             return None
+        if kept.is_older and has_begun:  # part of it is of before a commit that who came so late may know of
+            now = await self.changes.now()
+            return None if now is None else await self.find(scope, asked, now)
         proof = await self._known(scope, asked, kept.mark or mark)  # the mark may have been looked for later than ours
-        return None if proof is None or self._key(asked, proof) != key else (kept, proof)
+        return None if proof is None or self._key(asked, proof) != making.key else (kept, proof)
 
     def _key(self, asked: Asked, proof: Proof | None) -> Hashable:
         """Return under what the answer to who asks is kept; a proof that was lost on the way tells of the asker alone."""
@@ -311,10 +326,17 @@ class Ready:
         if size * LARGEST_SHARE > self._limit_bytes:
             return
         self._drop(key)
+        if kept.is_older:
+            self._give(scope, key, kept)
+            return
         self._kept[key] = kept
         self.held_bytes += size
         while self.held_bytes > self._limit_bytes:
             self._drop(next(iter(self._kept)))
+        self._give(scope, key, kept)
+
+    def _give(self, scope: Scope, key: Hashable, kept: Kept) -> None:
+        """Give an answer to those who wait for it."""
         making: Making | None = scope["state"].get(COMING)
         if making is not None and making.key == key and not making.answer.done():
             making.answer.set_result(kept)
@@ -343,6 +365,10 @@ class Ready:
             del self._coming[making.key]
         mark = await self.changes.now()
         scope["state"][ASKED] = replace(asked, mark=mark, beside=self.beside())
+        if making is not None:
+            scope["state"]["came_s"] = (
+                making.newest_s
+            )  # what is read for all of them must tell what the last to come may know
         if making is not None and mark is not None:
             self._making.setdefault((making.key, mark), making)
 

@@ -49,6 +49,14 @@ def fleet_standing(session: Session) -> tuple[Standing, int, int]:
     return worst_standing(fleet.standings(session)), waiting, alarms.unacknowledged(session)
 
 
+@dataclass(frozen=True)
+class Look:
+    """What `fleet_standing` found, and whether that was before the newest commit."""
+
+    found: tuple[Standing, int, int]
+    is_older: bool = False
+
+
 class FleetMemory:
     """What the top bar says, read anew only after a commit, and of a large fleet less often; by one thread for all that ask.
 
@@ -66,20 +74,23 @@ class FleetMemory:
         self._known: tuple[Mark, float, float, tuple[Standing, int, int]] | None = None  # when its look began and ended
         self._resting_until_s = 0.0
 
-    def known_now(self, asked_s: float) -> tuple[Standing, int, int] | None:
+    def known_now(self, asked_s: float) -> Look | None:
         """Return what `standing` would without a look at the fleet; None where it takes one, or to tell takes a thread."""
         return self._remembered(self._marks.look(), asked_s) if self._marks.at_once else None
 
-    def _remembered(self, mark: Mark | None, asked_s: float) -> tuple[Standing, int, int] | None:
+    def _remembered(self, mark: Mark | None, asked_s: float) -> Look | None:
         """Return what the last look found, where that holds for who asked at a time of the monotonic clock."""
         now_s = time.monotonic()
         if self._known is None:
             return None
         of_mark, began_s, ended_s, found = self._known
-        holds = now_s < self._resting_until_s or began_s > asked_s or mark == of_mark
-        return found if holds and now_s - ended_s < HELD_S else None
+        if now_s - ended_s >= HELD_S:
+            return None
+        if mark == of_mark or now_s < self._resting_until_s:
+            return Look(found)
+        return Look(found, is_older=True) if began_s > asked_s else None
 
-    def standing(self, asked_s: float) -> tuple[Standing, int, int]:
+    def standing(self, asked_s: float) -> Look:
         """Return what `fleet_standing` does, from a look that began after it was asked for or that no commit came after.
 
         Of a large fleet the look may be older.
@@ -96,4 +107,4 @@ class FleetMemory:
             took_s = ended_s - now_s
             self._known = None if mark is None else (mark, now_s, ended_s, found)
             self._resting_until_s = ended_s + min(HELD_S, REST * took_s) if is_large else 0.0
-            return found
+            return Look(found)

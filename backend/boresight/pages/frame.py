@@ -20,11 +20,11 @@ from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 
 from boresight.api.credentials import who_acts
-from boresight.api.keeping import has_gaps
+from boresight.api.keeping import has_gaps, tell_older
 from boresight.api.sheets import NAME_GAP, TOKEN_GAP
 from boresight.api.upkeep import Light
 from boresight.errors import PasswordDueError, UnauthenticatedError
-from boresight.pages.fleet import FleetMemory, Standing
+from boresight.pages.fleet import FleetMemory, Look, Standing
 from boresight.pages.formats import day_of_year
 from boresight.pages.states import LEVELS
 from boresight.services.actors import Actor
@@ -116,10 +116,17 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None,
         return known
     try:
         memory: FleetMemory = request.app.state.fleet
-        return memory.standing(request.state.came_s)
+        return _taken(request, memory.standing(request.state.came_s))
     except Exception:
         log.exception("The frame could not read the store")
         return UNREAD, None, None
+
+
+def _taken(request: Request, look: Look) -> tuple[Standing, int, int]:
+    """Take what was found, and say where something was committed since."""
+    if look.is_older:
+        tell_older(request)
+    return look.found
 
 
 async def know_fleet(request: Request) -> None:
@@ -127,7 +134,10 @@ async def know_fleet(request: Request) -> None:
     memory: FleetMemory = request.app.state.fleet
     with suppress(UnauthenticatedError, PasswordDueError):
         actor = await who_acts(request)
-        request.state.fleet = memory.known_now(request.state.came_s) or await run_in_threadpool(_fleet, request, actor)
+        known = memory.known_now(request.state.came_s)
+        request.state.fleet = (
+            await run_in_threadpool(_fleet, request, actor) if known is None else _taken(request, known)
+        )
 
 
 def frame_of(request: Request, *, is_answer: bool = True) -> Frame:

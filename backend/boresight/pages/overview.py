@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.api.dependencies import Reading, Who
-from boresight.api.keeping import same_for_one
+from boresight.api.keeping import same_for_one, tell_older
 from boresight.api.ready import HELD_S
 from boresight.pages.audit import line_of
 from boresight.pages.rendering import render
@@ -331,7 +331,11 @@ def overview_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
     """Show the fleet."""
     kept: Kept[Fleet] = request.app.state.overview
     ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
-    desk = kept.answer(ages, partial(_fleet, session), request.state.came_s)  # before anything else is read
+    desk, is_older = kept.answer_to(
+        ages, partial(_fleet, session), request.state.came_s
+    )  # before anything else is read
+    if is_older:
+        tell_older(request)
     signatures, actions = _mine(session, actor, request.app.state.policy, desk)
     workers = request.app.state.workers.state() if request.app.state.workers else None
     return render(

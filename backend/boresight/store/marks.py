@@ -107,19 +107,19 @@ class Kept(Generic[T]):
         self._marks = marks
         self._last: tuple[Hashable, Mark, float, T] | None = None
 
-    def known(self, question: Hashable, asked_s: float) -> T | None:
-        """Return what was found the last time, where that holds for who asked at a time of the monotonic clock."""
-        last = self._last
-        if last is None or last[0] != question:
-            return None
-        return last[3] if last[2] > asked_s or last[1] == self._marks.look() else None
+    def answer(self, question: Hashable, read: Callable[[], T]) -> T:
+        """Return what `read` finds, or what it found the last time."""
+        return self.answer_to(question, read, math.inf)[0]
 
-    def answer(self, question: Hashable, read: Callable[[], T], asked_s: float = math.inf) -> T:
-        """Return what `read` finds, or what it found the last time; asked just now where no time is given."""
-        if (known := self.known(question, asked_s)) is not None:
-            return known
-        began_s = time.monotonic()
+    def answer_to(self, question: Hashable, read: Callable[[], T], asked_s: float) -> tuple[T, bool]:
+        """Return the same for who asked at a time of the monotonic clock, and whether it was read before the newest commit."""
+        began_s, last = time.monotonic(), self._last
         mark = self._marks.look()  # before reading: what is committed in between is read twice, and not missed
+        if last is not None and last[0] == question and mark is not None:
+            if mark == last[1]:
+                return last[3], False
+            if last[2] > asked_s:
+                return last[3], True
         found = read()
         self._last = None if mark is None else (question, mark, began_s, found)
-        return found
+        return found, False
