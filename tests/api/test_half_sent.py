@@ -233,6 +233,7 @@ def test_who_takes_nothing_of_an_answer_is_let_go(quick: Site) -> None:
         (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", 400),
         (b"\x00" * 300, 400),
         (b"GET /healthz HTTP/1.1\r\nHost: here\r\nX-Long: " + b"a" * 200_000, 431),
+        (b"GET /healthz HTTP/1.1\r\nHost: here\r\nX-Long: " + b"a" * 70_000 + b"\r\n\r\n", 431),
     ],
 )
 def test_what_is_no_request_is_refused_at_once(quick: Site, sent: bytes, status: int) -> None:

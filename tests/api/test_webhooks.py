@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from standardwebhooks import Webhook as StandardWebhook
 from standardwebhooks import WebhookVerificationError
 
 from boresight.api.deliveries import Deliveries
+from boresight.errors import RefusedInputError
 from boresight.services import audit, users, webhooks
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.services.webhook_secrets import encrypt_all, state_of
@@ -35,12 +38,16 @@ class Receiver:
     def __init__(self) -> None:
         self.heard: list[tuple[str, dict[str, str], str]] = []
         self.statuses: list[int] = []
+        self.says: Callable[[Any], None] | None = None
         receiver = self
 
         class Handler(BaseHTTPRequestHandler):
             def do_POST(self) -> None:
                 body = self.rfile.read(int(self.headers["Content-Length"])).decode()
                 receiver.heard.append((self.path, {k.lower(): v for k, v in self.headers.items()}, body))
+                if receiver.says is not None:
+                    receiver.says(self.wfile)
+                    return
                 status = receiver.statuses.pop(0) if receiver.statuses else 204
                 self.send_response(status)
                 if status == 302:
@@ -326,3 +333,54 @@ def test_a_new_secret_is_shown_once_and_the_webhook_says_until_when_the_former_s
     assert shown["former_secret_until_utc"] > made["created_utc"]
     ended = adele.post(f"{address}:renew-secret", json={"overlap_hours": 0})
     assert ended.json()["former_secret_until_utc"] is None
+
+
+def test_an_answer_that_drips_ends_at_the_deadline_of_the_whole(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("boresight.api.deliveries.TIMEOUT_S", 1.0)
+
+    def drip(wire: Any) -> None:
+        with suppress(OSError):
+            for letter in b"HTTP/1.1 200 OK\r\nX: " + b"x" * 100:
+                wire.write(bytes([letter]))
+                wire.flush()
+                time.sleep(0.1)
+
+    receiver.says = drip
+    number, began_s = _trial(store, hook), time.monotonic()
+    Deliveries(store, Targets(local=True), box).deliver()
+    assert time.monotonic() - began_s < 5
+    found = _delivery(store, number)
+    assert (found.state, found.status, found.attempts) == ("PENDING", None, 1)
+
+
+def test_of_an_answer_no_more_is_read_than_is_kept(
+    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
+) -> None:
+    sent: list[int] = []
+
+    def flood(wire: Any) -> None:
+        wire.write(b"HTTP/1.1 500 No\r\nContent-Encoding: gzip\r\nConnection: close\r\n\r\n")
+        with suppress(OSError):
+            for _ in range(4000):
+                wire.write(gzip.compress(bytes(100_000)) * 100)
+                sent.append(1)
+
+    receiver.says = flood
+    number = _trial(store, hook)
+    Deliveries(store, Targets(local=True), box).deliver()
+    assert (_delivery(store, number).state, _delivery(store, number).status) == ("PENDING", 500)
+    assert len(str(_delivery(store, number).outcome)) < 300
+    assert len(sent) < 4000
+
+
+@pytest.mark.parametrize(
+    "url", ["http://a..b/", "http://.../", "http://@host/", "http://:@host/", f"http://{'a' * 64}.b/"]
+)
+def test_an_address_that_no_name_can_have_is_refused_when_it_is_given(
+    store: Engine, url: str, box: SecretBox, hook: Webhook
+) -> None:
+    del hook  # its administrator
+    with writing(store) as session, pytest.raises(RefusedInputError):
+        webhooks.create_webhook(session, _root(session), box, label="Poison", url=url)

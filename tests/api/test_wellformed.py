@@ -191,6 +191,11 @@ def test_no_page_fails_for_what_stands_in_its_address(house: House, value: str) 
         assert answer.status_code < 500, (page, value)
 
 
+@pytest.mark.parametrize("name", ["a" * 300, "a/" * 3000, "%00", "..%2f" * 20])
+def test_a_file_name_that_no_disk_has_is_not_found(house: House, name: str) -> None:
+    assert house.anybody().get(f"/static/{name}").status_code == 404
+
+
 def test_a_path_with_nul_is_nothing(house: House) -> None:
     for path in ("/static/a%00b", "/runs/%00", "/api/v1/runs/1/figures/%00"):
         assert house.person("ada").get(path).status_code == 404, path

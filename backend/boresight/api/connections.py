@@ -155,10 +155,14 @@ class Connection(HttpToolsProtocol):
             self._head_bytes += len(data)
         super().data_received(data)
         if self._head_since_s is not None and self._head_bytes > LONGEST_HEAD_BYTES:
-            self.refuse(
-                HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE,
-                f"The head of the request is over {LONGEST_HEAD_BYTES} bytes; send a shorter address and fewer headers.",
-            )
+            self._refuse_head()
+
+    def _refuse_head(self) -> None:
+        """Refuse a head that is over the limit."""
+        self.refuse(
+            HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE,
+            f"The head of the request is over {LONGEST_HEAD_BYTES} bytes; send a shorter address and fewer headers.",
+        )
 
     def on_message_begin(self) -> None:
         """Begin a request."""
@@ -168,6 +172,9 @@ class Connection(HttpToolsProtocol):
 
     def on_headers_complete(self) -> None:
         """Take the head; the body may follow."""
+        if len(self.url) + sum(len(name) + len(value) for name, value in self.headers) > LONGEST_HEAD_BYTES:
+            self._refuse_head()
+            raise ValueError("Expected a head within its limit")  # the parser reads no further
         self._head_since_s, self._head_bytes, self._in_body = None, 0, True
         self._requests += 1
         super().on_headers_complete()

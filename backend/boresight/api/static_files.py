@@ -56,9 +56,13 @@ def _place(name: str) -> Path:
     if name == PLOTLY_FILE:
         return Path(str(plotly.__file__)).parent / "package_data" / PLOTLY_FILE
     top = (folder("frontend") / "static").resolve()
-    place = (top / name).resolve()
-    if not place.is_relative_to(top) or not place.is_file():
-        raise NotFoundError(f"There is no file {name} here.")
+    try:
+        place = (top / name).resolve()
+        is_ours = place.is_relative_to(top) and place.is_file()
+    except (OSError, ValueError):  # no file can have such a name
+        is_ours = False
+    if not is_ours:
+        raise NotFoundError("There is no such file here.")
     return place
 
 

@@ -17,7 +17,7 @@ from boresight.errors import (
     SessionEndedError,
 )
 from boresight.services import audit, sessions
-from boresight.services.actors import Actor, refuse_key, require_person, require_role
+from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor, refuse_key, require_person, require_role
 from boresight.services.passwords import (
     CHANGED,
     CREATED,
@@ -82,7 +82,10 @@ def create_user(
 
 
 def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
-    """Refuse a name that a person takes for that of somebody else: signatures show it."""
+    """Refuse a name that a person takes for that of somebody else, or for that of Boresight itself: signatures show it."""
+    ours = {comparison_key(text) for own in (SYSTEM, COMMAND_LINE) for text in (own.name, own.printed_name)}
+    if not ours.isdisjoint({comparison_key(name), comparison_key(printed_name)}):
+        raise ConflictError(f"{printed_name!r} is what Boresight's own records are signed with; choose another name.")
     if (other := rows.user_named(session, name, comparison_key(name))) is not None:
         raise ConflictError(f"There is a user {other.name!r} already; choose another log-in name.")
     if (other := rows.user_printed(session, printed_name, comparison_key(printed_name))) is not None:

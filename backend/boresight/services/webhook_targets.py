@@ -219,10 +219,14 @@ def parsed(url: str) -> tuple[str, int]:
         raise wrong from None
     if parts.scheme not in {"http", "https"} or not parts.hostname or port == 0:
         raise wrong
-    if parts.username or parts.password or parts.fragment:
+    if "@" in parts.netloc or parts.fragment:
         raise RefusedInputError("A webhook's address carries no name, password or #part; give it without.")
     if len(url) > LONGEST_URL:
         raise RefusedInputError(f"The address has {len(url)} characters; at most {LONGEST_URL} can be kept.")
+    try:
+        parts.hostname.encode("idna")
+    except UnicodeError:  # an empty label, or one that is too long
+        raise wrong from None
     return parts.hostname, port or (443 if parts.scheme == "https" else 80)
 
 
@@ -242,7 +246,7 @@ def refuse_address(url: str, targets: Targets) -> None:
     threads = ThreadPoolExecutor(1, "boresight-look-up")
     try:
         threads.submit(targets.addresses, host, port).result(LOOK_UP_S)
-    except (OSError, UnicodeError):  # TimeoutError is an OSError
+    except OSError:  # TimeoutError is one
         return
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
