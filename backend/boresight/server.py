@@ -265,9 +265,7 @@ async def _prove(scope: Scope) -> Proof | None:
 def _turn_away(request: Request, error: Exception) -> Response:
     """Answer who is not let in, without a thread and without the store."""
     if is_page(request):
-        response = bare_problem_page(request, error)
-        response.headers.update(problem_of(error).headers or {})
-        return response
+        return bare_problem_page(request, error)
     return problem_response(request, problem_of(error))
 
 

@@ -43,7 +43,7 @@ def test_the_server_refuses_a_signature_that_no_button_offered(people, request_i
         before = window.read(f"/api/v1/approvals/{request_id}")
         form = {"decision": "APPROVE", "meaning": MEANING, "password": password_of("analyst"), "version": "1"}
         answer = window.send(f"/approvals/{request_id}/sign", form)
-        assert answer.status == 409
+        assert answer.status == 403
         assert "role approver" in answer.text()
         assert window.read(f"/api/v1/approvals/{request_id}") == before
 
@@ -66,7 +66,7 @@ def test_a_wrong_password_is_refused_in_place_and_what_was_typed_stays(people, r
         expect(window.page.locator("#password")).to_have_value("")
         window.shoot("21-wrong-password")
         assert window.read(f"/api/v1/approvals/{request_id}")["state"] == "OPEN"
-        window.forgive("409")
+        window.forgive("401")
 
 
 def test_a_refusal_needs_a_comment(people, request_id):
@@ -75,7 +75,7 @@ def test_a_refusal_needs_a_comment(people, request_id):
         sign(window, "Refuse", password_of("approver"))
         expect(window.page.locator("#sign").get_by_role("alert")).to_contain_text("comment")
         assert window.read(f"/api/v1/approvals/{request_id}")["state"] == "OPEN"
-        window.forgive("409")
+        window.forgive("422")
 
 
 def test_a_refused_set_is_rejected_and_the_analyst_reads_why(people, request_id, set_id, promoted):

@@ -60,7 +60,7 @@ def test_a_signature_approves_and_stands_in_the_roll_with_name_meaning_and_comme
 
 def test_a_wrong_password_is_refused_in_its_place_and_everything_else_is_kept(house, request_page, read):
     answer = house.visitor("alan").post(f"{request_page}/sign", version="1", password="wrong wrong wrong", **WORDS)
-    assert answer.status_code == 409
+    assert answer.status_code == 401
     assert "Name and password do not fit" in read(answer.text)
     assert "Read all of it." in answer.text
     assert "wrong wrong wrong" not in answer.text

@@ -54,14 +54,14 @@ def test_a_set_is_submitted_with_a_reason_and_the_request_opens(house, candidate
 def test_a_submission_without_a_reason_is_refused_in_its_place(house, candidate, read):
     ada = house.visitor("ada")
     answer = ada.post(f"{candidate}/submit", version=version(ada.get(candidate)), reason="  ")
-    assert answer.status_code == 409
+    assert answer.status_code == 422
     assert "Give the reason why this set should become the baseline." in read(answer.text)
     assert "CANDIDATE" in read(ada.get(candidate))
 
 
 def test_a_submission_from_an_old_page_is_refused_and_keeps_the_reason(house, candidate, read):
     answer = house.visitor("ada").post(f"{candidate}/submit", version="99", reason="My long reason.")
-    assert answer.status_code == 409
+    assert answer.status_code == 412
     assert "has changed since you looked" in read(answer.text)
     assert "My long reason." in answer.text
 

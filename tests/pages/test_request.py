@@ -37,7 +37,7 @@ def test_a_remark_stands_under_its_name_and_a_refused_one_is_kept_in_its_place(h
     assert "Why is &lt;b&gt;n0&lt;/b&gt; so far off?" in page
     assert "Alan Approver" in read(page)
     refused = alan.post(f"{address}/remarks", text="x" * 4001)
-    assert refused.status_code == 409
+    assert refused.status_code == 422
     assert "this one has 4001" in read(refused.text)
     assert "x" * 4001 in refused.text
 
@@ -63,7 +63,7 @@ def test_whom_it_is_asked_of_is_refused_to_who_saw_an_older_request(house, addre
     ada = house.visitor("ada")
     ada.post(f"{address}/assign", person="", version="1")
     refused = ada.post(f"{address}/assign", person="", version="1")
-    assert refused.status_code == 409
+    assert refused.status_code == 412
     assert "has changed since you looked" in read(refused.text)
 
 

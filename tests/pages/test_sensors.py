@@ -139,7 +139,7 @@ def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(house):
     text = json.dumps(document | {"centroid_sigma_px": 0.25})
     assert visitor.post("/sensors/1", document=text, version="1").status_code == 303
     answer = visitor.post("/sensors/1", document=text.replace("0.25", "0.35"), version="1")
-    assert answer.status_code == 422
+    assert answer.status_code == 412
     assert "&#34;centroid_sigma_px&#34;: 0.35" in answer.text
     with reading(house.engine) as session:
         assert sensors.get_sensor(session, 1).document["centroid_sigma_px"] == 0.25

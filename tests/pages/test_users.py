@@ -36,7 +36,7 @@ def test_the_last_administrator_cannot_be_disabled_or_lose_the_role(house, read)
     visitor = house.visitor("adele")
     for path, form in (("/users/4/disable", {}), ("/users/4/roles", {"roles": ["viewer"]})):
         answer = visitor.post(path, **form)
-        assert answer.status_code == 422
+        assert answer.status_code == 409
         assert "is the only administrator" in read(answer.text)
 
 

@@ -121,7 +121,7 @@ def _page(
         return render(
             request,
             "alarm.html",
-            status_code=refusal.status if refusal else 200,
+            refused=refusal,
             alarm=row,
             sensor=None if row.sensor_id is None else sensors.get_sensor(session, row.sensor_id),
             state=alarms.state_of(row),

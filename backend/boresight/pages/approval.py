@@ -123,7 +123,7 @@ def request_page(
     return render(
         request,
         "approval.html",
-        status_code=409 if refusal else 200,
+        refused=refusal,
         approval=approval,
         set=row,
         sensor=sensor,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from http import HTTPStatus
 from typing import Generic, TypeVar
 
 from fastapi import Request
@@ -25,8 +26,12 @@ _transaction = asynccontextmanager(write_session)
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a change was not made: the sentence, the places it names, and how HTTP says it."""
+    """Why a change was not made: the sentence, the places it names, and how HTTP says it.
 
+    `render` takes status and headers from here for every page that shows a refusal.
+    """
+
+    error: BoresightError
     sentence: str
     faults: tuple[Fault, ...]
     status: int
@@ -36,7 +41,12 @@ class Refusal:
     def of(cls, error: BoresightError) -> Refusal:
         """Turn a refusal that was raised into one to show."""
         problem = problem_of(error)
-        return cls(str(error), tuple(getattr(error, "faults", ())), problem.status, problem.headers or {})
+        return cls(error, str(error), tuple(getattr(error, "faults", ())), problem.status, problem.headers or {})
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether the server lacks something, such as room on its disk, and not what was asked is at fault."""
+        return self.status >= HTTPStatus.INTERNAL_SERVER_ERROR
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,13 @@ class Outcome(Generic[T]):
 
     value: T | None
     refusal: Refusal | None
+
+    @property
+    def made(self) -> T:
+        """The value, where nothing was refused."""
+        if self.value is None:
+            raise ValueError("there is no value: read the refusal first")
+        return self.value
 
 
 async def attempt(

@@ -204,7 +204,7 @@ def _page(
     return render(
         request,
         "campaign_launch.html",
-        status_code=422 if refusal and given.get("intent") == "queue" else 200,
+        refused=refusal if refusal and (given.get("intent") == "queue" or refusal.is_ours) else None,
         offered=offered,
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
         chosen={number: _member(given, number) for number in offered.choices.names},

@@ -16,7 +16,7 @@ from boresight.api.numbers import row_number
 from boresight.figures.evidence import LEVELS
 from boresight.pages.attempts import attempt
 from boresight.pages.forms import read_texts
-from boresight.pages.rendering import redirect, render
+from boresight.pages.rendering import redirect, redirect_refused, render
 from boresight.pages.runs import read_names
 from boresight.pages.tables import csv_file
 from boresight.services import campaigns
@@ -137,5 +137,5 @@ async def _done(request: Request, campaign_id: int, change: Callable[..., Any], 
     """Make a change and go back to the campaign with what came of it."""
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
-        return redirect(f"/campaigns/{campaign_id}", flash=outcome.refusal.sentence, level="serious")
+        return redirect_refused(f"/campaigns/{campaign_id}", outcome.refusal)
     return redirect(f"/campaigns/{campaign_id}", flash=words)

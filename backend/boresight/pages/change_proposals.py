@@ -65,7 +65,7 @@ def _page(request: Request, actor: Actor, proposal_id: int, refusal: Refusal | N
         return render(
             request,
             "change_proposal.html",
-            status_code=200 if refusal is None else refusal.status,
+            refused=refusal,
             proposal=row,
             title=TITLES[row.kind],
             place=PLACES[row.kind],

@@ -34,7 +34,10 @@ async def open_evidence(
     known = addresses_of(row, incumbent)
     if evidence not in known:
         raise NotFoundError(f"There is no evidence {evidence!r} for this request; choose one of its list.")
-    await attempt(request, partial(approvals.record_opening, actor=actor, approval_id=approval_id, evidence=evidence))
+    opening = partial(approvals.record_opening, actor=actor, approval_id=approval_id, evidence=evidence)
+    outcome = await attempt(request, opening)
+    if outcome.refusal is not None and outcome.refusal.is_ours:
+        raise outcome.refusal.error  # what was not kept would not count as opened
     return redirect(known[evidence][1])
 
 

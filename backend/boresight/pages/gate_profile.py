@@ -73,7 +73,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
         return render(
             request,
             "gate_profile.html",
-            status_code=200 if shown.refusal is None else shown.refusal.status,
+            refused=shown.refusal,
             sensor=sensors.get_sensor(session, sensor_id),
             current=versions[0],
             lines=lines_of(shown.typed or typed_of(versions[0].document)),

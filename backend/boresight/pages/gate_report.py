@@ -43,7 +43,7 @@ def _page(
         return render(
             request,
             "gate_report.html",
-            status_code=200 if refusal is None else refusal.status,
+            refused=refusal,
             set=row,
             sensor=sensors.get_sensor(session, row.sensor_id),
             panel=panel_of(session, actor, row, typed),

@@ -180,7 +180,7 @@ def _page(
     return render(
         request,
         "launch.html",
-        status_code=422 if refusal and moved else 200,
+        refused=refusal if refusal and (moved or refusal.is_ours) else None,
         offered=offered,
         parameter_names={sensor.id: names_of(sensor) for sensor in offered.fleet},
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),

@@ -55,17 +55,15 @@ async def log_in(
     refusal = (await attempt(request, partial(log_in_person, request, response), prove)).refusal
     if refusal is None:
         return response
-    page = render(
+    return render(
         request,
         "login.html",
-        status_code=refusal.status,
+        refused=refusal,
         next=local_path(next),
         name=name,
         refusal=refusal.sentence,
         ended=None,
     )
-    page.headers.update(refusal.headers)
-    return page
 
 
 @router.post("/logout", dependencies=[Depends(csrf)])
@@ -77,5 +75,7 @@ async def log_out(request: Request) -> Response:
         actor = await run_in_threadpool(current_actor, request)
     except UnauthenticatedError:
         return response  # it has ended already
-    await attempt(request, partial(sessions.log_out, actor=actor))
+    outcome = await attempt(request, partial(sessions.log_out, actor=actor))
+    if outcome.refusal is not None and outcome.refusal.is_ours:
+        raise outcome.refusal.error  # a copied cookie would still be let in
     return response

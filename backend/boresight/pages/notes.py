@@ -45,7 +45,7 @@ def _page(
         return render(
             request,
             "notes.html",
-            status_code=refusal.status if refusal else 200,
+            refused=refusal,
             notes=notes.list_notes(session, actor, kind, subject_id),
             kind=kind,
             subject_id=subject_id,

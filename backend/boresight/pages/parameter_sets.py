@@ -144,7 +144,7 @@ def _page(
     return render(
         request,
         "parameter_set.html",
-        status_code=409 if refusal else 200,
+        refused=refusal,
         set=row,
         sensor=sensor,
         names=read_names(session),

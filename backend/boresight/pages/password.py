@@ -12,7 +12,7 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.dependencies import Who, clear_cookie, client_of, csrf
 from boresight.api.passwords import Passwords
 from boresight.errors import RefusedInputError
-from boresight.pages.attempts import attempt
+from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.rendering import redirect, render
 from boresight.services import users
 from boresight.services.actors import Actor, require_person
@@ -25,14 +25,13 @@ router = APIRouter(prefix="/password", dependencies=[Depends(csrf)])
 @router.get("", response_class=HTMLResponse)
 def password_page(request: Request, actor: Who) -> HTMLResponse:  # noqa: ARG001 - who is not logged in has none to set
     """Show the form."""
-    return _page(request, "")
+    return _page(request, None)
 
 
-def _page(request: Request, refusal: str) -> HTMLResponse:
+def _page(request: Request, refusal: Refusal | None) -> HTMLResponse:
     """Render the form, with why it was refused."""
-    code = 422 if refusal else 200
-    values = {"refusal": refusal, "minimum_length": MINIMUM_PASSWORD_LENGTH}
-    return render(request, "password.html", status_code=code, **values)
+    sentence = refusal.sentence if refusal else ""
+    return render(request, "password.html", refused=refusal, refusal=sentence, minimum_length=MINIMUM_PASSWORD_LENGTH)
 
 
 @router.post("", response_class=HTMLResponse)
@@ -54,7 +53,7 @@ async def change_password(
 
     outcome = await attempt(request, partial(set_password, actor, user_id), prepare)
     if outcome.refusal is not None:
-        return await run_in_threadpool(_page, request, outcome.refusal.sentence)
+        return await run_in_threadpool(_page, request, outcome.refusal)
     response = redirect("/login", flash="Your password is changed; log in with the new one.")
     clear_cookie(request, response)
     return response

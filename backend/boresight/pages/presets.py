@@ -11,7 +11,7 @@ from boresight.api.dependencies import Reading, Who, csrf
 from boresight.calibration.settings import CalibrationSettings
 from boresight.pages.attempts import attempt
 from boresight.pages.launch_summary import differences
-from boresight.pages.rendering import redirect, render
+from boresight.pages.rendering import redirect, redirect_refused, render
 from boresight.pages.runs import read_names
 from boresight.services import presets
 
@@ -43,5 +43,5 @@ async def archive(request: Request, actor: Who, preset_id: int) -> Response:
     """Take a version out of the choice."""
     outcome = await attempt(request, partial(presets.archive_preset, actor=actor, preset_id=preset_id))
     if outcome.refusal is not None:
-        return redirect("/presets", flash=outcome.refusal.sentence, level="serious")
+        return redirect_refused("/presets", outcome.refusal)
     return redirect("/presets", flash="Archived: it is not offered any more. Runs that used it still name it.")

@@ -65,6 +65,7 @@ def problem_page(request: Request, error: Exception) -> Response:
         request,
         "problem.html",
         status_code=problem.status,
+        headers=problem.headers,
         problem=problem,
         sentence=SENTENCE.get(problem.status, problem.detail) if isinstance(error, HTTPException) else problem.detail,
         advice=ADVICE.get(problem.status, ADVICE_OF_ANY) + _who_grants(request, problem.status),
@@ -94,7 +95,9 @@ def bare_problem_page(request: Request, error: Exception) -> Response:
         advice=ADVICE.get(problem.status, ADVICE_OF_ANY),
         request_id=getattr(request.state, "request_id", None),
     )
-    return HTMLResponse(page, status_code=problem.status, headers={"Cache-Control": "no-store"})
+    return HTMLResponse(
+        page, status_code=problem.status, headers={**(problem.headers or {}), "Cache-Control": "no-store"}
+    )
 
 
 def _way_back(request: Request) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from http import HTTPStatus
 from typing import Any
@@ -22,6 +22,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 import boresight
 from boresight.api.keeping import GAPS
 from boresight.pages import formats
+from boresight.pages.attempts import Refusal
 from boresight.pages.frame import FLASH_COOKIE, frame_of
 from boresight.pages.states import LEVELS, level_of, worst
 from boresight.resources import folder
@@ -50,7 +51,14 @@ TEMPLATES = _environment()
 
 
 def render(
-    request: Request, template: str, *, status_code: int = 200, follows_from: Hashable = None, **values: Any
+    request: Request,
+    template: str,
+    *,
+    status_code: int = 200,
+    headers: Mapping[str, str] | None = None,
+    refused: Refusal | None = None,
+    follows_from: Hashable = None,
+    **values: Any,
 ) -> HTMLResponse:
     """Render a template inside the frame.
 
@@ -58,13 +66,17 @@ def render(
     ----------
     template
         File name in `frontend/templates`.
-    status_code
-        200, or the code of the refusal that the page shows.
+    status_code, headers
+        Of the answer.
+    refused
+        The refusal that the page shows, where a form came back: it has status and headers.
     follows_from
         What all values follow from, where the page is worth being written once for those to whom the same is shown.
     values
         What the template names, besides `frame` and `request`.
     """
+    if refused is not None:
+        status_code, headers = refused.status, refused.headers
     frame = frame_of(request, is_answer=status_code == HTTPStatus.OK)
     given = (template, replace(frame, now=""), follows_from)  # the clock in the page goes by itself
     written: OrderedDict[Hashable, str] = request.app.state.written
@@ -76,7 +88,7 @@ def render(
             written[given] = page
             while len(written) > MOST_WRITTEN:
                 written.popitem(last=False)
-    response = HTMLResponse(page, status_code=status_code, headers={"Cache-Control": "no-store"})
+    response = HTMLResponse(page, status_code=status_code, headers={**(headers or {}), "Cache-Control": "no-store"})
     if frame.flash:
         response.delete_cookie(FLASH_COOKIE, path="/")
     return response
@@ -89,3 +101,13 @@ def redirect(location: str, *, flash: str = "", level: str = "normal") -> Redire
         value = quote(json.dumps([level, flash]))
         response.set_cookie(FLASH_COOKIE, value, max_age=FLASH_SECONDS, path="/", httponly=True, samesite="lax")
     return response
+
+
+def redirect_refused(location: str, refusal: Refusal) -> RedirectResponse:
+    """Show why a form was refused as a line on the page that it stands on.
+
+    What the server itself lacks is raised again, so that the answer says so by its status, and when to come back.
+    """
+    if refusal.is_ours:
+        raise refusal.error
+    return redirect(location, flash=refusal.sentence, level="serious")

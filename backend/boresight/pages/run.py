@@ -24,7 +24,7 @@ from boresight.gates.table import gate_rows
 from boresight.pages.attempts import attempt
 from boresight.pages.formats import duration, short_hash, utc, words
 from boresight.pages.methods import title_of
-from boresight.pages.rendering import redirect, render
+from boresight.pages.rendering import redirect, redirect_refused, render
 from boresight.pages.run_live import live_of
 from boresight.pages.run_parts import Desk, marks_of, part_of_page
 from boresight.pages.run_tabs import FORMER, TITLES, tabs_of
@@ -169,7 +169,6 @@ async def create_parameter_set(request: Request, actor: Who, run_id: int) -> Res
     """Make a candidate set from a run's result."""
     blobs = request.app.state.blobs
     outcome = await attempt(request, partial(parameter_sets.create_from_run, actor=actor, blobs=blobs, run_id=run_id))
-    if outcome.value is None:
-        sentence = outcome.refusal.sentence if outcome.refusal else "The set was not made."
-        return redirect(f"/runs/{run_id}", flash=sentence, level="serious")
-    return redirect(f"/parameter-sets/{outcome.value.id}", flash=f"{outcome.value.name} is a candidate.")
+    if outcome.refusal is not None:
+        return redirect_refused(f"/runs/{run_id}", outcome.refusal)
+    return redirect(f"/parameter-sets/{outcome.made.id}", flash=f"{outcome.made.name} is a candidate.")

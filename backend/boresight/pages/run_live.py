@@ -18,7 +18,7 @@ from boresight.figures.numbers import fixed
 from boresight.pages.attempts import attempt
 from boresight.pages.formats import duration
 from boresight.pages.forms import read_texts
-from boresight.pages.rendering import redirect
+from boresight.pages.rendering import redirect, redirect_refused
 from boresight.pages.run_states import heard_s, notices_of
 from boresight.services import runs, telemetry_sets
 from boresight.store.sessions import Session
@@ -66,5 +66,5 @@ async def cancel(request: Request, actor: Who, run_id: int) -> Response:
     reason = (await read_texts(request)).get("reason", "")
     outcome = await attempt(request, partial(runs.cancel, actor=actor, run_id=run_id, reason=reason))
     if outcome.refusal:
-        return redirect(f"/runs/{run_id}", flash=outcome.refusal.sentence, level="serious")
+        return redirect_refused(f"/runs/{run_id}", outcome.refusal)
     return redirect(f"/runs/{run_id}", flash=f"Run #{run_id} was asked to stop.")

@@ -153,7 +153,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
         return render(
             request,
             "sensor.html",
-            status_code=422 if shown.refusal else 200,
+            refused=shown.refusal,
             sensor=sensor,
             tile=sensors.fleet_overview(session, [sensor_id])[0],
             names=names,

@@ -204,7 +204,7 @@ def _page(request: Request, roles: frozenset[str], shown: Shown) -> HTMLResponse
         return render(
             request,
             "sensors.html",
-            status_code=422 if shown.refusal else 200,
+            refused=shown.refusal,
             view=view,
             tiles=_tiles(session, [sensor.id for sensor in found.rows], chosen),
             registered=sensors.count(session),

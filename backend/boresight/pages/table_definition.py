@@ -133,7 +133,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
         return render(
             request,
             "table_definition.html",
-            status_code=200 if refusal is None else refusal.status,
+            refused=refusal,
             sensor=sensor,
             current=current,
             versions=versions,

@@ -91,7 +91,7 @@ def _page(request: Request, session: Session, roles: frozenset[str], view: View,
     return render(
         request,
         "telemetry.html",
-        status_code=422 if shown.refusal else 200,
+        refused=shown.refusal,
         view=view,
         sets=found.rows,
         last=found.last,

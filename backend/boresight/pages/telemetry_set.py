@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
-from boresight.errors import ForbiddenError, NotFoundError
+from boresight.errors import NotFoundError
 from boresight.pages.attempts import attempt
 from boresight.pages.drawings import Drawing, detector_map, histogram, number_bars
 from boresight.pages.rendering import redirect, render
@@ -118,6 +118,6 @@ async def archive(request: Request, actor: Who, set_id: int) -> Response:
     """Put a set out of sight."""
     change = partial(telemetry_sets.archive_telemetry_set, actor=actor, set_id=set_id)
     outcome = await attempt(request, change)
-    if outcome.value is None:
-        raise ForbiddenError(outcome.refusal.sentence if outcome.refusal else "The set cannot be archived.")
-    return redirect("/telemetry", flash=f"{outcome.value.name} is archived; runs that used it keep it.")
+    if outcome.refusal is not None:
+        raise outcome.refusal.error
+    return redirect("/telemetry", flash=f"{outcome.made.name} is archived; runs that used it keep it.")

@@ -65,7 +65,7 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
         return render(
             request,
             "uplink_steps.html",
-            status_code=shown.refusal.status if shown.refusal else 200,
+            refused=shown.refusal,
             set=row,
             sensor=sensors.get_sensor(session, row.sensor_id),
             known=timeline.as_of(session, row.sensor_id),

@@ -62,7 +62,7 @@ def _page(request: Request, actor: Actor, session: Session, shown: Shown) -> HTM
     return render(
         request,
         "users.html",
-        status_code=422 if shown.refusal else 200,
+        refused=shown.refusal,
         people=people if administrator else [],
         names={person.id: person.printed_name for person in people},
         administrators=users.administrators(session),
@@ -209,7 +209,7 @@ def _sessions_page(
     return render(
         request,
         "sessions.html",
-        status_code=refusal.status if refusal else 200,
+        refused=refusal,
         person=person,
         own=person.id == actor.user_id,
         opened=[(row, limits.ends_utc(row.created_utc)) for row in opened if not limits.is_idle(row.last_used_utc)],

@@ -15,7 +15,7 @@ from boresight.api.dependencies import Reading, Who, csrf
 from boresight.api.numbers import row_number
 from boresight.errors import BoresightError
 from boresight.pages.attempts import Refusal, attempt
-from boresight.pages.rendering import redirect, render
+from boresight.pages.rendering import redirect, redirect_refused, render
 from boresight.services import webhooks
 from boresight.services.actors import Actor
 from boresight.services.webhook_secrets import state_of
@@ -47,7 +47,7 @@ def _page(request: Request, session: Session, actor: Actor, shown: Shown) -> HTM
     return render(
         request,
         "webhooks.html",
-        status_code=shown.refusal.status if shown.refusal else 200,
+        refused=shown.refusal,
         may=may,
         hooks=webhooks.list_webhooks(session, actor) if may else [],
         state_of=partial(state_of, box=request.app.state.secret_box),
@@ -121,10 +121,9 @@ async def renew_secret(
     hours, box = (0.0 if overlap_hours == "0" else 24.0), request.app.state.secret_box
     change = partial(webhooks.renew_secret, actor=actor, box=box, webhook_id=webhook_id, overlap_hours=hours)
     outcome = await attempt(request, change)
-    if outcome.value is None:
-        sentence = "" if outcome.refusal is None else outcome.refusal.sentence
-        return redirect(f"/webhooks/{webhook_id}", flash=sentence, level="serious")
-    return await run_in_threadpool(_renewed, request, actor, webhook_id, outcome.value[1])
+    if outcome.refusal is not None:
+        return redirect_refused(f"/webhooks/{webhook_id}", outcome.refusal)
+    return await run_in_threadpool(_renewed, request, actor, webhook_id, outcome.made[1])
 
 
 def _renewed(request: Request, actor: Actor, webhook_id: int, secret: str) -> HTMLResponse:
@@ -158,5 +157,5 @@ async def _done(request: Request, webhook_id: int, change: Callable[..., Any], w
     """Make a change and go back to the webhook with what came of it."""
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
-        return redirect(f"/webhooks/{webhook_id}", flash=outcome.refusal.sentence, level="serious")
+        return redirect_refused(f"/webhooks/{webhook_id}", outcome.refusal)
     return redirect(f"/webhooks/{webhook_id}", flash=words)
