@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sqlite3
 import stat
+import tracemalloc
 import zipfile
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from boresight import integrity
+from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
+from boresight.store import backup as backups
 from boresight.store import chain
-from boresight.store.blobs import BlobStore
+from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import opened, writing
 from boresight.store.tables import Webhook
 from tests.stores import environment_in, on_postgresql
@@ -214,3 +221,167 @@ def test_every_corrupt_member_of_a_backup_is_named(filled, monkeypatch, tmp_path
     assert [name[:12] in done.stderr for name in (sha256, *others)] == [True, True, False]
     assert not (folder / "boresight.sqlite3").exists()
     assert archive.exists()
+
+
+def _register(folder: Path, content: bytes) -> str:
+    """Store a file as an upload does, with its row."""
+    blobs, settings = BlobStore(folder / "blobs"), read_settings()
+    with opened(settings.database_url) as engine, writing(engine) as session:
+        sha256 = register_blob(session, blobs, blobs.put(content), "text/csv").sha256
+        chain.append_own(session, "uploaded", f"files/{sha256[:12]}")
+    return sha256
+
+
+def _named_by(archive: Path, folder: Path) -> tuple[set[str], set[str]]:
+    """Return the files that the database in an archive names, and those that the archive holds."""
+    with zipfile.ZipFile(archive) as packed:
+        database = Path(packed.extract("boresight.sqlite3", folder))
+        held = {name.removeprefix("blobs/") for name in packed.namelist() if name.startswith("blobs/")}
+    with closing(sqlite3.connect(database)) as connection:
+        return {sha256 for (sha256,) in connection.execute("SELECT sha256 FROM blobs")}, held
+
+
+def test_an_upload_while_the_files_are_verified_leaves_no_row_without_its_file(filled, monkeypatch, tmp_path):
+    boresight, _, _ = filled
+    folder = _into(monkeypatch, tmp_path / "first")
+    first, late, whole = _register(folder, b"first"), [], integrity.is_intact
+
+    def uploading(path: Path, sha256: str, *, again: bool = False) -> bool:
+        if not late:
+            late.append("")
+            late[0] = _register(folder, b"uploaded meanwhile")
+        return whole(path, sha256, again=again)
+
+    for place in (integrity, backups):  # wherever the name is known
+        monkeypatch.setattr(place, "is_intact", uploading, raising=False)
+    done = boresight("backup", "--out", tmp_path / "live.zip")
+    assert (done.exit_code, len(late)) == (0, 1), done.stderr
+    monkeypatch.setattr(integrity, "is_intact", whole)
+    named, held = _named_by(tmp_path / "live.zip", tmp_path / "seen")
+    assert first in named
+    assert named <= held
+    _into(monkeypatch, tmp_path / "second")
+    back = boresight("restore", tmp_path / "live.zip")
+    assert back.exit_code == 0, back.stderr
+    assert boresight("audit", "verify").exit_code == 0
+
+
+def test_an_upload_before_the_files_are_listed_is_in_the_archive(filled, monkeypatch, tmp_path):
+    boresight, _, _ = filled
+    folder, late, copying = _into(monkeypatch, tmp_path / "first"), [], backups._copy_database
+
+    def uploading(url: str, copy: Path) -> None:
+        late.append(_register(folder, b"uploaded meanwhile"))
+        copying(url, copy)
+
+    monkeypatch.setattr(backups, "_copy_database", uploading)
+    done = boresight("backup", "--out", tmp_path / "live.zip")
+    assert done.exit_code == 0, done.stderr
+    named, held = _named_by(tmp_path / "live.zip", tmp_path / "seen")
+    assert set(late) <= named <= held
+
+
+def test_a_registered_file_that_is_missing_is_refused_or_named_by_backup_and_restore(filled, monkeypatch, tmp_path):
+    boresight, _, other = filled
+    folder = _into(monkeypatch, tmp_path / "first")
+    sha256 = _register(folder, b"to be lost")
+    BlobStore(folder / "blobs").path(sha256).unlink()
+    refused = boresight("backup", "--out", tmp_path / "lost.zip")
+    assert (refused.exit_code, sha256[:12] in refused.stderr, (tmp_path / "lost.zip").exists()) == (1, True, False)
+    kept = boresight("backup", "--keep-going", "--out", tmp_path / "lost.zip")
+    assert (kept.exit_code, sha256 in kept.stderr) == (1, True)
+    with zipfile.ZipFile(tmp_path / "lost.zip") as archive:
+        manifest = json.loads(archive.read("MANIFEST.json"))
+    assert (manifest["missing"], manifest["left_out"], manifest["blobs"]) == ([sha256], [], 1)
+    folder = _into(monkeypatch, tmp_path / "restored")
+    back = boresight("restore", tmp_path / "lost.zip")
+    assert (back.exit_code, sha256 in back.stderr) == (1, True)
+    assert BlobStore(folder / "blobs").read(other) == b"telemetry"
+
+
+def test_restore_names_a_file_that_an_older_backup_lost_unseen(filled, monkeypatch, tmp_path):
+    boresight, _, _ = filled
+    sha256 = _register(_into(monkeypatch, tmp_path / "first"), b"in the rows only")
+    assert boresight("backup", "--out", tmp_path / "whole.zip").exit_code == 0
+    with zipfile.ZipFile(tmp_path / "whole.zip") as source, zipfile.ZipFile(tmp_path / "less.zip", "w") as target:
+        manifest = json.loads(source.read("MANIFEST.json"))
+        for member in source.namelist():
+            if member not in {f"blobs/{sha256}", "MANIFEST.json"}:
+                target.writestr(member, source.read(member))
+        target.writestr("MANIFEST.json", json.dumps(manifest | {"blobs": manifest["blobs"] - 1}))
+    _into(monkeypatch, tmp_path / "restored")
+    back = boresight("restore", tmp_path / "less.zip")
+    assert (back.exit_code, sha256[:12] in back.stderr) == (1, True)
+
+
+def test_an_object_store_is_asked_whether_it_has_every_registered_file(filled, monkeypatch, tmp_path):
+    boresight, _, _ = filled
+    sha256 = _register(_into(monkeypatch, tmp_path / "first"), b"in the folder only")
+    monkeypatch.setenv("BORESIGHT_BLOBS", "memory:///empty")
+    saved = boresight("backup", "--out", tmp_path / "rows.zip")
+    assert (saved.exit_code, sha256[:12] in saved.stderr) == (1, True)
+
+
+def _altered(archive: Path, changes: dict[str, Any]) -> bytes:
+    """Return an archive with another manifest."""
+    written = io.BytesIO()
+    with zipfile.ZipFile(archive) as source, zipfile.ZipFile(written, "w", zipfile.ZIP_STORED) as target:
+        for member in source.namelist():
+            content = source.read(member)
+            target.writestr(member, json.dumps(json.loads(content) | changes) if member == "MANIFEST.json" else content)
+    return written.getvalue()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"database_sha256": None},
+        {"database_sha256": 5},
+        {"blobs": "1"},
+        {"blobs": True},
+        {"blobs": 0},
+        {"blobs": 7},
+        {"left_out": {"a": 1}},
+        {"left_out": [["a"]]},
+        {"missing": "abc"},
+        {"audit_head": []},
+        {"blobs_at": 3},
+        {"taken_utc": {}},
+    ],
+)
+def test_a_manifest_of_another_shape_is_refused_in_a_sentence(filled, monkeypatch, tmp_path, changes):
+    boresight, archive, _ = filled
+    (tmp_path / "other.zip").write_bytes(_altered(archive, changes))
+    folder = _into(monkeypatch, tmp_path / "nowhere")
+    done = boresight("restore", tmp_path / "other.zip")
+    assert (done.exit_code, "unexpected" in done.stderr, "another backup" in done.stderr) == (1, False, True)
+    assert not (folder / "boresight.sqlite3").exists()
+
+
+@pytest.mark.parametrize("name", ["MANIFEST.json", "blobs/" + "0" * 64, "boresight.sqlite3"])
+def test_a_zip_bomb_is_refused_in_little_memory_and_place(filled, monkeypatch, tmp_path, name):
+    _, archive, _ = filled
+    bomb = tmp_path / "bomb.zip"
+    with (
+        zipfile.ZipFile(archive) as source,
+        zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as target,
+    ):
+        manifest = source.read("MANIFEST.json")
+        for member in {"MANIFEST.json", "boresight.sqlite3", name} - {name}:
+            target.writestr(member, manifest if member == "MANIFEST.json" else source.read(member))
+        with target.open(name, "w") as member:
+            for _ in range(128):
+                member.write(bytes(1 << 20))
+    assert bomb.stat().st_size < 2e6
+    monkeypatch.setattr("shutil.disk_usage", lambda _place: type("Usage", (), {"free": 100 << 20})())
+    tracemalloc.start()
+    try:
+        with pytest.raises(RefusedInputError):
+            backups.read_backup(
+                bomb, f"sqlite:///{tmp_path}/nowhere/own.sqlite3", BlobStore(tmp_path / "nowhere" / "blobs")
+            )
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 16 << 20
+    assert not (tmp_path / "nowhere").exists()

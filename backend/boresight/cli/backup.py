@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,16 +11,21 @@ from boresight.cli.output import check_writable, refuse_standard_output
 from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
 from boresight.settings import read_settings
 
+if TYPE_CHECKING:
+    from boresight.store.backup import Taken
+
 MB = 1e6
 
 
 @click.command()
 @click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write; an existing one is kept.")
 @click.option(
-    "--keep-going", is_flag=True, help="Leave corrupt files out and name them; the exit code is 1 all the same."
+    "--keep-going",
+    is_flag=True,
+    help="Leave corrupt and missing files out and name them; the exit code is 1 all the same.",
 )
 def backup(file: str, *, keep_going: bool) -> None:
-    """Write database and blobs to FILE, while servers and workers go on; refuse where a stored file is corrupt.
+    """Write database and blobs to FILE, while servers and workers go on; refuse where a stored file is corrupt or missing.
 
     The file holds password hashes: keep it as the data folder is kept. The secrets of webhooks are in it encrypted; keep
     their key, webhooks.key in the data folder, in another place.
@@ -43,24 +49,30 @@ def backup(file: str, *, keep_going: bool) -> None:
     taken = backups.write_backup(settings.database_url, blobs, head, Path(file), keep_going=keep_going)
     click.echo(f"{file}: the database and {taken.blobs} files, {taken.size_bytes / MB:.1f} MB\naudit head {head}")
     if taken.blobs_at is not None:
-        click.echo(f"The stored files stay in {taken.blobs_at}: let the store keep versions or a copy of that bucket.")
-    _refuse_left_out(taken.left_out, "were left out of the backup")
-
-
-def _refuse_left_out(left_out: tuple[str, ...], what: str) -> None:
-    """Name every file that is missing, and end with exit code 1."""
-    for sha256 in left_out:
-        click.echo(f"  {sha256}", err=True)
-    if left_out:
-        raise CorruptFileError(
-            f"{len(left_out)} corrupt files {what}: {', '.join(sha256[:12] for sha256 in left_out[:5])}."
+        click.echo(
+            f"The stored files are not in it: they stay in {taken.blobs_at}, which was asked for each and its size. Let the store "
+            "keep versions or a copy of that bucket; `boresight audit verify` reads them all."
         )
+    _refuse_absent(taken, "were left out of the backup", "were not there to be backed up")
+
+
+def _refuse_absent(taken: Taken, left_out: str, missing: str) -> None:
+    """Name every file that is not in the archive, and end with exit code 1."""
+    for sha256 in (*taken.left_out, *taken.missing):
+        click.echo(f"  {sha256}", err=True)
+    parts = [
+        f"{len(ones)} {kind} files {what}: {', '.join(sha256[:12] for sha256 in ones[:5])}"
+        for ones, kind, what in ((taken.left_out, "corrupt", left_out), (taken.missing, "missing", missing))
+        if ones
+    ]
+    if parts:
+        raise CorruptFileError(f"{'; '.join(parts)}.")
 
 
 @click.command()
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 def restore(file: Path) -> None:
-    """Lay the backup FILE down in an empty data folder or PostgreSQL database, and verify its audit log.
+    """Lay the backup FILE down in an empty data folder or PostgreSQL database, and verify its audit log and stored files.
 
     The settings may name the other engine than that of the backup: so an installation moves from one to the other.
     """
@@ -75,14 +87,24 @@ def restore(file: Path) -> None:
     taken = backups.read_backup(file, settings.database_url, blobs)
     with opened(settings.database_url) as engine:
         with reading(engine) as session:
-            found = audit.verify(session, taken.head)
+            known = taken.blobs_at in {None, blobs.kept_at}  # else they are where this installation does not look yet
+            found = audit.verify(session, taken.head, blobs if known else None, again=False)
         kept = encrypt_all(engine, settings.secret_box)  # a backup of an older version holds them plain
     click.echo(f"{engine.url.render_as_string()}: restored, with {taken.blobs} files. Everybody logs in anew.")
-    if taken.blobs_at not in {None, blobs.kept_at}:
-        click.echo(f"Its stored files are in {taken.blobs_at}: set BORESIGHT_BLOBS to that, or copy them from there.")
+    if not known:
+        click.echo(
+            f"Its stored files are in {taken.blobs_at}: set BORESIGHT_BLOBS to that, or copy them from there, and run "
+            "`boresight audit verify`."
+        )
     if kept.sentence is not None:
         click.echo(kept.sentence, err=True)
-    _refuse_left_out(taken.left_out, "were left out when the backup was taken, and are missing now")
+    for bad in found.bad_files:
+        click.echo(f"  {bad}", err=True)
+    if not found.ok and (taken.left_out or taken.missing):
+        click.echo(found.sentence, err=True)
+    _refuse_absent(taken, "were left out when the backup was taken", "were missing when the backup was taken")
     if not found.ok:
-        raise ConflictError(f"The backup is whole, but its audit log does not hold: {found.sentence}")
+        raise ConflictError(
+            f"All that is in the backup was restored, but not all is as it was written: {found.sentence}"
+        )
     click.echo(found.sentence)
