@@ -13,7 +13,7 @@ import pytest
 
 from boresight.api import passwords as checks
 from boresight.errors import OverloadedError, TooManyAttemptsError
-from boresight.services import audit, passwords
+from boresight.services import approvals, audit, passwords
 from boresight.services.actors import SYSTEM, Actor
 from boresight.services.failed_log_ins import MOST_RECORDS, REFUSED
 from boresight.services.passwords import PasswordProof
@@ -119,8 +119,9 @@ SLOW: dict[str, Any] = {
 
 @pytest.mark.parametrize("what", SLOW)
 def test_no_password_is_worked_on_while_the_write_lock_is_held(
-    served: tuple[str, Any], held: tuple[list[str], threading.Event], what: str
+    served: tuple[str, Any], held: tuple[list[str], threading.Event], what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(approvals, "refuse_beside", lambda *_: None)  # of a request that is not there nothing is hashed
     address, app = served
     threads, release = held
     release.set()
@@ -164,6 +165,49 @@ def test_a_flood_of_one_name_locks_nobody_out_elsewhere_and_no_signature(served:
         answer = alan.post("/api/v1/approvals/77:approve", json=body, headers={"If-Match": '"v1"'})
         assert answer.status_code == 404  # there is no such request, and nothing made the signer wait
         assert _log_in(fresh, "alan").status_code == 201
+
+
+def test_a_new_log_in_gives_no_new_guesses_over_the_shoulder(
+    served: tuple[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address, _ = served
+    monkeypatch.setattr(approvals, "refuse_beside", lambda *_: None)  # as if the request could be signed
+    hashed: list[str] = []
+    monkeypatch.setattr(passwords, "check", _noting(passwords.check, hashed))
+    body = {"meaning": "x", "password": "wrong", "name": "bo", "decision": "APPROVE"}
+    for _ in range(5):
+        with _client(address, "127.0.0.8") as victor:
+            assert _log_in(victor, "victor").status_code == 201
+            for _ in range(4):
+                answer = victor.post(
+                    "/api/v1/approvals/1:sign-over-the-shoulder", json=body, headers={"If-Match": '"v1"'}
+                )
+                if answer.status_code == 429:
+                    break
+    assert answer.status_code == 429
+    assert hashed.count("wrong") == 8
+
+
+def test_no_password_is_tried_for_a_request_that_does_not_exist(
+    served: tuple[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address, _ = served
+    hashed: list[str] = []
+    with _client(address, "127.0.0.9") as victor:
+        assert _log_in(victor, "victor").status_code == 201
+        monkeypatch.setattr(passwords, "check", _noting(passwords.check, hashed))
+        body = {"meaning": "x", "password": "wrong", "name": "bo", "decision": "APPROVE"}
+        sent = {"json": body, "headers": {"If-Match": '"v1"'}}
+        assert victor.post("/api/v1/approvals/77:sign-over-the-shoulder", **sent).status_code == 404
+    assert not hashed
+
+
+def _noting(check: Callable[..., Any], hashed: list[str]) -> Callable[..., Any]:
+    def noting(stored: Any, password: str) -> Any:
+        hashed.append(password)
+        return check(stored, password)
+
+    return noting
 
 
 def test_attempts_are_slowed_down_and_then_told_to_wait(served: tuple[str, Any]) -> None:
@@ -237,7 +281,7 @@ def test_only_so_many_passwords_are_worked_on_or_wait_at_once(
 
     async def wait() -> list[object]:
         monkeypatch.setattr(checks, "MOST_HELD", 3)
-        monkeypatch.setattr(state._limiter, "admit", lambda *_: 0.5)
+        monkeypatch.setattr(state._limiter, "admit", lambda _: 0.5)
         attempts = [state.check_log_in("ada", "x", Client("10.0.0.1")) for _ in range(6)]
         return await asyncio.gather(*attempts, return_exceptions=True)
 
@@ -271,3 +315,53 @@ def test_a_lone_surrogate_in_a_password_is_refused_in_words(served: tuple[str, A
             body = b'{"name":"x","printed_name":"x","roles":[],"password":"\\ud800 and some more of it"}'
             sent = root.post(f"/api/v1/{path}", content=body, headers={"Content-Type": "application/json"})
             assert sent.status_code in {400, 401, 422}, sent.text
+
+
+def test_many_names_tried_from_an_address_shut_out_nobody_who_logged_in_from_there(
+    served: tuple[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address, _ = served  # 6 s of attack: what is bounded is bounded over time
+    source, hashed = "127.0.0.10", list[str]()
+    with _client(address, source) as alan:
+        assert _log_in(alan, "alan").status_code == 201
+    monkeypatch.setattr(passwords, "check", _noting(passwords.check, hashed))
+    end_s = time.monotonic() + 6.0
+
+    def attack(thread: int) -> None:
+        with _client(address, source) as attacker:
+            for number in range(1000):
+                if time.monotonic() > end_s:
+                    return
+                _log_in(attacker, f"name-{thread}-{number}", "wrong")
+                time.sleep(0.05)
+
+    attackers = [threading.Thread(target=attack, args=(thread,)) for thread in range(2)]
+    for one in attackers:
+        one.start()
+    took_s = []
+    while time.monotonic() < end_s - 0.5:
+        began_s = time.monotonic()
+        with _client(address, source) as alan:
+            assert _log_in(alan, "alan").status_code == 201
+        took_s.append(time.monotonic() - began_s)
+        time.sleep(0.3)
+    for one in attackers:
+        one.join(30)
+    assert len(took_s) >= 3
+    assert max(took_s) < 5.0
+    assert hashed.count("wrong") <= 34
+
+
+def test_strangers_everywhere_share_their_tries_at_a_name_and_its_owner_gets_in(served: tuple[str, Any]) -> None:
+    state = checks.Passwords(served[1].state.engine, 1)
+    with _client(served[0], "127.0.0.11") as olga:
+        assert _log_in(olga, "olga").status_code == 201
+
+    async def all_of_it() -> bool:
+        for number in range(3):
+            await state.check_log_in("olga", "wrong", Client(f"10.1.0.{number}"))
+        with pytest.raises(TooManyAttemptsError):
+            await asyncio.gather(*(state.check_log_in("olga", "wrong", Client(f"10.2.0.{n}")) for n in range(5)))
+        return (await state.check_log_in("olga", PASSWORD, Client("::ffff:127.0.0.11"))).fits
+
+    assert asyncio.run(all_of_it())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from boresight.errors import TooManyAttemptsError
-from boresight.services.login_limiter import FORGET_S, HELD_S, LoginLimiter, place_of_address
+from boresight.services.login_limiter import FORGET_S, HELD_S, LoginLimiter, Tried, place_of_address
 
 
 class Clock:
@@ -28,81 +28,133 @@ def limiter(clock: Clock) -> LoginLimiter:
     return LoginLimiter(5, clock)
 
 
-def _fail(limiter: LoginLimiter, clock: Clock, name: str, place: str) -> float:
+def _fail(limiter: LoginLimiter, clock: Clock, tried: Tried) -> float:
     """Fail once as soon as that is possible; returns the seconds that were waited."""
     began_s = clock.now_s
     while True:
         try:
-            clock.now_s += limiter.admit(name, place)
+            clock.now_s += limiter.admit(tried)
         except TooManyAttemptsError as refusal:
             clock.now_s += refusal.wait_s
             continue
-        limiter.ended(name, place, failed=True)
+        limiter.ended(tried, failed=True)
         return clock.now_s - began_s
 
 
+def _tries_in_an_hour(limiter: LoginLimiter, clock: Clock, tried: list[Tried]) -> int:
+    """Try from all these places whenever one of them is let in; returns how many passwords were checked in an hour."""
+    tries, end_s = 0, clock.now_s + 3600.0
+    while clock.now_s < end_s:
+        for one in tried:
+            try:
+                limiter.admit(one)
+            except TooManyAttemptsError:
+                continue
+            limiter.ended(one, failed=True)
+            tries += 1
+        clock.now_s += 1.0
+    return tries
+
+
 def test_failures_slow_down_more_and_more(limiter: LoginLimiter, clock: Clock) -> None:
-    waits = [_fail(limiter, clock, "ana", "1.2.3.4") for _ in range(13)]
-    assert waits == [0, 0, 0, 0, 0, 1, 2, 4, 8, 16, 32, 45, 45]
+    waits = [_fail(limiter, clock, Tried("ana", "1.2.3.4")) for _ in range(13)]
+    assert waits == [0, 0, 0, 0, 0, 1, 2, 4, 8, 16, 32, 64, 100]
 
 
 def test_one_place_has_at_most_about_100_tries_an_hour_at_a_name(limiter: LoginLimiter, clock: Clock) -> None:
     tries, began_s = 0, clock.now_s
     while clock.now_s - began_s <= 3600.0:
-        _fail(limiter, clock, "ana", "1.2.3.4")
+        _fail(limiter, clock, Tried("ana", "1.2.3.4"))
         tries += 1
     assert tries <= 100
 
 
 def test_nobody_elses_failures_keep_a_person_waiting(limiter: LoginLimiter, clock: Clock) -> None:
     for _ in range(20):
-        _fail(limiter, clock, "cy", "6.6.6.6")
-    for name, place in (("cy", "1.2.3.4"), ("ana", "1.2.3.4"), ("cy", "session 7")):
-        assert limiter.admit(name, place) == 0.0
+        _fail(limiter, clock, Tried("cy", "6.6.6.6"))
+    for name, place, known in (("cy", "1.2.3.4", True), ("ana", "1.2.3.4", False), ("cy", "session 7", True)):
+        assert limiter.admit(Tried(name, place, known)) == 0.0
+
+
+def test_an_account_bears_at_most_100_wrong_passwords_an_hour_from_100_strange_places_and_one_known(
+    limiter: LoginLimiter, clock: Clock
+) -> None:
+    strange = [Tried("cy", f"6.6.6.{number}") for number in range(100)]
+    assert _tries_in_an_hour(limiter, clock, [*strange, Tried("cy", "1.2.3.4", known=True)]) <= 100
+    assert limiter.admit(Tried("cy", "1.2.3.5", known=True)) == 0.0
+
+
+def test_one_who_types_a_name_at_their_console_has_no_more_tries_from_many_addresses(
+    limiter: LoginLimiter, clock: Clock
+) -> None:
+    beside = [Tried("cy", f"10.0.0.{number}", known=True, console="person 5") for number in range(50)]
+    assert _tries_in_an_hour(limiter, clock, beside) <= 60
+
+
+def test_many_names_from_a_place_keep_nobody_waiting_who_logged_in_from_there(
+    limiter: LoginLimiter, clock: Clock
+) -> None:
+    for number in range(60):
+        _fail(limiter, clock, Tried(f"name-{number}", "1.2.3.4"))
+    assert limiter.admit(Tried("cy", "1.2.3.4", known=True)) == 0.0
+    with pytest.raises(TooManyAttemptsError):
+        limiter.admit(Tried("yet-another", "1.2.3.4"))
+
+
+def test_what_is_refused_pushes_out_no_count(
+    limiter: LoginLimiter, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("boresight.services.login_limiter.MOST_COUNTS", 200)
+    for number in range(34):
+        _fail(limiter, clock, Tried(f"name-{number}", "6.6.6.6"))
+    for number in range(1000):
+        with pytest.raises(TooManyAttemptsError):
+            limiter.admit(Tried(f"more-{number}", "6.6.6.6"))
+    assert len(limiter._counts) == 2 * 34 + 1
 
 
 def test_a_wait_that_is_long_is_told_and_not_held(limiter: LoginLimiter, clock: Clock) -> None:
     for _ in range(8):
-        _fail(limiter, clock, "ana", "1.2.3.4")
+        _fail(limiter, clock, Tried("ana", "1.2.3.4"))
     with pytest.raises(TooManyAttemptsError) as refusal:
-        limiter.admit("ana", "1.2.3.4")
+        limiter.admit(Tried("ana", "1.2.3.4"))
     assert HELD_S < refusal.value.wait_s <= 8
 
 
 def test_attempts_that_come_at_once_wait_for_each_other(limiter: LoginLimiter) -> None:
-    waits = [limiter.admit("ana", "1.2.3.4") for _ in range(7)]
+    waits = [limiter.admit(Tried("ana", "1.2.3.4")) for _ in range(7)]
     assert waits == [0, 0, 0, 0, 0, 1, 3]
     with pytest.raises(TooManyAttemptsError):
-        limiter.admit("ana", "1.2.3.4")
+        limiter.admit(Tried("ana", "1.2.3.4"))
 
 
 def test_one_place_that_tries_many_names_is_slowed_down_and_others_are_not(limiter: LoginLimiter, clock: Clock) -> None:
-    waits = [_fail(limiter, clock, f"name-{number}", "6.6.6.6") for number in range(36)]
+    waits = [_fail(limiter, clock, Tried(f"name-{number}", "6.6.6.6")) for number in range(36)]
     assert waits[:30] == [0] * 30
     assert waits[30:] == [1, 2, 4, 8, 10, 10]
-    assert limiter.admit("name-1", "1.2.3.4") == 0.0
+    assert limiter.admit(Tried("name-1", "1.2.3.4")) == 0.0
 
 
 def test_a_right_password_makes_up_for_the_wrong_ones_of_its_name(limiter: LoginLimiter, clock: Clock) -> None:
     for _ in range(6):
-        _fail(limiter, clock, "ana", "1.2.3.4")
-    clock.now_s += limiter.admit("ana", "1.2.3.4")
-    limiter.ended("ana", "1.2.3.4", failed=False)
-    assert [_fail(limiter, clock, "ana", "1.2.3.4") for _ in range(5)] == [0] * 5
+        _fail(limiter, clock, Tried("ana", "1.2.3.4"))
+    clock.now_s += limiter.admit(Tried("ana", "1.2.3.4"))
+    limiter.ended(Tried("ana", "1.2.3.4"), failed=False)
+    assert [_fail(limiter, clock, Tried("ana", "1.2.3.4")) for _ in range(5)] == [0] * 5
 
 
 def test_after_a_while_failures_are_forgotten(limiter: LoginLimiter, clock: Clock) -> None:
     for _ in range(12):
-        _fail(limiter, clock, "ana", "1.2.3.4")
+        _fail(limiter, clock, Tried("ana", "1.2.3.4"))
     clock.now_s += FORGET_S + 1
-    assert limiter.admit("ana", "1.2.3.4") == 0.0
+    assert limiter.admit(Tried("ana", "1.2.3.4")) == 0.0
 
 
 def test_the_counts_do_not_grow_without_bound(limiter: LoginLimiter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("boresight.services.login_limiter.MOST_COUNTS", 100)
     for number in range(1000):
-        limiter.admit(f"name-{number}", f"place-{number}")
-        limiter.ended(f"name-{number}", f"place-{number}", failed=True)
+        limiter.admit(Tried(f"name-{number}", f"place-{number}"))
+        limiter.ended(Tried(f"name-{number}", f"place-{number}"), failed=True)
     assert len(limiter._counts) <= 100
 
 

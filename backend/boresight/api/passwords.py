@@ -1,9 +1,9 @@
 """Checking and hashing passwords for requests: outside every transaction and lock, in threads of their own, in bounded queues.
 
-An argon2 hash takes 64 MiB and all cores for a moment. Those for people who are logged in and those for anybody have a thread
-each, so that a flood of log-ins holds up no signature; the thread of anybody's yields the processors to the rest of the server. A
-wait that the limiter orders is an `asyncio.sleep`: it holds no thread, no lock and no connection to the store, and few may wait
-at once.
+An argon2 hash takes 64 MiB and all cores for a moment. Those for people who are logged in, those for names that logged in from the
+same place before and those for anybody have a thread each, so that a flood of log-ins holds up neither a signature nor a return;
+the thread of anybody's yields the processors to the rest of the server. A wait that the limiter orders is an `asyncio.sleep`: it
+holds no thread, no lock and no connection to the store, and few may wait at once.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from typing import TypeVar
 from fastapi.concurrency import run_in_threadpool
 
 from boresight.api.rounds import Rounds
-from boresight.errors import OverloadedError
-from boresight.services import failed_log_ins, passwords, users
+from boresight.errors import BoresightError, OverloadedError
+from boresight.services import failed_log_ins, passwords, sessions, users
 from boresight.services.actors import Actor
 from boresight.services.failed_log_ins import Attempt, Failures
-from boresight.services.login_limiter import LoginLimiter, place_of_address
+from boresight.services.login_limiter import LoginLimiter, Tried, place_of_address
 from boresight.services.passwords import NO_PROOF, NewPassword, PasswordProof, StoredPassword
 from boresight.services.sessions import Client
 from boresight.services.words import comparison_key
@@ -89,7 +89,8 @@ class Passwords:
     def __init__(self, database: Engine, free: int) -> None:
         self._database = database
         self._limiter = LoginLimiter(free)
-        self._known, self._anybody = _Lane("passwords", yields=False), _Lane("log-ins", yields=True)
+        self._known, self._returning = _Lane("passwords", yields=False), _Lane("returns", yields=False)
+        self._anybody = _Lane("log-ins", yields=True)
         self._held = 0
         self._guard = threading.Lock()
         self._failed: dict[Attempt, Failures] = {}
@@ -107,27 +108,52 @@ class Passwords:
         self._rounds.close()
         self._rounds.take(partial(self.record_failures, whole=True))
         self._known.close()
+        self._returning.close()
         self._anybody.close()
 
     async def check_log_in(self, name: str, password: str, client: Client) -> PasswordProof:
         """Check name and password of somebody who is not known yet."""
-        attempt = Attempt.of(name, client.address)
-        stored = partial(passwords.stored_under, name=name)
-        return await self._check(attempt, place_of_address(client.address), self._anybody, stored, password)
+        place = place_of_address(client.address)
+        stored, known = await self._read(partial(_stored_at, name=name, place=place))
+        tried = Tried(comparison_key(name), place, known)
+        lane = self._returning if known else self._anybody
+        return await self._check(Attempt.of(name, client.address), tried, lane, stored, password)
 
     async def check_own(self, actor: Actor, password: str, client: Client) -> PasswordProof:
         """Check the password of who acts; only what failed under the same log-in makes it wait."""
         if actor.is_key:
             return NO_PROOF  # whatever it says: a key never signs
         attempt = Attempt.of(actor.name, client.address, actor.session_id)
-        stored = partial(passwords.stored_of, user_id=actor.user_id)
-        return await self._check(attempt, _place(actor), self._known, stored, password)
+        stored = await self._read(partial(passwords.stored_of, user_id=actor.user_id))
+        tried = Tried(comparison_key(actor.name), f"session {actor.session_id}", known=True)
+        return await self._check(attempt, tried, self._known, stored, password)
 
-    async def check_beside(self, actor: Actor, name: str, password: str, client: Client) -> PasswordProof:
-        """Check name and password of a second person at the console of who acts."""
+    async def check_beside(
+        self, actor: Actor, name: str, password: str, client: Client, refuse: Callable[[Session], None]
+    ) -> PasswordProof:
+        """Check name and password of a second person at the console of who acts.
+
+        Parameters
+        ----------
+        refuse
+            Raises what the service refuses whatever the password; then none is tried.
+        """
+        place = place_of_address(client.address)
+
+        def read(session: Session) -> tuple[StoredPassword, bool] | None:
+            try:
+                refuse(session)
+            except BoresightError:
+                return None  # the service says it again, in its transaction
+            return _stored_at(session, name, place)
+
+        found = await self._read(read)
+        if found is None:
+            return NO_PROOF
+        stored, known = found
+        tried = Tried(comparison_key(name), place, known, console=f"person {actor.user_id}")
         attempt = Attempt.of(name, client.address, actor.session_id)
-        stored = partial(passwords.stored_under, name=name)
-        return await self._check(attempt, _place(actor), self._known, stored, password)
+        return await self._check(attempt, tried, self._known, stored, password)
 
     async def prepare(self, password: str, *names: str) -> NewPassword:
         """Hash a password that is to be stored."""
@@ -158,18 +184,17 @@ class Passwords:
         return await run_in_threadpool(in_transaction)
 
     async def _check(
-        self, attempt: Attempt, place: str, lane: _Lane, read: Callable[[Session], StoredPassword], password: str
+        self, attempt: Attempt, tried: Tried, lane: _Lane, stored: StoredPassword, password: str
     ) -> PasswordProof:
         """Check a password when the limiter lets it, and note how that went."""
-        name = comparison_key(attempt.name)
-        wait_s = self._limiter.admit(name, place)
+        wait_s = self._limiter.admit(tried)
         failed = None
         try:
             await self._wait(wait_s)
-            proof = await lane.run(partial(passwords.check, await self._read(read), password))
+            proof = await lane.run(partial(passwords.check, stored, password))
             failed = not proof.fits
         finally:
-            self._limiter.ended(name, place, failed=failed)
+            self._limiter.ended(tried, failed=failed)
         if failed:
             self._note(attempt)
         return proof
@@ -216,5 +241,7 @@ class Passwords:
                 failed_log_ins.record(session, failed)
 
 
-def _place(actor: Actor) -> str:
-    return f"session {actor.session_id}" if actor.session_id is not None else actor.credential
+def _stored_at(session: Session, name: str, place: str) -> tuple[StoredPassword, bool]:
+    """Read what is stored under a log-in name, and whether the person logged in from a place before."""
+    stored = passwords.stored_under(session, name)
+    return stored, sessions.logged_in_from(session, stored.user_id, place)

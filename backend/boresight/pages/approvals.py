@@ -175,18 +175,20 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     """Sign as the form says, and show the request, or why it was refused."""
     form = await read_texts(request)
     typed = Words(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
+    words = (typed.decision, typed.meaning.strip() or MEANINGS.get(typed.decision, ""), typed.comment)
     policy = request.app.state.policy
-
     checks: Passwords = request.app.state.passwords
+
+    def refuse(session: Session) -> None:
+        approvals.refuse_beside(session, actor, approval_id, *words, seen_version(form))
 
     async def prove() -> tuple[PasswordProof]:
         password, client = form.get("password", ""), client_of(request)
         if kind == "sign":
             return (await checks.check_own(actor, password, client),)
-        return (await checks.check_beside(actor, typed.name, password, client),)
+        return (await checks.check_beside(actor, typed.name, password, client, refuse),)
 
     def change(session: Session, proof: PasswordProof) -> tuple[Signature, str]:
-        words = (typed.decision, typed.meaning.strip() or MEANINGS.get(typed.decision, ""), typed.comment)
         sign = approvals.sign if kind == "sign" else approvals.sign_over_the_shoulder
         made = sign(session, actor, approval_id, *words, proof, seen_version(form), policy=policy)
         return made, approvals.get_approval(session, approval_id).state

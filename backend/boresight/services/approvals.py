@@ -44,6 +44,7 @@ __all__ = [
     "newest_open",
     "openings_of",
     "record_opening",
+    "refuse_beside",
     "remark",
     "remarks_of",
     "shown_sha256",
@@ -184,14 +185,32 @@ def sign_over_the_shoulder(  # noqa: PLR0913 - a signature has that many parts, 
     StaleError
         When the version, or what the request is bound to, has moved; then it is STALE from now on.
     """
+    refuse_beside(session, console, approval_id, decision, meaning, comment, seen_version)
     owner_id = require_person(console, "lend a console")
     approval = get_approval(session, approval_id)
-    _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
     actor = users.authenticate(session, proof, console.request_id)
     if actor.user_id == owner_id:
         raise ForbiddenError("This is your own console; sign without a name, or have another approver give theirs.")
     refuse_signer(session, actor, approval, policy)
     return _sign(session, actor, approval, decision, meaning.strip(), comment.strip(), policy, console.printed_name)
+
+
+def refuse_beside(
+    session: Session,
+    console: Actor,
+    approval_id: int,
+    decision: str,
+    meaning: str,
+    comment: str,
+    seen_version: int | None,
+) -> None:
+    """Refuse a signature over the shoulder that nobody's password can make; raises as `sign_over_the_shoulder`.
+
+    All of it can be read by whoever is logged in; about the person who is named nothing is told without the password.
+    """
+    require_person(console, "lend a console")
+    approval = get_approval(session, approval_id)
+    _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
 
 
 def _refuse_undecidable(

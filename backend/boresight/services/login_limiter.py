@@ -1,14 +1,20 @@
-"""How fast passwords may be tried: after some failures each further attempt waits, longer each time, and nobody is locked out.
+"""How fast passwords may be tried: after some failures each further attempt waits, longer each time.
 
-Failures are counted by the name and the place they come from together, so that nobody else's failures keep a person waiting; a
-place is an address, or the session of somebody who is logged in already. One place that tries many names is slowed down too. With
-f failures and n of them free, an attempt begins no earlier than::
+With f failures counted under a key and n of them free, an attempt begins no earlier than::
 
     d(f) = 0 for f < n,  min(2^(f - n), longest) [s] for f >= n
 
 after the one before; attempts that come at once are counted as if they had failed. A short wait is waited out, of a longer one
-the person is told. So one place has about 100 tries an hour at a name (OWASP ASVS 4.0, 2.2.1). Counts are each server's own and
-are forgotten `FORGET_S` after the last failure.
+the person is told. An attempt is counted under each of these keys:
+
+- its name at its place (an address, or the session of somebody who signs with their own password);
+- its name at the console of one person, where it is typed at somebody else's console;
+- unless the place is one that the name logged in from before: its name at all such places together, and its place (or the person
+  at the console), whatever the names.
+
+So strangers share some 50 tries an hour at an account, wherever they come from, and a place that the person logged in from has
+some 50 of its own: together under 100 (OWASP ASVS 4.0, 2.2.1). What strangers do keeps nobody waiting where they logged in
+before. Counts are each server's own and are forgotten `FORGET_S` after the last failure.
 """
 
 from __future__ import annotations
@@ -22,10 +28,11 @@ from dataclasses import dataclass
 
 from boresight.errors import TooManyAttemptsError
 
-LONGEST_OF_NAME_S, LONGEST_OF_PLACE_S = 45.0, 10.0
+LONGEST_OF_NAME_S, LONGEST_OF_ACCOUNT_S, LONGEST_OF_PLACE_S = 100.0, 120.0, 10.0
+PLACES_A_NAME = 3  # times as many failures are free to strangers together at a name as to one of them
 NAMES_A_PLACE = 6  # times as many failures are free to a place as to a name at it
 HELD_S = 4.0  # a wait up to so long is waited out
-FORGET_S = 900.0
+FORGET_S = 3600.0
 MOST_COUNTS = 20_000
 
 
@@ -41,9 +48,27 @@ def place_of_address(address: str) -> str:
     return str(mapped) if mapped else str(ipaddress.ip_network((parsed, 64), strict=False))
 
 
+@dataclass(frozen=True)
+class Tried:
+    """What is tried: a name from a place.
+
+    Parameters
+    ----------
+    known
+        The name logged in from this place before, or the place is the session of who signs.
+    console
+        The person at whose console the name is typed; None at one's own.
+    """
+
+    name: str
+    place: str
+    known: bool = False
+    console: str | None = None
+
+
 @dataclass
 class _Count:
-    """The failures of one name at one place, or of one place."""
+    """The failures under one key."""
 
     free: float
     longest_s: float
@@ -74,7 +99,7 @@ class LoginLimiter:
         self._now_s = now_s
         self._counts: OrderedDict[Hashable, _Count] = OrderedDict()
 
-    def admit(self, name: str, place: str) -> float:
+    def admit(self, tried: Tried) -> float:
         """Let an attempt in; returns after how many seconds it may begin. `ended` must be told how it went.
 
         Raises
@@ -83,41 +108,51 @@ class LoginLimiter:
             When that is more than `HELD_S`; the attempt is not counted.
         """
         now_s = self._now_s()
-        counts = self._of(name, place, now_s)
-        begins_s = max(count.begins_s(now_s) for count in counts)
+        limits = self._limits(tried)
+        begins_s = max(self._begins_s(key, now_s) for key in limits)
         if begins_s - now_s > HELD_S:
             wait_s = math.ceil(begins_s - now_s)
-            raise TooManyAttemptsError(
-                f"Too many wrong passwords came from here; wait {wait_s} s and try again.", wait_s
-            )
-        for count in counts:
-            count.began_s, count.touched_s = begins_s, begins_s
+            raise TooManyAttemptsError(f"Too many wrong passwords were tried; wait {wait_s} s and try again.", wait_s)
+        for key, (free, longest_s) in limits.items():
+            count = self._counts.setdefault(key, _Count(free, longest_s))
+            self._counts.move_to_end(key)
+            count.began_s = count.touched_s = begins_s
             count.pending += 1
-        return begins_s - now_s
-
-    def ended(self, name: str, place: str, *, failed: bool | None) -> None:
-        """Note how an attempt went; None where it was not made. A right password makes up for the wrong ones of its name."""
-        of_name, of_place = counts = self._of(name, place, self._now_s())
-        for count in counts:
-            count.pending = max(count.pending - 1, 0)
-            count.failures += failed is True
-        if failed is False:
-            of_name.failures = 0
-            of_place.began_s = -math.inf
-
-    def _of(self, name: str, place: str, now_s: float) -> tuple[_Count, _Count]:
-        """Return the counts of a name at a place and of the place, forgetting what is long ago."""
-        found = (
-            self._count((name, place), self._free, LONGEST_OF_NAME_S, now_s),
-            self._count(place, self._free * NAMES_A_PLACE, LONGEST_OF_PLACE_S, now_s),
-        )
         while len(self._counts) > MOST_COUNTS:
             self._counts.popitem(last=False)
-        return found
+        return begins_s - now_s
 
-    def _count(self, key: Hashable, free: float, longest_s: float, now_s: float) -> _Count:
+    def ended(self, tried: Tried, *, failed: bool | None) -> None:
+        """Note how an attempt went; None where it was not made. A right password makes up for the wrong ones of its name there.
+
+        What counts no failure is not kept: only passwords that were really checked can push out older counts.
+        """
+        for key in self._limits(tried):
+            count = self._counts.get(key)
+            if count is None:
+                continue
+            count.pending = max(count.pending - 1, 0)
+            count.failures += failed is True
+            if failed is False and key == (tried.name, tried.place):
+                count.failures = 0
+            if not count.pending and not count.failures:
+                del self._counts[key]
+
+    def _limits(self, tried: Tried) -> dict[Hashable, tuple[float, float]]:
+        """Return under which keys an attempt is counted, each with what is free there and the longest wait."""
+        of_name = (self._free, LONGEST_OF_NAME_S)
+        limits: dict[Hashable, tuple[float, float]] = {(tried.name, tried.place): of_name}
+        if tried.console is not None:
+            limits["console", tried.name, tried.console] = of_name
+        if not tried.known:
+            limits["name", tried.name, None] = (self._free * PLACES_A_NAME, LONGEST_OF_ACCOUNT_S)
+            limits["place", tried.console or tried.place, None] = (self._free * NAMES_A_PLACE, LONGEST_OF_PLACE_S)
+        return limits
+
+    def _begins_s(self, key: Hashable, now_s: float) -> float:
+        """Return when the next attempt under a key may begin, forgetting what is long ago."""
         count = self._counts.get(key)
-        if count is None or (not count.pending and now_s - count.touched_s > FORGET_S):
-            count = self._counts[key] = _Count(free, longest_s, touched_s=now_s)
-        self._counts.move_to_end(key)
-        return count
+        if count is not None and not count.pending and now_s - count.touched_s > FORGET_S:
+            del self._counts[key]
+            count = None
+        return now_s if count is None else count.begins_s(now_s)

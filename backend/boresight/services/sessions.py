@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from boresight.errors import ForbiddenError, NotFoundError, SessionEndedError, UnauthenticatedError
 from boresight.services import audit
 from boresight.services.actors import Actor, refuse_key, require_person
+from boresight.services.login_limiter import place_of_address
 from boresight.services.session_limits import SessionLimits
 from boresight.store import login_sessions as rows
 from boresight.store.sessions import Session, utc_after, utc_now
@@ -59,6 +60,11 @@ def begin(session: Session, user_id: int, client: Client) -> tuple[LoginSession,
 
 def _hash(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
+
+
+def logged_in_from(session: Session, user_id: int | None, place: str) -> bool:
+    """Whether a person logged in from a place, as `place_of_address` names it, as far back as log-ins are kept."""
+    return user_id is not None and any(place_of_address(one) == place for one in rows.addresses(session, user_id))
 
 
 def find(session: Session, token: str) -> LoginSession:

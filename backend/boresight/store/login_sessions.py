@@ -29,6 +29,11 @@ def login_sessions(
     return session.scalars(query).all()
 
 
+def addresses(session: Session, user_id: int) -> Sequence[str]:
+    """Return the addresses that a person's log-ins were made from, as far back as log-ins are kept."""
+    return session.scalars(sa.select(LoginSession.address).where(LoginSession.user_id == user_id).distinct()).all()
+
+
 def end_open(session: Session, user_id: int, ended_utc: str, because: str, *, spare_id: int | None = None) -> int:
     """End the open log-ins of a person, but for one; returns how many there were."""
     change = sa.update(LoginSession).where(LoginSession.user_id == user_id, LoginSession.ended_utc.is_(None))

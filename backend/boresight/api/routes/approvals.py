@@ -62,11 +62,18 @@ async def proven_own(signing: Signing, actor: Who, request: Request) -> tuple[Si
 Proven = Annotated[tuple[Signing, PasswordProof], Depends(proven_own)]
 
 
-async def proven_beside(signing: SigningByName, actor: Who, request: Request) -> tuple[SigningByName, PasswordProof]:
-    """Check name and password of a second person before any transaction begins."""
+async def proven_beside(
+    approval_id: Id, signing: SigningByName, actor: Who, seen: SeenVersion, request: Request
+) -> tuple[SigningByName, PasswordProof]:
+    """Check name and password of a second person before any transaction begins, where a password can help."""
     checks: Passwords = request.app.state.passwords
     password = signing.password.get_secret_value()
-    return signing, await checks.check_beside(actor, signing.name, password, client_of(request))
+    words = (signing.decision, signing.meaning, signing.comment)
+
+    def refuse(session: Session) -> None:
+        approvals.refuse_beside(session, actor, approval_id, *words, seen)
+
+    return signing, await checks.check_beside(actor, signing.name, password, client_of(request), refuse)
 
 
 @router.get("", name="list_approvals", summary="List requests", response_model=Page[schemas.Approval])
