@@ -143,6 +143,17 @@ def test_a_right_password_makes_up_for_the_wrong_ones_of_its_name(limiter: Login
     assert [_fail(limiter, clock, Tried("ana", "1.2.3.4")) for _ in range(5)] == [0] * 5
 
 
+def test_a_right_password_over_the_shoulder_makes_up_for_the_wrong_ones_there(
+    limiter: LoginLimiter, clock: Clock
+) -> None:
+    beside = Tried("cy", "1.2.3.4", known=True, console="person 5")
+    for _ in range(6):
+        _fail(limiter, clock, beside)
+    clock.now_s += limiter.admit(beside)
+    limiter.ended(beside, failed=False)
+    assert [_fail(limiter, clock, beside) for _ in range(5)] == [0] * 5
+
+
 def test_after_a_while_failures_are_forgotten(limiter: LoginLimiter, clock: Clock) -> None:
     for _ in range(12):
         _fail(limiter, clock, Tried("ana", "1.2.3.4"))

@@ -133,7 +133,7 @@ class LoginLimiter:
                 continue
             count.pending = max(count.pending - 1, 0)
             count.failures += failed is True
-            if failed is False and key == (tried.name, tried.place):
+            if failed is False and key in {(tried.name, tried.place), ("console", tried.name, tried.console)}:
                 count.failures = 0
             if not count.pending and not count.failures:
                 del self._counts[key]
