@@ -10,8 +10,10 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from boresight.api.upkeep import KeptHeads, Upkeep
+from boresight.cli import main
 from boresight.errors import RefusedInputError
 from boresight.services import alarms, audit
 from boresight.services.actors import COMMAND_LINE
@@ -67,14 +69,14 @@ def test_the_head_is_written_when_it_moved_and_on_its_schedule(store: Engine, tm
     _count(store, 1)
     _round(upkeep)
     lines = [json.loads(line) for line in file.read_text().splitlines()]
-    assert [line["id"] for line in lines] == [3, 4]
+    assert [line["id"] for line in lines] == [3, 4, 5]  # the fourth says that heads are kept there
     with reading(store) as session:
         assert lines[-1]["hash"] == audit.head(session)
     rarely = _upkeep(store, tmp_path / "other", every_s=300.0)
     _round(rarely)
     _count(store, 1)
     _round(rarely)
-    assert len((tmp_path / "other").read_text().splitlines()) == 1
+    assert len((tmp_path / "other").read_text().splitlines()) == 2
 
 
 @pytest.mark.sqlite("it is its write-ahead log that is damaged")
@@ -100,11 +102,11 @@ def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_
         with reading(engine) as session:
             alone, found = audit.verify(session), audit.verify(session, kept=read_head(file))
         assert (alone.ok, alone.records) == (True, 3)  # ten are gone, and the chain holds
-        assert (found.ok, "record 13" in found.sentence) == (False, True)
+        assert (found.ok, "record 14" in found.sentence) == (False, True)  # the one that says that heads are kept
         upkeep = _upkeep(engine, file)
         _count(engine, 1)
         _round(upkeep)
-        assert read_head(file).id == 13  # not written over
+        assert read_head(file).id == 14  # not written over
         assert "CHAIN" in _kinds(engine)
     finally:
         engine.dispose()
@@ -119,6 +121,53 @@ def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(st
     upkeep.watch()
     assert read_head(file) == lost
     assert _kinds(store) == ["CHAIN"]
+
+
+def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store: Engine, tmp_path: Path) -> None:
+    file = tmp_path / "share" / "heads"
+    file.parent.mkdir()
+    with reading(store) as session:
+        before = audit.verify(session, kept=read_head(file), head_file=file)
+    assert (before.ok, str(file) in before.sentence) == (True, True)  # a note
+    upkeep = _upkeep(store, file)
+    _round(upkeep)
+    file.parent.rename(tmp_path / "unmounted")
+    upkeep.keep_head()  # before the next walk
+    upkeep.watch()
+    assert (upkeep.light().state, _kinds(store)) == ("broken", ["CHAIN"])
+    file.parent.mkdir()
+    _round(_upkeep(store, file))  # another server, and an empty folder in its place
+    assert not file.exists()
+    with reading(store) as session:
+        assert not audit.verify(session, kept=read_head(file), head_file=file).ok
+    file.parent.rmdir()
+    (tmp_path / "unmounted").rename(file.parent)
+    upkeep = _upkeep(store, file)
+    _round(upkeep)
+    assert (upkeep.light().state, _kinds(store)) == ("verified", [])
+
+
+def test_the_command_fails_where_the_kept_head_is_gone(
+    store: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "share" / "head.txt"
+    monkeypatch.setenv("BORESIGHT_DATABASE_URL", store.url.render_as_string(hide_password=False))
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(tmp_path / "data"))
+    monkeypatch.setenv("BORESIGHT_AUDIT_HEAD_FILE", str(file))
+
+    def verified() -> int:
+        return CliRunner().invoke(main, ["audit", "verify"]).exit_code
+
+    assert verified() == 0  # none was kept yet
+    file.parent.mkdir()
+    _round(_upkeep(store, file))
+    assert verified() == 0
+    file.rename(tmp_path / "elsewhere")
+    assert verified() == 1
+    file.touch()
+    assert verified() == 1  # emptied
+    (tmp_path / "elsewhere").replace(file)
+    assert verified() == 0
 
 
 def test_a_head_that_cannot_be_written_is_an_alarm_that_returns(store: Engine, tmp_path: Path) -> None:

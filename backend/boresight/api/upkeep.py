@@ -183,7 +183,8 @@ class Upkeep:
         """Walk the chain and every row that it seals."""
         began_s = time.monotonic()
         with reading(self._database) as session:
-            report = audit.verify(session, kept=self._read_head())
+            kept, file = self._read_head()
+            report = audit.verify(session, kept=kept, head_file=file)
         self._looked_s = time.monotonic()
         self._pause_s = max(ROUND_S, REST * (self._looked_s - began_s))
         state = "verified" if report.ok else "broken"
@@ -191,13 +192,17 @@ class Upkeep:
             log.critical("The audit log does not hold: %s", report.sentence)
         self._found = Light(state, report.last_id, utc_now(), report.sentence)
 
-    def _read_head(self) -> KeptHead | None:
-        """Return the head that is kept elsewhere; what cannot be read is told by an alarm, and is no finding about the chain."""
+    def _read_head(self) -> tuple[KeptHead | None, Path | None]:
+        """Return the head that is kept elsewhere, and where it was looked for.
+
+        What cannot be read is told by an alarm, and is no finding about the chain.
+        """
+        file = self._kept.file
         try:
-            return None if self._kept.file is None else read_head(self._kept.file)
+            return (None if file is None else read_head(file)), file
         except BoresightError as error:
             self._head_fault = str(error)
-            return None
+            return None, None
 
     def keep_head(self) -> None:
         """Write the head elsewhere when it is due and has moved, and tell webhooks; never over a head that the chain has lost."""
@@ -205,14 +210,19 @@ class Upkeep:
             return
         with reading(self._database) as session:
             head = audit.newest_head(session)
-            if (before := self._read_head()) is not None and not audit.holds(session, before):
-                self.verify()  # records were lost since the last walk
+            before, file = self._read_head()
+            is_on_record = file is not None and audit.head_was_kept(session, file)
+            if (is_on_record and before is None) or (before is not None and not audit.holds(session, before)):
+                self.verify()  # records, or the file, were lost since the last walk
                 return
             told = webhooks.is_head_told(session, head)
         if self._kept.file is not None and head is not None:
             try:
                 if before != head:
                     write_head(self._kept.file, head)
+                if file is not None and not is_on_record:
+                    head = self._put_on_record(file) or head
+                    write_head(file, head)
                 self._head_fault = ""
             except BoresightError as error:
                 self._head_fault = str(error)
@@ -221,6 +231,13 @@ class Upkeep:
             with writing(self._database) as session:
                 webhooks.tell_head(session, head)
         self._head_kept_s = time.monotonic()
+
+    def _put_on_record(self, file: Path) -> KeptHead | None:
+        """Put on record that heads are kept in a file, once one is there, and return the head that this makes."""
+        with writing(self._database) as session:
+            audit.tell_head_kept(session, file)
+        with reading(self._database) as session:
+            return audit.newest_head(session)
 
     def suspect(self, sha256: str) -> None:
         """Look at a stored file now, which somebody found corrupt."""

@@ -28,7 +28,7 @@ def audit() -> None:
 def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
     """Walk the whole chain, every row that it seals and every stored file; exit code 1 when one is not as it was written.
 
-    The head that the server keeps in BORESIGHT_AUDIT_HEAD_FILE must be in the chain too.
+    The head that the server keeps in BORESIGHT_AUDIT_HEAD_FILE must be there, and in the chain.
     """
     from boresight.services import audit as chain
     from boresight.services.kept_heads import read_head
@@ -40,8 +40,10 @@ def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
     try:
         _require_schema(engine)  # and change nothing: a migration may stumble over what is to be named here
         with reading(engine) as session:
-            kept = None if settings.kept_head_file is None else read_head(settings.kept_head_file)
-            found = chain.verify(session, head, None if no_blobs else open_blobs(settings.blob_place), kept=kept)
+            file = settings.kept_head_file
+            kept = None if file is None else read_head(file)
+            blobs = None if no_blobs else open_blobs(settings.blob_place)
+            found = chain.verify(session, head, blobs, kept=kept, head_file=file)
     finally:
         engine.dispose()
     if not found.ok:

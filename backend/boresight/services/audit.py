@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from boresight.errors import NotFoundError
@@ -27,6 +28,7 @@ from boresight.store.verification import Findings, Misfit
 
 FIRST_HASH = chain.FIRST_HASH
 BAD_FILES_NAMED = 20
+HEAD_KEPT, HEAD_FILE = "head kept", "audit-head"  # the record that a file was given heads, and what it is about
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,17 @@ def holds(session: Session, kept: KeptHead) -> bool:
     return record is not None and record.hash == kept.hash
 
 
+def head_was_kept(session: Session, file: Path) -> bool:
+    """Whether the log says that heads were kept in a file: it must be there from then on."""
+    told = rows.records(session, before_id=None, sought=Sought(object=HEAD_FILE, action=HEAD_KEPT), limit=None)
+    return any((record.after or {}).get("file") == str(file.absolute()) for record in told)
+
+
+def tell_head_kept(session: Session, file: Path) -> None:
+    """Put on record that heads are kept in a file, so that the chain misses it when it is gone."""
+    chain.append_own(session, HEAD_KEPT, HEAD_FILE, after={"file": str(file.absolute())})
+
+
 def head(session: Session) -> str:
     """Return the head of the chain, to be carried by exports."""
     chain.write_out(session)
@@ -190,6 +203,7 @@ def verify(
     blobs: BlobStore | None = None,
     *,
     kept: KeptHead | None = None,
+    head_file: Path | None = None,
     again: bool = True,
 ) -> ChainReport:
     """Walk the whole chain, every sealed row, journal and stored file, and name the first that is not as it was written.
@@ -202,6 +216,8 @@ def verify(
         The stored files; None leaves them out.
     kept
         The head that is kept elsewhere; not finding it means that records were lost or rewritten.
+    head_file
+        Where it was looked for: that there is none, although the log says that heads were kept there, is a finding.
     again
         Read every file, also those that this process has seen to be intact.
     """
@@ -209,13 +225,16 @@ def verify(
     looked_at = [] if blobs is None else list(files.bad_files(session, blobs, again=again))
     bad = [str(one) for one in looked_at if one is not None]
     misfit = found.misfit or next(iter(found.guards), None) if found.broken_id is None else None
+    absent = head_file if kept is None else None
+    is_lost = absent is not None and head_was_kept(session, absent)
     broken_id = found.broken_id if misfit is None else misfit.record_id
     return ChainReport(
-        ok=found.ok and not bad,
+        ok=found.ok and not bad and not is_lost,
         records=found.records,
         head=found.head,
         first_broken_id=broken_id,
-        sentence=_sentence(found, kept, None if blobs is None else len(looked_at), bad),
+        sentence=_sentence(found, kept, None if blobs is None else len(looked_at), bad)
+        + ("" if absent is None else _absence(absent, is_lost=is_lost)),
         rows=found.rows,
         first_broken_row=None if misfit is None else misfit.row,
         last_id=found.last_id,
@@ -256,6 +275,16 @@ def _sentence(found: Findings, kept: KeptHead | None, looked_at: int | None, bad
         )
     stored = "" if looked_at is None else f", the {looked_at} stored files"
     return f"All {count} records{stored} and the {found.rows} rows that they sealed are as they were written."
+
+
+def _absence(file: Path, *, is_lost: bool) -> str:
+    """Say that there is no kept head where one was looked for."""
+    if not is_lost:
+        return f" No head was kept in {file} yet, so nothing tells whether newer records were lost."
+    return (
+        f" But {file} holds no head although heads were kept there, so records may have been lost unseen: mount its disk or bring "
+        "the file back; where it is gone for good, find out why and name another file by BORESIGHT_AUDIT_HEAD_FILE."
+    )
 
 
 def _where(misfit: Misfit) -> str:
