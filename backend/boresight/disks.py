@@ -53,6 +53,46 @@ def absent(place: object) -> str:
     return f"The folder of {place} is not there: mount its disk or make the folder, and try again."
 
 
+class Opened:
+    """A file or folder as it was opened: it may go away and come back, and nothing else is taken for it.
+
+    Parameters
+    ----------
+    place
+        Where it is; it exists now.
+    """
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+        self._identity = _identity(place)
+
+    def refuse_another(self) -> None:
+        """Refuse to go on while it is not there, or something else is: some microseconds, so every transaction asks.
+
+        Raises
+        ------
+        StorageError
+            When it is not what was opened.
+        """
+        try:
+            found = _identity(self.place)
+        except OSError as error:
+            raise StorageError(
+                f"{self.place} is not there any more: mount its disk, or move it back to where it was, and try again."
+            ) from error
+        if found != self._identity:
+            raise StorageError(
+                f"{self.place} is not what this process opened: mount its disk or move it back to where it was and try again; "
+                "start Boresight anew if it was replaced on purpose."
+            )
+
+
+def _identity(place: Path) -> tuple[int, int]:
+    """Return what tells a file from every other of this machine."""
+    found = place.stat()
+    return found.st_dev, found.st_ino
+
+
 def refuse_unwritable(file: Path) -> None:
     """Refuse a file that a write would fail on now.
 

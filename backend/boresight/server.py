@@ -15,7 +15,7 @@ import sys
 import threading
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from functools import cache
 
 import uvicorn
@@ -58,7 +58,7 @@ from boresight.api.upkeep import KeptHeads, Upkeep
 from boresight.api.watched import Watched
 from boresight.api.wellformed import WellFormed
 from boresight.disks import storage_error
-from boresight.errors import BoresightError
+from boresight.errors import BoresightError, StorageError
 from boresight.pages.fleet import FleetMemory
 from boresight.pages.problem import bare_problem_page, is_page, problem_page
 from boresight.services import runs
@@ -143,6 +143,9 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.policy = settings.policy
     state.engine = open_engine(settings.database_url)
     state.blobs = open_blobs(settings.blob_place)
+    if settings.blob_place.is_folder:
+        with suppress(StorageError):  # `readyz` says so, and the first use tries again
+            state.blobs.open()
     state.blobs_watched = Watched(state.blobs.refuse_unusable)
     state.drawn = Drawn()
     state.log_in_cookie = LogInCookie(settings)

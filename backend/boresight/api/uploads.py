@@ -24,6 +24,7 @@ from boresight.api.answers import IdempotencyKey, Once, digest
 from boresight.api.credentials import who_acts
 from boresight.api.dependencies import OnlyAsked
 from boresight.api.numbers import row_number
+from boresight.disks import storage_error
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
 
@@ -159,7 +160,10 @@ async def uploaded(
 ) -> AsyncIterator[Upload]:
     """Stream the request's file to the disk and remove it before the answer is sent."""
     folder = request.app.state.settings.data_folder / "uploads"
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(exist_ok=True)  # in the data folder, which is made when the server starts and never again
+    except OSError as error:
+        raise storage_error(error, folder) or error from error
     with tempfile.TemporaryDirectory(dir=folder) as place:
         upload = Upload(Path(place))
         await _receive(request, upload)

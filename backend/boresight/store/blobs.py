@@ -23,7 +23,7 @@ import orjson
 import sqlalchemy as sa
 
 from boresight import integrity
-from boresight.disks import refuse_unwritable
+from boresight.disks import Opened, refuse_unwritable
 from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError, StorageError, UnavailableError
 from boresight.store.blob_places import BlobPlace
 from boresight.store.recent import Recent
@@ -43,6 +43,7 @@ class BlobStore:
         self.folder = folder
         self.tell_corrupt: Callable[[str], None] = lambda _sha256: None
         self._parsed: Recent[Any] = Recent(PARSED_BYTES)
+        self._opened: Opened | None = None
 
     def put(self, content: bytes | Path) -> str:
         """Store bytes, or a copy of a file, and return their address.
@@ -58,7 +59,7 @@ class BlobStore:
             When the folder cannot be written.
         """
         with _opened(content) as source, self._writing():
-            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._enter()
             digest = hashlib.sha256()
             handle, name = tempfile.mkstemp(prefix=".put-", dir=self.folder)
             try:
@@ -73,6 +74,29 @@ class BlobStore:
                 Path(name).unlink(missing_ok=True)
         return digest.hexdigest()
 
+    def open(self, *, make: bool = True) -> None:
+        """Take the folder for the one to use from now on, made where there is none; it is never made again.
+
+        A folder that comes back is used again; another in its place, such as the empty one under a disk that is not
+        mounted, is refused.
+
+        Raises
+        ------
+        StorageError
+            When it cannot be made or is not there.
+        """
+        with self._writing():
+            if make:
+                self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._opened = Opened(self.folder)
+
+    def _enter(self) -> None:
+        """Refuse a folder other than the one that was opened; the first use opens it."""
+        if self._opened is None:
+            self.open()
+        else:
+            self._opened.refuse_another()
+
     @contextmanager
     def _writing(self) -> Iterator[None]:
         """Say in one sentence that the folder cannot be written."""
@@ -85,7 +109,7 @@ class BlobStore:
             ) from error
 
     def refuse_unusable(self) -> None:
-        """Make the folder where there is none, and write a file that is gone at once.
+        """Refuse a folder that is not there any more, and write a file that is gone at once.
 
         Raises
         ------
@@ -93,7 +117,7 @@ class BlobStore:
             When that cannot be done.
         """
         with self._writing():
-            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._enter()
             with tempfile.TemporaryFile(dir=self.folder) as file:
                 file.write(b"Boresight")
                 file.flush()
@@ -139,6 +163,8 @@ class BlobStore:
         """Return the file of an address, whatever is in it."""
         place = self._place(sha256)
         if not place.is_file():
+            if self._opened is not None:
+                self._opened.refuse_another()
             raise NotFoundError(
                 f"The stored file {sha256[:12]} is missing from {self.folder}; restore it from a backup."
             )
@@ -201,8 +227,13 @@ class BlobStore:
         return self._parsed.get((sha256, written.st_mtime_ns, written.st_size), parse)
 
 
-def open_blobs(place: BlobPlace) -> BlobStore:
+def open_blobs(place: BlobPlace, *, make: bool = True) -> BlobStore:
     """Open the files at a place; those of an object store are opened once a process.
+
+    Parameters
+    ----------
+    make
+        Whether the first use may make a folder that is not there; else it is refused now.
 
     Raises
     ------
@@ -210,7 +241,10 @@ def open_blobs(place: BlobPlace) -> BlobStore:
         When it is an object store, and the library that speaks to it is not installed.
     """
     if place.is_folder:
-        return BlobStore(Path(place.address))
+        blobs = BlobStore(Path(place.address))
+        if not make:
+            blobs.open(make=False)
+        return blobs
     try:
         from boresight.store.object_blobs import open_object_blobs  # noqa: PLC0415 - an optional part
     except ImportError as error:

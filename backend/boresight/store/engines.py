@@ -16,7 +16,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import Engine
 
-from boresight.disks import absent, failing, full, read_only, refuse_unwritable, storage_error
+from boresight.disks import Opened, absent, failing, full, read_only, refuse_unwritable, storage_error
 from boresight.errors import NotFoundError, RefusedInputError, StorageError, UnavailableError
 
 PRAGMAS = (
@@ -26,6 +26,8 @@ PRAGMAS = (
     "PRAGMA busy_timeout=10000",
     "PRAGMA journal_size_limit=67108864",
 )
+MEMORY = ":memory:"
+OPENED = "opened"  # in what is known of a connection to a file
 WRITER_LOCK = 0x626F7265  # "bore": the advisory lock that makes one writer at a time on PostgreSQL
 WAIT_S = 30  # for the writer before; a migration waits longer
 IDLE_S = 600  # in a transaction that holds the lock, after which its server is taken for dead
@@ -78,21 +80,43 @@ def open_engine(url: str) -> Engine:
 
 def _open_sqlite(address: sa.URL) -> Engine:
     """Open a SQLite file, making its folder, with the pragmas on every connection."""
-    path = Path(str(address.database)).expanduser()
+    if address.database == MEMORY:
+        return _listening(sa.create_engine(address, hide_parameters=True), Path(MEMORY))
+    path = Path(str(address.database)).expanduser().absolute()
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not path.exists():
             path.touch(mode=0o600)
+        opened = Opened(path)
     except OSError as error:
         raise storage_error(error, path) or error from error
     with suppress(OSError):  # of a file that another account owns and shares
         path.chmod(0o600)  # it holds password hashes; SQLite gives its journals the same mode
     engine = sa.create_engine(address, hide_parameters=True)  # an error shows no values: some are secrets
+    sa.event.listen(engine, "do_connect", partial(_connect_to, opened))
+    sa.event.listen(engine, "connect", partial(_remember, opened))
+    sa.event.listen(engine, "begin", lambda _connection: opened.refuse_another())
+    return _listening(engine, path)
+
+
+def _listening(engine: Engine, path: Path) -> Engine:
+    """Have an engine of SQLite set its pragmas, begin as asked, and say in words what it lacks."""
     sa.event.listen(engine, "connect", _on_sqlite_connect)
     sa.event.listen(engine, "begin", _on_sqlite_begin)
     sa.event.listen(engine, "handle_error", partial(_say_what_sqlite_lacks, path))
     sa.event.listen(engine, "handle_error", _say_what_cannot_be_held)
     return engine
+
+
+def _connect_to(opened: Opened, dialect: Any, record: Any, _arguments: Any, options: dict[str, Any]) -> Any:  # noqa: ARG001 - SQLAlchemy gives all
+    """Connect to the file that was opened, and never make one."""
+    opened.refuse_another()
+    return dialect.connect(f"{opened.place.as_uri()}?mode=rw", **options, uri=True)
+
+
+def _remember(opened: Opened, connection: Any, record: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives both
+    """Keep with a connection what it is to, for who uses it outside transactions."""
+    record.info[OPENED] = opened
 
 
 def _on_sqlite_connect(connection: Any, record: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives both

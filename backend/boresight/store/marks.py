@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any, Generic, TypeVar
 
+from boresight.disks import Opened
+from boresight.store.engines import OPENED
 from boresight.store.sessions import Engine
 
 T = TypeVar("T")
@@ -36,6 +38,7 @@ class Marks:
         self._question = QUESTIONS[engine.dialect.name]
         self._lock = threading.Lock()
         self._connection: Any = None
+        self._file: Opened | None = None
         self._opened = 0
 
     @property
@@ -49,6 +52,7 @@ class Marks:
             try:
                 if self._connection is None:
                     self._connection = self._connect()
+                self._refuse_another_file()
                 seen = self._connection.dbapi_connection.execute(self._question).fetchone()[0]
             except Exception:  # noqa: BLE001 - the drivers' own errors differ, and each means that nothing is known
                 self._let_go()
@@ -63,6 +67,7 @@ class Marks:
             try:
                 if self._connection is None:
                     self._connection = self._connect()
+                self._refuse_another_file()
                 found: tuple[Any, ...] | None = self._connection.dbapi_connection.execute(question, given).fetchone()
             except Exception:  # noqa: BLE001 - as above
                 self._let_go()
@@ -73,6 +78,7 @@ class Marks:
         """Open a connection outside the pool and outside transactions, which waits for nobody."""
         self._opened += 1
         pooled = self._engine.raw_connection()
+        self._file = pooled.info.get(OPENED)
         pooled.detach()  # ours from now on, and open for as long as it is held
         connection: Any = pooled.dbapi_connection
         if self.at_once:
@@ -81,6 +87,11 @@ class Marks:
             connection.rollback()
             connection.autocommit = True
         return pooled
+
+    def _refuse_another_file(self) -> None:
+        """Refuse to look into a file that was moved away."""
+        if self._file is not None:
+            self._file.refuse_another()
 
     def _let_go(self) -> None:
         """Close what is left of a connection; the next look opens another, whose marks are others too."""

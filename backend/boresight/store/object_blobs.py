@@ -50,6 +50,10 @@ class ObjectBlobStore(BlobStore):
         self._looking = looking or store  # the same, without patience
         self._added_bytes = self.limit_bytes  # measured once at first
 
+    def _enter(self) -> None:
+        """Make the folder of what was fetched, which may be emptied or removed at any time."""
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+
     def send_ahead(self, *files: Path) -> None:
         """Put files that will be put again, which then sends nothing."""
         for file in files:
@@ -154,7 +158,7 @@ class ObjectBlobStore(BlobStore):
 
     def _fetch(self, sha256: str) -> None:
         """Bring an object here, complete and right or not at all."""
-        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._enter()
         digest = hashlib.sha256()
         with tempfile.TemporaryDirectory(prefix=".get-", dir=self.folder) as folder:
             written = Path(folder) / sha256

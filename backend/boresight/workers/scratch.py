@@ -18,7 +18,7 @@ FORGOTTEN_S = 86_400.0
 @contextmanager
 def scratch_of(folder: Path, run_id: int, attempt: int) -> Iterator[Path]:
     """Make an attempt's folder below `folder`; it is gone at the end."""
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(exist_ok=True)  # the data folder may have been moved away: it is not made anew
     for left in folder.glob("run-*-*"):
         if left.name.startswith(f"run-{run_id}-") or _age_s(left) > FORGOTTEN_S:
             shutil.rmtree(left, ignore_errors=True)

@@ -141,7 +141,7 @@ def _kept(outcome: Outcome, sha256: Future[str] | None) -> Outcome:
 def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[Outcome, Future[str] | None]:
     """Calibrate, begin to put the result, and describe it."""
     begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
-    blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]))
+    blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]), make=False)
     document = _calibrated(blobs, inputs, calculation, link)
     content = _json(document)
     seconds, cpu_seconds = time.perf_counter() - begun_s, time.thread_time() - begun_cpu_s
