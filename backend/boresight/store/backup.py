@@ -93,15 +93,16 @@ class Manifest:
             raise RefusedInputError(NO_MANIFEST) from error
         if not isinstance(found, dict) or found.get("schema") != FORM:
             raise RefusedInputError(f"This file is no backup in the form {FORM}; use the version that wrote it.")
+        left_out, missing = (
+            tuple(one) if isinstance(one := found.get(name, []), list) else ("",) for name in ("left_out", "missing")
+        )
         manifest = cls(
-            found.get("taken_utc", ""),
-            found.get("database_sha256", ""),
-            found.get("blobs", -1),
-            found.get("blobs_at"),
-            *(
-                tuple(one) if isinstance(one := found.get(name, []), list) else ("",)
-                for name in ("left_out", "missing")
-            ),
+            taken_utc=found.get("taken_utc", ""),
+            database_sha256=found.get("database_sha256", ""),
+            blobs=found.get("blobs", -1),
+            blobs_at=found.get("blobs_at"),
+            left_out=left_out,
+            missing=missing,
             audit_head=found.get("audit_head", ""),
         )
         right = {
