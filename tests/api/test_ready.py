@@ -324,14 +324,17 @@ def test_people_of_the_same_roles_share_the_making_of_a_page_and_each_has_their_
     analyst = house.log_in("ada")
     for path in ("/sensors", "/telemetry", "/runs", "/parameter-sets"):
         clients[0].get(path)
-        house.launched()
-        made: list[str] = []
-        original = house.app.state.ready.keep
-        monkeypatch.setattr(
-            house.app.state.ready, "keep", lambda *g, made=made, o=original: (made.append(""), o(*g))[1]
-        )
-        pages = [(client, client.get(path).text) for client in (*clients, *clients, analyst)]
-        monkeypatch.undo()
+        for _ in range(3):  # the server's own upkeep may commit in between, and then a page is made anew
+            house.launched()
+            made: list[str] = []
+            original = house.app.state.ready.keep
+            monkeypatch.setattr(
+                house.app.state.ready, "keep", lambda *g, made=made, o=original: (made.append(""), o(*g))[1]
+            )
+            pages = [(client, client.get(path).text) for client in (*clients, *clients, analyst)]
+            monkeypatch.undo()
+            if len(made) == 2:
+                break
         assert len(made) == 2, path  # one for viewers, one for analysts
         for name, (client, page) in zip((*names, *names, "ada"), pages, strict=True):
             assert f"<b>{name.title()}</b>" in page
