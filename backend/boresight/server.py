@@ -39,7 +39,7 @@ from boresight.api.changes import Changes
 from boresight.api.codings import Codings
 from boresight.api.connections import Connections, open_file_limit
 from boresight.api.cookies import LogInCookie
-from boresight.api.credentials import Memory, carries_credentials, identify, prove
+from boresight.api.credentials import Memory, carries_credentials, identify, on_the_spot, prove
 from boresight.api.deliveries import Deliveries
 from boresight.api.drawn import Drawn
 from boresight.api.gate import Gate, Limits
@@ -247,8 +247,7 @@ async def _identify(scope: Scope) -> int | None:
     state = scope["app"].state
     if not carries_credentials(scope, state.log_in_cookie.name):
         return None
-    on_the_spot = state.engine.dialect.name == "sqlite"
-    actor = identify(scope) if on_the_spot else await run_in_threadpool(identify, scope)
+    actor = await on_the_spot(state.engine, identify, scope)
     return None if actor is None else actor.user_id
 
 
@@ -259,10 +258,8 @@ async def _begin(scope: Scope) -> None:
 
 
 async def _prove(scope: Scope) -> Proof | None:
-    """Look up the credentials of a request: one read, so short on SQLite that a thread would take longer."""
-    if scope["app"].state.engine.dialect.name == "sqlite":
-        return prove(scope)
-    return await run_in_threadpool(prove, scope)
+    """Look up the credentials of a request."""
+    return await on_the_spot(scope["app"].state.engine, prove, scope)
 
 
 def _turn_away(request: Request, error: Exception) -> Response:

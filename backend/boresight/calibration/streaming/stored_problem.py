@@ -57,11 +57,10 @@ class StoredProblem:
         """Places (n,) of frame numbers (n,) among those that take part, or would if they did."""
         places = np.empty(len(frame), np.int64)
         pieces = self.arcs.pieces
-        begins = np.cumsum([0, *(piece.n_frames for piece in pieces)], dtype=np.int64)
         of = np.searchsorted([piece.column("frame")[0] for piece in pieces], frame, side="right") - 1
         for k in np.unique(of := np.maximum(of, 0)):
             mine = of == k
-            places[mine] = begins[k] + np.searchsorted(pieces[k].column("frame"), frame[mine])
+            places[mine] = self._begins[k] + np.searchsorted(pieces[k].column("frame"), frame[mine])
         return places
 
     def times_of(self, frame: IntArray) -> NDArray[np.datetime64] | None:
@@ -74,3 +73,9 @@ class StoredProblem:
             mine = of == k
             times[mine] = times_at(frame[mine], pieces[k].column("frame"), pieces[k].column("time_utc"))
         return times
+
+    @cached_property
+    def _begins(self) -> IntArray:
+        """Frames before each piece."""
+        counts = [piece.n_frames for piece in self.arcs.pieces]
+        return np.cumsum([0, *counts], dtype=np.int64)[:-1]
