@@ -201,3 +201,13 @@ def test_a_browser_module_is_a_module(path):
     text = path.read_text()
 
     assert not re.search(r"\beval\(|innerHTML\s*\+?=[^=]|document\.write|\bvar ", text)
+
+
+def test_types_of_arrays_and_the_smallest_exposure_are_declared_once():
+    declared = re.compile(r"^((?:Float|Int|Bool|Time)Array|MINIMUM_STARS) = ", re.MULTILINE)
+    found = {name: declared.findall((ROOT / name).read_text()) for name in map(_name, _files(".py"))}
+
+    assert {name: names for name, names in found.items() if names} == {
+        "backend/boresight/arrays.py": ["FloatArray", "IntArray", "BoolArray", "TimeArray"],
+        "backend/boresight/estimation/arcs.py": ["MINIMUM_STARS"],
+    }

@@ -34,13 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
+from boresight.arrays import FloatArray
 from boresight.calibration.problem import Problem
 from boresight.calibration.result import numbers
 from boresight.estimation.arcs import ArcSet, angular_sigma
 from boresight.estimation.attitude import attitudes, mean_rotation, triad, turns_from
 from boresight.estimation.rotations import matrix_of, quaternion_of, rotation_vector
-
-FloatArray = NDArray[np.float64]
 
 ARCSEC_PER_RAD = float(np.degrees(1.0) * 3600)
 #: Stretches of the set between which the scatter of the mean is taken: each holds many frames that share stars.

@@ -32,10 +32,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
 
 REPLICATES = 1000
 #: Of the resampling at every door: the same data have the same intervals on page, command line and report.

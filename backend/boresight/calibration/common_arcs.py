@@ -9,16 +9,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.problem import problem_of
 from boresight.calibration.sighting import Sighting
 from boresight.estimation.arcs import ArcSet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 #: Directions of one star in one exposure that differ by less are the same, rad.
 _SAME_RAD = 1e-12

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation import batch, cosine
 from boresight.estimation.arcs import Arcs
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

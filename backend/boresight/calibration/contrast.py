@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.difference import SharedData, covariance_of_difference, joint_test, sigma_of_difference
 from boresight.estimation.uncertainty import radial_difference
 
-FloatArray = NDArray[np.float64]
 Result = Mapping[str, Any]
 
 RADII = 121

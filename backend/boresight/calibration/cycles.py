@@ -12,16 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, run_batch
 from boresight.calibration.matched import Judged, Matched
 from boresight.calibration.problem import AnyProblem
 from boresight.calibration.sequence import Frames, ProblemFrames, finished, run_sequential
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.metrics import rms
-
-FloatArray = NDArray[np.float64]
 
 MOST_CYCLES = 3
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.attitude import triad
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
@@ -13,9 +14,6 @@ from boresight.sky.directions import star_directions
 from boresight.telemetry.exposures import exposures_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Stars move by proper motion and aberration while the catalogue stands still: margin of the field.
 CONE_MARGIN_RAD = float(np.radians(0.3))

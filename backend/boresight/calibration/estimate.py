@@ -6,17 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.comparison import compared
 from boresight.calibration.course import Course
 from boresight.calibration.problem import AnyProblem
 from boresight.calibration.robust import Robustness
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch, cosine
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Weights are taken anew at the solution so often; the second time changes sigmas by the square of the first change.
 WEIGHINGS = 2
@@ -28,6 +25,16 @@ class Parameters:
 
     free: IntArray
     scale: FloatArray
+
+    def covariance(self, P: FloatArray) -> FloatArray:
+        """A covariance (n_free, n_free) in typical sigmas, in SI."""
+        return np.asarray(P * np.outer(self.scale, self.scale))
+
+    def full_covariance(self, P: FloatArray, held: FloatArray | float = 0.0, *, n: int) -> FloatArray:
+        """The same among all n parameters, (n, n) SI; of those held fixed it is `held`."""
+        full = np.full((n, n), held)
+        full[np.ix_(self.free, self.free)] = self.covariance(P)
+        return full
 
 
 @dataclass(frozen=True)

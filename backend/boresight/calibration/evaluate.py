@@ -18,8 +18,8 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration import bootstrap
 from boresight.calibration.common_arcs import common_arcs
 from boresight.calibration.flight import FLIGHT_REASONS
@@ -33,8 +33,6 @@ from boresight.estimation.metrics import arc_errors
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
 
 SCHEMA = "boresight.evaluation/1"
 #: Every score is a ratio of two columns of `_columns`, or its root: numerator, denominator, whether the root is taken.

@@ -41,16 +41,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.blocks import in_blocks
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.kernels.flight import agreeing_matches
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Tolerance of an arc, in its standard deviations at the detector's centre.
 ARC_SIGMAS = 5.0

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.advice import too_few
 from boresight.calibration.calibrate import matchable, parameters_of
 from boresight.calibration.estimate import Estimate, Parameters, covariance, run_batch
@@ -39,8 +39,6 @@ from boresight.estimation.references import View, whitened_information
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sample import Sample
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
 
 #: Frames and stars that a forecast looks at, at most: enough for sigmas within 5 %, and less than a tenth of a second.
 MOST_FRAMES = 200

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.problem import Problem, weighed
 from boresight.calibration.trust.ground import chosen, nested
@@ -31,8 +32,6 @@ from boresight.estimation.references import (
     seen,
 )
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
-
-FloatArray = NDArray[np.float64]
 
 MOST_FRAMES = 150
 #: Sum of the squared numbers of stars over the exposures that are taken.

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.detections import cone_rad
 from boresight.calibration.frame_states import RunStates
 from boresight.estimation.attitude import triad
@@ -14,9 +15,6 @@ from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MOST_SHOWN = 60
 #: A detection so near to where a star should be is taken for its image, whatever it was matched with.

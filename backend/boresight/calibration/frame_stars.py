@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.detections import given_stars
 from boresight.calibration.frame_states import MatchedFrame
 from boresight.calibration.match_report import NOT_ACCEPTED
@@ -28,10 +29,6 @@ from boresight.sky.doubles import phrases
 from boresight.sky.matching import EXPOSURE_REASONS, OFF_DETECTOR, ROW_REASONS, STARTS
 from boresight.telemetry.detector import on_detector
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 USED, LEFT_OUT, REJECTED, UNMATCHED = "used", "left out", "rejected", "unmatched"
 

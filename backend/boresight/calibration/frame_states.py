@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.matched import Matched, MatchedSet
 from boresight.calibration.pixel_residuals import Freedom
@@ -24,8 +24,6 @@ from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
 
 #: Frames on either side that are matched too where a frame alone gives nothing to start from.
 NEIGHBOURS = 10

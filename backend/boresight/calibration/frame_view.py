@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.detections import centroid_sigma_px
 from boresight.calibration.frame_sky import undetected
 from boresight.calibration.frame_stars import FrameStars, exposure_words, frame_stars
@@ -34,9 +35,6 @@ from boresight.estimation.rotations import quaternion_of
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry, rows_of
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ARCSEC = float(np.degrees(1.0) * 3600)
 #: Stars that an attitude needs; the calibration asks for more.

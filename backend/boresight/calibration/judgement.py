@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration import bootstrap
 from boresight.calibration.alignment import alignment_view
 from boresight.calibration.cycles import Ended
@@ -28,8 +28,6 @@ from boresight.calibration.trust import trust_advice, trust_view
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
 
 
 def judge(
@@ -49,8 +47,7 @@ def judge(
     document["matching"] = matching_view(telemetry, sensor, ended, evaluation)
     if document["matching"] is not None:
         document["advice"] += names_advice(document["matching"]["given"], document["matching"]["kept"])
-    P = np.zeros((len(estimate.x), len(estimate.x)))
-    P[np.ix_(parameters.free, parameters.free)] = estimate.P * np.outer(parameters.scale, parameters.scale)
+    P = parameters.full_covariance(estimate.P, n=len(estimate.x))
     document["alignment"] = alignment_view(ended.matched.problem, sensor.initial, estimate.x, P)
     problem, matched = ended.matched.problem, ended.matched.telemetry
     document["frame_observability"] = frame_observability(problem, parameters, estimate)

@@ -10,17 +10,14 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, IntArray
 from boresight.calibration.rematch import Matches
 from boresight.calibration.sighting import Sighting
 from boresight.sky.identification import HOW_TO_INSTALL
 from boresight.sky.matching import EXPOSURE_REASONS, ROW_REASONS, STARTS
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Given identities below which their share says nothing.
 FEWEST_NAMES = 20

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.flight import flight_tolerance, flight_view
 from boresight.calibration.problem import AnyProblem, Problem, build_problem, problem_from
@@ -40,9 +40,6 @@ from boresight.estimation.filters.history import FilterState
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry, rows_of
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Frames that are matched together, counted from a set's first: an exposure without a start looks for a neighbour among these.
 MATCHED_FRAMES = 4096
@@ -103,10 +100,7 @@ class Known:
 
     def at_covariance(self, x: FloatArray, P: FloatArray) -> Under:
         """At x, SI, with its free parameters' covariance P (n_free, n_free) in typical sigmas."""
-        free, scale = self.parameters.free, self.parameters.scale
-        whole = self._ground.copy()
-        whole[np.ix_(free, free)] = P * np.outer(scale, scale)
-        return Under(x, whole)
+        return Under(x, self.parameters.full_covariance(P, self._ground, n=len(x)))
 
     @property
     def _ground(self) -> FloatArray:

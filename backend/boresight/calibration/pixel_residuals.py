@@ -21,17 +21,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.estimation.arcs import ArcSet, angular_sigma
 from boresight.estimation.attitude import attitudes, triad
 from boresight.estimation.cameras import CameraModel
 from boresight.estimation.cramer_rao import CentroidRows, centroid_rows, each, sums
 from boresight.estimation.rotations import matrix_of, quaternion_of_vector
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import Arcs, ArcSet
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
@@ -22,10 +23,6 @@ from boresight.sky.directions import star_directions
 from boresight.telemetry.detector import matched_rows, on_detector
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 
 STAR_REASONS = (
     "not matched to a catalogue star",

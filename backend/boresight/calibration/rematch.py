@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration import detections as prepared
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
@@ -29,9 +30,6 @@ from boresight.telemetry.detector import on_detector
 from boresight.telemetry.exposures import exposures_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Of two stars closer than this on the detector, one image shows the brighter.
 BLEND_PX = 5.0

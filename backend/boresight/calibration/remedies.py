@@ -9,14 +9,12 @@ coverage is how far out stars lie and how many of its parts hold any.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.problem import Problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.batch import determined
 from boresight.estimation.observability import WEAK, Observability
-
-FloatArray = NDArray[np.float64]
 
 #: More frames are worth naming up to so many times those that are there.
 MOST_TIMES = 100.0

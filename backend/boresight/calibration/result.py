@@ -12,9 +12,9 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import __version__
+from boresight.arrays import FloatArray
 from boresight.calibration.advice import advice, too_few
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.problem import AnyProblem
@@ -26,8 +26,6 @@ from boresight.estimation.batch import sigma_in_scale
 from boresight.estimation.consistency import ChiSquare, chi_square
 from boresight.estimation.metrics import tail_rms
 from boresight.estimation.observability import observability
-
-FloatArray = NDArray[np.float64]
 
 SCHEMA = "boresight.calibration/1"
 
@@ -142,7 +140,7 @@ def _estimated(problem: AnyProblem, parameters: Parameters, estimate: Estimate, 
     """Parameters with sigma, covariance and shift."""
     names = problem.camera.parameter_names
     known = np.isfinite(sigma[parameters.free])
-    P = estimate.P * np.outer(parameters.scale, parameters.scale)
+    P = parameters.covariance(estimate.P)
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = (estimate.x - problem.sensor.initial) / sigma
     return {

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
 
 #: Move from least squares, in sigmas of the estimate, from which it is called one.
 MOVED = 1.0

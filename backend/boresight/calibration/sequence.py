@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.calibration.course import Course
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, claim
@@ -25,9 +24,6 @@ from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import FilterHistory, FilterState, start
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: A filter's first update pools frames until it holds this many arcs a free parameter: from one thin frame ten sigmas off, the
 #: posterior has other minima (3 of 60 simulated sets fell into one at a single frame, none of 240 at 12 or more arcs).

@@ -16,14 +16,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import bdtr
 
+from boresight.arrays import BoolArray, IntArray
 from boresight.calibration.sighting import Sighting
 from boresight.telemetry.schema import Telemetry
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Frames kept one by one; the summary is of all.
 MOST_FRAMES = 2000

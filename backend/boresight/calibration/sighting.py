@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.flight import FLIGHT_REASONS, FlightView, flight_tolerance, flight_view
 from boresight.calibration.rematch import Matches, Rematcher, ground_covariance
 from boresight.calibration.settings import CalibrationSettings
@@ -24,9 +25,6 @@ from boresight.telemetry.detector import on_detector
 from boresight.telemetry.exposures import exposures_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.course import Course
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.problem import AnyProblem
@@ -15,9 +16,6 @@ from boresight.estimation.arcs import Arcs, ArcSet
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.metrics import sums_of_squares, tail_rms
 from boresight.estimation.uncertainty import displacement_px, radial_difference
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Tail RMS costs one pass over the set a point; a history keeps as many points as this many frame passes allow.
 TAIL_BUDGET = 4_000_000
@@ -121,9 +119,7 @@ def radial_view(
     rows, columns = np.array([0, sensor.rows - 1.0]), np.array([0, sensor.columns - 1.0])
     corner = float(np.hypot(np.abs(rows - row_0).max(), np.abs(columns - col_0).max()))
     radius = np.linspace(0, corner, RADII)
-    P = np.zeros((len(sigma), len(sigma)))
-    scaled = estimate.P * np.outer(parameters.scale, parameters.scale)
-    P[np.ix_(parameters.free, parameters.free)] = np.nan_to_num(scaled)
+    P = np.nan_to_num(parameters.full_covariance(estimate.P, n=len(sigma)))
     curve = radial_difference(camera, estimate.x, sensor.initial, P, radius, sensor.pixel_pitch_m)
     edges = np.linspace(0, corner, 25)
     seen = problem.arcs.over_blocks(_reach_in_block, row_0, col_0, edges)

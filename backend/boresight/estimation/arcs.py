@@ -38,14 +38,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.blocks import in_blocks
 from boresight.estimation.cameras import CameraModel
 
 T = TypeVar("T")
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
+#: An exposure of fewer stars determines nothing (E, section III: N_min).
 MINIMUM_STARS = 4
 #: Sine of the smallest angle of a triangle below which an exposure counts as collinear: over 1,000 px the third star is
 #: then less than 5 px off the line, where the linear error model of R ends.

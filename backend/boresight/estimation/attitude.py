@@ -39,12 +39,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.blocks import in_blocks
 from boresight.estimation.rotations import conjugate, product, quaternion_of, rotation_vector
 from boresight.kernels import attitude as loops
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Mean square angle off one direction below which stars count as parallel, rad²: 0.2 arcsec, far below any centroid error.
 PARALLEL = 1e-12

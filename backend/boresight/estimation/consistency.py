@@ -22,10 +22,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import bdtr, chdtrc, chdtri, ndtr
 
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
 
 CONFIDENCE = 0.95
 

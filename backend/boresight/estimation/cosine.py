@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray
 from boresight.estimation.arcs import Arcs, ArcSet
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras import CameraModel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Half the step of the central difference over a pixel; its error is its square times curvature, 1e-8 of D.
 HALF_STEP_PX = 0.5

@@ -31,10 +31,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
 
 #: Below this share of the larger variance a difference of variances is rounding and linearisation, not noise.
 LEAST_SHARE = 0.01

@@ -34,10 +34,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, chndtr
 
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
 
 FALSE_ALARM_RATE = 0.001
 FEWEST_FOR_A_LINE = 3

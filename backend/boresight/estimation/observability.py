@@ -13,11 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation.batch import determined
-
-FloatArray = NDArray[np.float64]
 
 #: A direction known worse than this many typical sigmas is called weak; the data then say little that was not known before.
 WEAK = 0.5

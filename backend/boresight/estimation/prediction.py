@@ -24,9 +24,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
+
 #: Share of what a filter knew that is nothing: further frames are like those before, where a direction is seen at all.
 FORGOTTEN = 1e-100
 Run = tuple[FloatArray, FloatArray, FloatArray]

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation import angular, singular_values
 from boresight.estimation.arcs import ArcSet, angular_sigma, weigh
 from boresight.estimation.batch import normal_equations
@@ -34,8 +34,6 @@ from boresight.estimation.filters.angular import AllPairs
 from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Rows = tuple[FloatArray, FloatArray]
 
 #: Stars of the fullest exposure squared, times the exposures of a run: its covariances take nine times as many numbers.

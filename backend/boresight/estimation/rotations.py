@@ -20,9 +20,8 @@ Reference: Markley & Crassidis, Fundamentals of Spacecraft Attitude Determinatio
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
 
 
 def matrix_of(q: FloatArray) -> FloatArray:

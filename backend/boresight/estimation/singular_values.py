@@ -60,8 +60,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from boresight.arrays import FloatArray, IntArray
 
 STAR_MODELS = (1, 2, 3, 4)
 VALUES = (1, 2, 3)

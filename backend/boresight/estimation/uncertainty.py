@@ -35,10 +35,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation.attitude import attitudes
 from boresight.estimation.cameras import CameraModel
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

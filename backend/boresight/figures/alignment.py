@@ -14,12 +14,10 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.errors import RefusedInputError
 from boresight.figures.chart import Result, Trace
-
-FloatArray = NDArray[np.float64]
 
 #: What the axis of frames is called under each alignment.
 ALIGNMENTS = {"frame": "frame", "time": "hours since the first frame", "update": "update"}

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
@@ -28,8 +28,6 @@ from boresight.figures.course import Course, course_of, free_names
 from boresight.figures.following import follow_column, follow_parameters
 from boresight.figures.quantities import Quantity, change_label, quantity
 from boresight.figures.thinning import keep_extremes
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Convergence"
 FEW_PANELS = 9  # up to so many stand in three columns, more in four

@@ -15,15 +15,13 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.axes import offer_log
 from boresight.figures.chart import Trace
 from boresight.figures.course import Course, settled_step
 from boresight.figures.thinning import keep_extremes
-
-FloatArray = NDArray[np.float64]
 
 PANELS = 2
 POINT_BUDGET = 1200  # a panel, of all runs together

@@ -11,14 +11,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.quantities import quantity
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Parameter correlations"
 STRONG = 0.9  # from here on two parameters are read together

@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Detector coverage"
 MAX_MAPS = 4

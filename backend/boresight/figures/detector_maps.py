@@ -8,8 +8,9 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
-from boresight.figures.trust_parts import FloatArray, Part, column
+from boresight.figures.trust_parts import Part, column
 
 MAX_MAPS = 4
 TITLE_LENGTH = 14

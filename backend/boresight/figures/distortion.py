@@ -10,16 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.axes import hatch, share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.radial import arcsec_per_px, column, reached_px, window_of
 from boresight.figures.thinning import keep_extremes
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Radial distortion, old and new"
 OLDER = (

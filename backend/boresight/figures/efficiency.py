@@ -10,10 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.quantities import quantity
-from boresight.figures.trust_parts import FloatArray, Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, part_of, parts
 
 TITLE = "Cramér-Rao efficiency"
 PART = "efficiency"

@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Trace
 from boresight.figures.thinning import keep_extremes
 
-FloatArray = NDArray[np.float64]
 Place = tuple[str, str, str]
 
 POINT_BUDGET = 600  # a band

@@ -14,10 +14,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import FloatArray, Part, column
+from boresight.figures.trust_parts import Part, column
 
 TITLE = "Observability per frame"
 KEY = "frame_observability"

@@ -11,9 +11,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import FloatArray, column
+from boresight.figures.trust_parts import column
 
 TITLE = "Matching cycles"
 PANELS = (

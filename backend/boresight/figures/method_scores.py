@@ -13,14 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimation.consistency import ChiSquare, chi_square, nees
 from boresight.figures.chart import Result
 from boresight.figures.course import Course, course_of, settled_step
 from boresight.figures.trust_parts import part_of
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import plotly.graph_objects as go
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
@@ -21,7 +22,7 @@ from boresight.figures.course import Course, course_of
 from boresight.figures.method_scores import bound_of, method_scores
 from boresight.figures.numbers import number
 from boresight.figures.thinning import keep_extremes
-from boresight.figures.trust_parts import FloatArray, why_absent
+from boresight.figures.trust_parts import why_absent
 
 TITLE = "Error against the bound"
 POINT_BUDGET = 8000  # of all runs together

@@ -13,10 +13,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.quantities import quantity
-from boresight.figures.trust_parts import FloatArray, Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, part_of, parts
 
 TITLE = "What more data would buy"
 PART = "more_data"

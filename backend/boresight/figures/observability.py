@@ -13,16 +13,14 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.estimation.observability import WEAK
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.numbers import number
 from boresight.figures.quantities import quantity
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Observability"
 THRESHOLD = 1.0 / WEAK

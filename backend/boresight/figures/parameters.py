@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.course import free_names
 from boresight.figures.quantities import quantity
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Parameter changes"
 SIGNIFICANT = 3.0

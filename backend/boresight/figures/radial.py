@@ -11,15 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.axes import hatch, share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.thinning import keep_extremes
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Radial difference"
 

@@ -12,11 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.frame_observability import absent, view_of
 from boresight.figures.quantities import quantity
-from boresight.figures.trust_parts import FloatArray, Part, column
+from boresight.figures.trust_parts import Part, column
 
 TITLE = "Information of each reference"
 LABELS = {

@@ -15,9 +15,10 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import FloatArray, absent, column, part_of, parts
+from boresight.figures.trust_parts import absent, column, part_of, parts
 
 TITLE = "Residuals on the detector"
 PART = "residuals"

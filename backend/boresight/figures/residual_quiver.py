@@ -15,11 +15,12 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.numbers import number
 from boresight.figures.residual_map import others
-from boresight.figures.trust_parts import FloatArray, absent, column, part_of, parts
+from boresight.figures.trust_parts import absent, column, part_of, parts
 
 TITLE = "Mean residuals over the detector"
 PART = "residual_field"

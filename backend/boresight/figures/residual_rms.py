@@ -8,11 +8,12 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.detector_maps import MAX_MAPS, frame_maps, short_label
 from boresight.figures.numbers import number
-from boresight.figures.trust_parts import FloatArray, Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, part_of, parts
 
 TITLE = "RMS residual over the detector"
 PART = "residual_field"

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from boresight.figures import theme
@@ -27,8 +26,6 @@ from boresight.figures.course import Course, course_of
 from boresight.figures.following import follow_errors
 from boresight.figures.rms_tail import tail_start
 from boresight.figures.thinning import keep_extremes
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Tail and aggregate RMS"
 URAD_PER_RAD = 1e6

@@ -15,11 +15,12 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import theme
 from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import FloatArray, absent, column, part_of, parts
+from boresight.figures.trust_parts import absent, column, part_of, parts
 
 TITLE = "Residual RMS by axis"
 PART = "residuals"

@@ -11,12 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.figures.chart import Result, Trace
 from boresight.figures.course import Course, course_of, settled_step
-
-FloatArray = NDArray[np.float64]
 
 SETTLING_SHARE = 0.2  # of the run, where nothing says when it settled
 LATEST_SHARE = 0.95  # of the run: a tail that is shorter than the rest says nothing

@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.thinning import keep_extremes
-
-FloatArray = NDArray[np.float64]
 
 TITLE = "Baseline and candidate side by side"
 SETS = ("validation", "calibration")

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Result, Trace
 from boresight.figures.theme import RunStyle
 
-FloatArray = NDArray[np.float64]
 Part = tuple[Trace, RunStyle, Any]
 
 NOT_YET = "Trust is examined when the run ends; it is not there yet."

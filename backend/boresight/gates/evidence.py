@@ -8,13 +8,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
 from boresight.telemetry.sensors import Sensor
 
-FloatArray = NDArray[np.float64]
 Document = Mapping[str, Any]
 
 

@@ -37,7 +37,6 @@ from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
-FloatArray = NDArray[np.float64]
 Score = dict[str, Any]  # value, interval, and of the incumbent where it has one
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.cramer_rao import centroid_rows
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
 
 
 def cramer_rao(arcs: ArcSet, sensor: Sensor, truth: FloatArray) -> FloatArray:

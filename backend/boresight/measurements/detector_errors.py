@@ -14,12 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation.cameras.model import corners
 from boresight.measurements.views import Views
 
-FloatArray = NDArray[np.float64]
 #: Unit directions (n, 3) of pixels (n,), (n,).
 Directions = Callable[[FloatArray, FloatArray], FloatArray]
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.problem import build_problem, weighed
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
@@ -20,8 +20,6 @@ from boresight.sky.catalogue import Catalogue
 from boresight.studies.star_frames import EXPOSURES_A_FRAME, STARS, star_frames
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
 
 SENSOR = 1
 #: Frames drawn more than asked for, in place of those that are left out.

@@ -18,16 +18,14 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation import drift as tests
 from boresight.estimation.drift import FALSE_ALARM_RATE, Epoch, Line
 from boresight.figures.numbers import fixed, number
 from boresight.figures.quantities import quantity
 from boresight.services.trend import Point, Trend
 from boresight.store.tables import ParameterSet
-
-FloatArray = NDArray[np.float64]
 
 DAY_S = 86400.0
 GROUND_SHIFTED = "The ground calibration does not hold any more: promote a calibration made on orbit."

@@ -19,14 +19,12 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.services.transitions import get_sensor
 from boresight.store import trends as rows
 from boresight.store.sessions import Session, utc_text
 from boresight.store.tables import ParameterSet, Promotion, Sensor, TelemetrySet, Uplink
-
-FloatArray = NDArray[np.float64]
 
 SAME_VALUE = 1e-6  # of a typical sigma: what was held fixed there and here is the same number
 BEFORE_TRENDS = "its summary has no covariance: it is from an older version; clone it and run it again"

@@ -26,12 +26,10 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.blocks import in_blocks
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.earth import days_since_j2000, earth_state
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 J1991_25_DAYS = 2448349.0625 - 2451545.0
 DAYS_PER_YEAR = 365.25

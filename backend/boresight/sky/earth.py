@@ -18,7 +18,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
 
 _J2000 = np.datetime64("2000-01-01T12:00:00", "us")
 _JD_J2000 = 2451545.0

@@ -17,12 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.sky.apparent import C_AU_DAY, C_M_S, DAYS_PER_YEAR, J1991_25_DAYS
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.earth import days_since_j2000, earth_state
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -30,14 +30,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import triad
 from boresight.estimation.cameras import CameraModel
 from boresight.estimation.rotations import quaternion_of
-
-FloatArray = NDArray[np.float64]
 
 HOW_TO_INSTALL = (
     "Frames of which no star is named and no attitude is known need the lost-in-space extra: "

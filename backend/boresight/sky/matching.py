@@ -41,15 +41,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.blocks import in_blocks
 from boresight.estimation.rotations import matrix_of, quaternion_of
 from boresight.kernels import matching as loops
 from boresight.sky.detections import Detections
 from boresight.sky.guide_stars import GuideStars, ObserverMotion
 from boresight.sky.neighbours import carried_on
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Gates are this many sigma wide: one true star in 25,000 falls outside by chance.
 GATE = 4.5

@@ -13,10 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.rotations import conjugate, product, quaternion_of, quaternion_of_vector, rotation_vector
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Frames are carried on at most so many sample periods.
 FARTHEST = 4

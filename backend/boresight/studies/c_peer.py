@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FilterHistory, Tuning
 from boresight.estimation.filters.history import FilterState
 from boresight.estimation.filters.square_root import padded
-
-FloatArray = NDArray[np.float64]
 
 SOURCE = Path(__file__).with_name("arclengths.c")
 COMPILERS = ("gcc", "cc", "clang")

@@ -11,12 +11,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from boresight.arrays import FloatArray, IntArray
 
 
 def scipy_match(

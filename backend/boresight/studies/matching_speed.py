@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import IntArray
 from boresight.calibration import detections
 from boresight.calibration.problem import build_problem
 from boresight.calibration.rematch import Rematcher, ground_covariance
@@ -25,8 +25,6 @@ from boresight.studies.repeats import fastest, fastest_of_each
 from boresight.studies.star_frames import EXPOSURES_A_FRAME, STARS, TIME, star_frames
 from boresight.telemetry.schema import Telemetry, rows_of
 from boresight.telemetry.sensors import Sensor
-
-IntArray = NDArray[np.int64]
 
 MOST_FRAMES = 1000
 REPEATS = 10

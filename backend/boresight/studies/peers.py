@@ -8,14 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from boresight.arrays import FloatArray
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG, directions_and_jacobian
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpstrf
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.singular_values import (
     APART,
     CHOSEN,
@@ -27,8 +28,6 @@ from boresight.estimation.singular_values import (
     windows,
 )
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 #: Catalogue directions (n, 3) and their errors (n,) rad.
 Known = tuple[FloatArray, FloatArray]
 #: Measured directions (n, 3) and scaled derivatives (n, 3, n_free).

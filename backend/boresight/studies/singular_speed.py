@@ -12,9 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
@@ -30,8 +30,6 @@ from boresight.simulation.sensors import (
     WU_TYPICAL_SIGMA,
 )
 from boresight.studies.singular_peer import Known, Seen, lean_update, plain_update
-
-FloatArray = NDArray[np.float64]
 
 #: W Table 4's mean numbers of stars, rounded.
 STARS = (31, 19, 8)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.problem import weighed
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs as arcsets
@@ -31,8 +32,6 @@ from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.studies import matching_speed, peers, singular_speed, speed_limits
 from boresight.studies.processes import run_on_one_thread
 from boresight.studies.repeats import fastest
-
-FloatArray = NDArray[np.float64]
 
 STARS = 12
 EXPOSURES_A_FRAME = 2

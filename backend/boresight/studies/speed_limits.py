@@ -11,8 +11,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
@@ -21,8 +21,6 @@ from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.studies import c_peer
 from boresight.studies.repeats import fastest_of_each
-
-FloatArray = NDArray[np.float64]
 
 #: Times C's at most, and how many times faster two threads are at least.
 OVER_C, TWO_THREADS = 1.25, 1.6

@@ -7,9 +7,9 @@ detected, so undetected fainter ones stand between them as they do in flight. Ce
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.simulation.sensors import ST16_MAGNITUDE_LIMIT
 from boresight.sky.apparent import apparent_directions
@@ -17,9 +17,6 @@ from boresight.sky.catalogue import Catalogue
 from boresight.sky.guide_stars import guide_stars
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 STARS = 12
 EXPOSURES_A_FRAME = 2

@@ -7,15 +7,12 @@ from typing import TypeVar
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.columns import floats, integers, texts, times
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import COLUMN_GROUPS, OPTIONAL_COLUMNS, REQUIRED_COLUMNS, UNMATCHED, Telemetry
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 #: Columns that a refusal names.
 _LISTED = 30
 Values = TypeVar("Values", IntArray, FloatArray)

@@ -9,14 +9,12 @@ the quality report.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.telemetry.exposures import Exposures, exposures_of, repeats_within
 from boresight.telemetry.limits import LIMITS
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import Telemetry
-
-FloatArray = NDArray[np.float64]
 
 _QUATERNION_TOLERANCE = 1e-3
 _FASTEST_M_S = 100e3

@@ -16,11 +16,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.refusals import Faults
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _NUMBER = r"^-?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$|^-?(?i:nan|inf|infinity)$"
 _HEXADECIMAL = r"^0[xX][0-9a-fA-F]{1,16}$"

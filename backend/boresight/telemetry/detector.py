@@ -13,15 +13,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.refusals import MOST_FAULTS, Faults
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: How far past the edge the centroid of a star cut by it may be fitted, pixels.
 _CUT_STAR_PX = 2.0

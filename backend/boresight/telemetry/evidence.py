@@ -11,19 +11,12 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.detector import OffDetector, matched_rows, on_detector
 from boresight.telemetry.exposures import Exposures, exposures_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-#: An exposure of fewer stars determines nothing (E, section III: N_min).
-MINIMUM_STARS = 4
 
 
 class StarNumbers(Protocol):

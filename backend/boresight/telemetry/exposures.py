@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import IntArray
 from boresight.telemetry.schema import Telemetry
-
-IntArray = NDArray[np.int64]
 
 #: Multiplier of the hash, 2^64 over the golden ratio, and the shift that brings its high bits down.
 _ODD, _HALF = np.uint64(0x9E3779B97F4A7C15), np.uint64(32)

@@ -14,15 +14,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
-from numpy.typing import NDArray
 
+from boresight.arrays import IntArray
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.telemetry.parquet import FIRST_ROW
 from boresight.telemetry.readers import telemetry_of
 from boresight.telemetry.refusals import Faults
 from boresight.telemetry.schema import Telemetry
-
-IntArray = NDArray[np.int64]
 
 #: Tables whose list of frames is kept; one of 100,000 frames takes 1.6 MB.
 TABLES_KEPT = 8

@@ -31,17 +31,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
+from boresight.estimation.arcs import MINIMUM_STARS
 from boresight.telemetry.detector import OffDetector, detector_coverage, radial_coverage
-from boresight.telemetry.evidence import MINIMUM_STARS, Evidence, StarNumbers
+from boresight.telemetry.evidence import Evidence, StarNumbers
 from boresight.telemetry.findings import FINDINGS, SEVERITIES, Finding
 from boresight.telemetry.sampling import Intervals, sampling_of
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MOST_LISTED = 20
 MAGNITUDE_STEP = 0.5

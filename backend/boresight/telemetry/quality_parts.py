@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import IntArray
 from boresight.telemetry.detector import OffDetector
 from boresight.telemetry.evidence import Evidence, StarNumbers
 from boresight.telemetry.findings import Finding
@@ -34,8 +35,6 @@ from boresight.telemetry.quality import (
 from boresight.telemetry.sampling import intervals_of
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
-
-IntArray = NDArray[np.int64]
 
 #: Rows held in memory for the findings; about 150 MB.
 MOST_ROWS = 1_000_000

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.telemetry.evidence import Evidence
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 #: Interval between frames, their median, and which of them are gaps: `interval_s`, `median_s` and `gaps` of a `Sampling`.
 Intervals = tuple[FloatArray, float, IntArray]
 

@@ -24,8 +24,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from boresight.arrays import FloatArray, IntArray
 
 REQUIRED_COLUMNS = ("frame", "exposure", "row_px", "col_px")
 OPTIONAL_COLUMNS = (

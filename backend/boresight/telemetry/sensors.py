@@ -16,14 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
 from boresight.telemetry.formats import json_of
 from boresight.telemetry.refusals import Faults
-
-FloatArray = NDArray[np.float64]
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 _OPTIONAL = ("free", "magnitude_limit")

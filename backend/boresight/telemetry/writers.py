@@ -11,12 +11,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
 import pyarrow.parquet as arrow_parquet
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.telemetry.schema import UNMATCHED, Telemetry
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.frames`).
 ROW_GROUP = 65_536

@@ -8,13 +8,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import IntArray
 from boresight.calibration.problem import LeftOut, times_at, weigh_part
 from boresight.calibration.spread import Spread
 from boresight.calibration.streaming.stored_arcs import ArcsPiece, StoredArcs
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
 from boresight.telemetry.sensors import Sensor
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

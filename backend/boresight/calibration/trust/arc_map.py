@@ -10,15 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable, grid, nested
 from boresight.estimation.arcs import arclength
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.uncertainty import arc_sigma
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
 
 ARC_DEG = 5.0
 ROWS, COLUMNS = 13, 17

@@ -17,14 +17,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cramer_rao import centroid_rows
-
-FloatArray = NDArray[np.float64]
 
 MOST_FRAMES = 400
 #: Ratios within this share of one are one: the isotropic error of an arc's ends is that near to a round pixel error.

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.estimate import Estimate, Parameters, covariance
 from boresight.calibration.problem import Problem
 from boresight.calibration.settings import CalibrationSettings
@@ -29,9 +30,6 @@ from boresight.estimation.blocks import in_blocks
 from boresight.kernels.frame_sums import frame_sums
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MOST_ITERATIONS = 20
 ARCSEC = float(np.degrees(1.0) * 3600)
@@ -123,11 +121,7 @@ class Ground:
 
     def full_covariance(self, P: FloatArray) -> FloatArray:
         """P (n_free, n_free) in typical sigmas as (n_parameters, n_parameters) in SI, zero for fixed parameters."""
-        full = np.zeros((len(self.estimate.x),) * 2)
-        full[np.ix_(self.parameters.free, self.parameters.free)] = P * np.outer(
-            self.parameters.scale, self.parameters.scale
-        )
-        return full
+        return self.parameters.full_covariance(P, n=len(self.estimate.x))
 
     @cached_property
     def sums(self) -> FrameSums:

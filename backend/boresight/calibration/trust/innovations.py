@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
+from boresight.arrays import FloatArray
 from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
 from boresight.estimation.consistency import CONFIDENCE, runs_p_value, share_bounds
-
-FloatArray = NDArray[np.float64]
 
 MOST_POINTS = 1000
 #: Chance of a share or of runs so extreme below which they are not put down to chance.

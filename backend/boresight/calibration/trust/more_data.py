@@ -16,13 +16,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
 from boresight.estimation import batch
 from boresight.estimation.prediction import further_covariance
-
-FloatArray = NDArray[np.float64]
 
 #: Share of a sigma that twenty times the data must lower it by, to be worth speaking of.
 LITTLE = 0.3

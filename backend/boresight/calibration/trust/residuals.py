@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.estimate import covariance
 from boresight.calibration.pixel_residuals import Freedom, pixel_residuals
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
 from boresight.estimation.arcs import ArcSet
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MOST_FRAMES = 1500
 MOST_SHOWN = 2000

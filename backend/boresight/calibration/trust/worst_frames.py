@@ -14,12 +14,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from boresight.arrays import FloatArray
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
-
-FloatArray = NDArray[np.float64]
 
 MOST_SHOWN = 200
 #: Deviate beyond which a frame is called badly explained: one in 740 by chance.

@@ -25,11 +25,10 @@ Symbols are the notation page's; x = [f m_0 n_0 b_4 b_2 a_1 a_2 g_y] in SI (m, p
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from boresight.arrays import FloatArray
 from boresight.estimation.cameras.model import CameraModel
-
-FloatArray = NDArray[np.float64]
 
 KERNEL = 0
 NEWTON_STEPS = 30

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import kernels
-
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
 
 
 def corners(rows: int, columns: int) -> tuple[FloatArray, FloatArray]:

@@ -37,11 +37,10 @@ x = [s f u_0 v_0 k_1 k_2] in SI (1, m, px, px, 1, 1). W Table 1 gives the typica
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from boresight.arrays import FloatArray
 from boresight.estimation.cameras.model import CameraModel
-
-FloatArray = NDArray[np.float64]
 
 KERNEL = 1
 NEWTON_STEPS = 60

@@ -18,13 +18,9 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from boresight.arrays import FloatArray
 from boresight.measurements.detector_errors import Directions
 from boresight.measurements.views import Views
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.problem import weighed
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs as arcsets
@@ -14,8 +14,6 @@ from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.measurements.peers import Answer
 from boresight.measurements.views import Views
-
-FloatArray = NDArray[np.float64]
 
 START_SIGMA = 10.0
 

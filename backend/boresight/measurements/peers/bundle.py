@@ -14,17 +14,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.arrays import FloatArray
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.attitude import attitudes
 from boresight.measurements.peers import Answer
 from boresight.measurements.peers.boresight import answer_of
 from boresight.measurements.views import Views
 from boresight.studies.star_frames import STARS
-
-FloatArray = NDArray[np.float64]
 
 
 def ceres(views: Views) -> Answer:

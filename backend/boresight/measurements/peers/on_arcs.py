@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.measurements.peers import Answer
 from boresight.measurements.peers.boresight import START_SIGMA, answer_of
 from boresight.measurements.views import Views
 from boresight.studies import peers
 from boresight.studies.star_frames import EXPOSURES_A_FRAME, STARS
-
-FloatArray = NDArray[np.float64]
 
 
 def prepared(views: Views) -> tuple[peers.EqualExposures, FloatArray, FloatArray]:

@@ -12,13 +12,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.measurements.detector_errors import Directions
 from boresight.measurements.peers import Answer
 from boresight.measurements.views import Views
-
-FloatArray = NDArray[np.float64]
 
 ITERATIONS, REST = 200, 1e-10
 

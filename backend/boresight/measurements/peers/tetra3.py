@@ -10,13 +10,11 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.measurements.peers import Answer
 from boresight.measurements.views import Views
 from boresight.studies.star_frames import TIME
-
-FloatArray = NDArray[np.float64]
 
 FIELD_DEG = 21.0
 TIMEOUT_MS = 1000

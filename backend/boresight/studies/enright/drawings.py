@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.uncertainty import radial_difference
@@ -21,7 +20,6 @@ from boresight.studies.enright.pooled import Pooled, Record
 from boresight.studies.enright.tables import TOLERANCE, TUNING
 from boresight.studies.verdicts import Conclusion, judge
 
-FloatArray = NDArray[np.float64]
 Drawing = dict[str, Any]
 
 SEQUENTIAL = ("q", "no-q", "no-refit")

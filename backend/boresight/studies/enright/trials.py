@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.evaluate import evaluate_parameters
 from boresight.calibration.flight import ARC_SIGMAS, flight_tolerance
@@ -32,7 +32,6 @@ from boresight.studies.enright.estimators import ESTIMATORS, Estimator, estimato
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
-FloatArray = NDArray[np.float64]
 Record = dict[str, Any]
 
 #: Seeds of the further sets of a sensor lie so far apart.

@@ -10,15 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.angular import all_pairs
 from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.simulation.fields import StarFields
 from boresight.simulation.sensors import WU_PIXEL_PITCH_M
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ARCSEC_PER_RAD = 180 * 3600 / np.pi
 

@@ -21,8 +21,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation.arcs import ArcSet, angular_sigma
 from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.filters import FILTERS, FilterState, Tuning
@@ -33,8 +33,6 @@ from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import CHOSEN, Selection
 from boresight.simulation.sensors import WU_START
 from boresight.studies.wu import printed
-
-FloatArray = NDArray[np.float64]
 
 #: P_0 of s, f, u0, v0, k1, k2 as standard deviations, SI.
 START_SIGMA = np.array([1e-2, 5e-4, 20.0, 20.0, 0.5, 0.5])

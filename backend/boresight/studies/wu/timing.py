@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
@@ -33,8 +33,6 @@ from boresight.studies.verdicts import Cell, Conclusion, Row, judge
 from boresight.studies.wu import printed
 from boresight.studies.wu.estimators import FREE, START_SIGMA, Estimator, gain_filter
 from boresight.studies.wu.trials import fields_of, noisy
-
-FloatArray = NDArray[np.float64]
 
 #: Fields drawn, those timed of each group, those of the slow forms, and rounds.
 DRAWN, FRAMES, SLOW_FRAMES, ROUNDS = 1200, 100, 10, 11

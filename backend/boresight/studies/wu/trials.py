@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
@@ -40,7 +40,6 @@ from boresight.studies.wu import printed
 from boresight.studies.wu.criteria import Judges
 from boresight.studies.wu.estimators import FREE, START_SIGMA, Run, estimators
 
-FloatArray = NDArray[np.float64]
 Record = dict[str, Any]
 
 NOISES_PX = (WU_IMPLIED_SIGMA_PX, WU_STATED_SIGMA_PX)

@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.detector import OffDetector, detector_coverage, radial_coverage
 from boresight.telemetry.evidence import Evidence
 from boresight.telemetry.exposures import repeats_within
 from boresight.telemetry.findings.finding import Finding, counted, row_numbers
 from boresight.telemetry.sensors import Sensor
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _CLOSE_PX = 2.0
 #: A cell whose diagonal is the limit, and the cells around one that come as near.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.telemetry.evidence import MINIMUM_STARS, Evidence
+from boresight.estimation.arcs import MINIMUM_STARS
+from boresight.telemetry.evidence import Evidence
 from boresight.telemetry.findings.finding import Finding, Severity, counted, row_numbers
 
 _MANY_UNMATCHED = 0.5
