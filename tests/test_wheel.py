@@ -177,7 +177,7 @@ def test_figures_come_from_the_wheel(installed):
     ("path", "kind", "least_bytes"),
     [
         ("/login", "text/html", 500),
-        ("/static/style.css", "text/css", 500),
+        ("/static/shared/style.css", "text/css", 500),
         ("/static/plotly.min.js", "text/javascript", 1_000_000),
         ("/healthz", "application/json", 2),
         ("/api/v1/openapi.json", "application/json", 10_000),

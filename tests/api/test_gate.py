@@ -41,7 +41,7 @@ def test_those_who_watch_and_the_files_of_pages_are_always_let_in(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gate_of(house.app).known, "most", 0)
-    for path in ("/healthz", "/readyz", "/metrics", "/static/style.css"):
+    for path in ("/healthz", "/readyz", "/metrics", "/static/shared/style.css"):
         assert house.anybody().get(path).status_code == 200, path
 
 

@@ -9,7 +9,16 @@ import pytest
 
 from .conftest import House
 
-PATHS = ("/healthz", "/readyz", "/static/style.css", "/api/v1/runs", "/api/v1/sensors", "/runs", "/login", "/docs")
+PATHS = (
+    "/healthz",
+    "/readyz",
+    "/static/shared/style.css",
+    "/api/v1/runs",
+    "/api/v1/sensors",
+    "/runs",
+    "/login",
+    "/docs",
+)
 OF_EACH_ANSWER = {"date", "x-request-id", "transfer-encoding"}
 
 

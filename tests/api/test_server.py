@@ -21,7 +21,15 @@ from boresight.store.blobs import BlobStore
 
 from .conftest import House, serving, settings_in
 
-ANSWERS = ["/healthz", "/docs", "/static/style.css", "/api/v1/runs", "/nothing", "/login", "/api/v1/openapi.json"]
+ANSWERS = [
+    "/healthz",
+    "/docs",
+    "/static/shared/style.css",
+    "/api/v1/runs",
+    "/nothing",
+    "/login",
+    "/api/v1/openapi.json",
+]
 
 
 @pytest.mark.parametrize("path", ANSWERS)
@@ -142,8 +150,8 @@ def test_large_answers_are_compressed_and_small_ones_are_not(house: House) -> No
 
 def test_a_static_file_is_sent_once_and_confirmed_afterwards(house: House) -> None:
     client = house.anybody()
-    first = client.get("/static/style.css")
-    again = client.get("/static/style.css", headers={"If-None-Match": first.headers["etag"]})
+    first = client.get("/static/shared/style.css")
+    again = client.get("/static/shared/style.css", headers={"If-None-Match": first.headers["etag"]})
     assert first.headers["cache-control"] == "public, no-cache"
     assert (again.status_code, again.content) == (304, b"")
     assert not first.headers["etag"].startswith("W/")
@@ -159,8 +167,8 @@ def test_plotly_comes_from_the_python_package(house: House) -> None:
 
 
 def test_compressed_and_plain_have_tags_of_their_own(house: House) -> None:
-    plain = house.anybody().get("/static/style.css", headers={"Accept-Encoding": "identity"})
-    assert plain.headers["etag"] != house.anybody().get("/static/style.css").headers["etag"]
+    plain = house.anybody().get("/static/shared/style.css", headers={"Accept-Encoding": "identity"})
+    assert plain.headers["etag"] != house.anybody().get("/static/shared/style.css").headers["etag"]
     assert plain.headers["vary"] == "Accept-Encoding"
 
 
@@ -189,7 +197,7 @@ def test_the_documentation_names_every_operation_and_shape(house: House) -> None
     assert linked <= set(re.findall(r'id="(shape-\w+)"', page))
 
 
-FIGURE_PAGE = """<!doctype html><html lang="en"><title>t</title><link rel="stylesheet" href="/static/style.css">
+FIGURE_PAGE = """<!doctype html><html lang="en"><title>t</title><link rel="stylesheet" href="/static/shared/style.css">
 <div id="d"></div>"""
 DRAW = """async () => {
   await new Promise((done, failed) => document.head.append(

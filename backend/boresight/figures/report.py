@@ -55,7 +55,7 @@ def render_report(result: Result, *, four_eyes: bool = True) -> str:
     environment = Environment(
         loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
     )
-    return environment.get_template("report.html").render(
+    return environment.get_template("figures/report.html").render(
         result=result,
         four_eyes=four_eyes,
         verdict=verdict(result),

@@ -1,7 +1,7 @@
 """Figures inside a page that stands alone: the library, the data and the colours go into the file itself.
 
 Everything that came from outside is escaped: in a script element only `<` could end it, so it is written as its JSON
-escape. `drawn_figures.html` is the part of the page that draws them.
+escape. `figures/drawn_figures.html` is the part of the page that draws them.
 """
 
 from __future__ import annotations

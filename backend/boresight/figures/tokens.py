@@ -1,6 +1,6 @@
 """The tokens of the style sheet: one source of colour for pages, plots and reports.
 
-`frontend/static/style.css` declares every colour and letter size as a custom property, in one block a theme. A theme is
+`frontend/static/shared/style.css` declares every colour and letter size as a custom property, in one block a theme. A theme is
 the block `:root`, which is the dark one, overlaid by its own; paper has the block inside `@media print`. The contrast of
 two colours is that of WCAG 2.2: with the relative luminance L = 0.2126 R + 0.7152 G + 0.0722 B of linear sRGB channels,
 
@@ -65,4 +65,4 @@ def declared(tokens: Tokens) -> str:
     return " ".join(f"--{name}: {value};" for name, value in tokens.items())
 
 
-TOKENS = read_themes((folder("frontend") / "static" / "style.css").read_text(encoding="utf-8"))
+TOKENS = read_themes((folder("frontend") / "static" / "shared" / "style.css").read_text(encoding="utf-8"))

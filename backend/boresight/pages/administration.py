@@ -65,7 +65,7 @@ def administration_page(request: Request, session: Reading, actor: Who) -> HTMLR
     people = users.list_users(session)
     return render(
         request,
-        "administration.html",
+        "administration/administration.html",
         people=people,
         due=[person.printed_name for person in people if person.must_change_password and not person.disabled_utc],
         roles=roles_held(people),

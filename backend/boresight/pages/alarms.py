@@ -68,7 +68,7 @@ def alarms_page(request: Request, session: Reading, actor: Who, sought: Seeking,
     found = alarms.list_alarms(session, sought, before_id=before_id, limit=A_PAGE + 1)
     return render(
         request,
-        "alarms.html",
+        "alarms/alarms.html",
         alarms=sorted(found[:A_PAGE], key=lambda row: (bool(row.acknowledged) or alarms.is_shelved(row), -row.id)),
         older=found[A_PAGE - 1].id if len(found) > A_PAGE else None,
         sought=sought,
@@ -120,7 +120,7 @@ def _page(
         row = alarms.get_alarm(session, alarm_id)
         return render(
             request,
-            "alarm.html",
+            "alarms/alarm.html",
             refused=refusal,
             alarm=row,
             sensor=None if row.sensor_id is None else sensors.get_sensor(session, row.sensor_id),

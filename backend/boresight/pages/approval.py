@@ -122,7 +122,7 @@ def request_page(
     has_figures = row.run_id is not None
     return render(
         request,
-        "approval.html",
+        "approvals/approval.html",
         refused=refusal,
         approval=approval,
         set=row,

@@ -89,7 +89,7 @@ def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLRespon
     entries = _entries(request, session, actor, found.rows)
     return render(
         request,
-        "approvals.html",
+        "approvals/approvals.html",
         view=view,
         entries=[entry for entry in entries if show != "mine" or entry.blocked is None],
         last=found.last,

@@ -128,7 +128,7 @@ def audit_page(
     short = not newest or newest[0].id <= VERIFIED_AT_EVERY_VISIT
     return render(
         request,
-        "audit.html",
+        "audit/audit.html",
         view=view,
         lines=[line_of(record) for record in found.rows],
         last=found.last,
@@ -163,4 +163,6 @@ def record_page(
 ) -> HTMLResponse:
     """Show one record whole: what it changed member by member, who did it how, and the rows that it sealed."""
     record = audit.get_record(session, record_id)
-    return render(request, "audit_record.html", line=line_of(record), record=record, sealed=sorted(record.rows or {}))
+    return render(
+        request, "audit/audit_record.html", line=line_of(record), record=record, sealed=sorted(record.rows or {})
+    )

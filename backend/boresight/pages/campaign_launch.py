@@ -203,7 +203,7 @@ def _page(
     refusal = outcome.refusal if outcome else None
     return render(
         request,
-        "campaign_launch.html",
+        "campaigns/campaign_launch.html",
         refused=refusal if refusal and (given.get("intent") == "queue" or refusal.is_ours) else None,
         offered=offered,
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),

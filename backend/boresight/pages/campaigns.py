@@ -39,7 +39,7 @@ def campaigns_page(request: Request, session: Reading, actor: Who, before: str =
     shown = found[:CAMPAIGNS_A_PAGE]
     return render(
         request,
-        "campaigns.html",
+        "campaigns/campaigns.html",
         campaigns=shown,
         people=read_names(session).people,
         next_before=shown[-1].id if len(found) > CAMPAIGNS_A_PAGE else None,
@@ -76,7 +76,7 @@ def campaign_page(request: Request, session: Reading, actor: Who, campaign_id: i
     lines = _lines(session, campaign_id)
     return render(
         request,
-        "campaign.html",
+        "campaigns/campaign.html",
         view=view,
         failed=[line for line in lines if line["state"] in FAILED],
         lines=lines,

@@ -41,7 +41,7 @@ def change_proposals_page(
     found = proposals.list_proposals(session, state=state, before_id=before_id, limit=ROWS_A_PAGE + 1)
     return render(
         request,
-        "change_proposals.html",
+        "change_proposals/change_proposals.html",
         proposals=found[:ROWS_A_PAGE],
         blocked={row.id: second_person.why_not_decide(session, actor, row) for row in found},
         next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
@@ -64,7 +64,7 @@ def _page(request: Request, actor: Actor, proposal_id: int, refusal: Refusal | N
         own = row.proposed_by == actor.user_id
         return render(
             request,
-            "change_proposal.html",
+            "change_proposals/change_proposal.html",
             refused=refusal,
             proposal=row,
             title=TITLES[row.kind],

@@ -161,15 +161,15 @@ def compare_page(
         run_ids = comparisons.read_run_ids(asked or [])
         if len(run_ids) < 2:
             comparisons.read_compared(session, blobs, run_ids)
-            return render(request, "compare.html", refusal=None, sets=[], found=None)
+            return render(request, "runs/compare.html", refusal=None, sets=[], found=None)
         view = read_view(run_ids, reference, everything, align, overlay)
         found = comparisons.compare(session, blobs, run_ids, view.reference)
     except UnlikeModelsError as error:
-        return render(request, "compare.html", status_code=422, refusal=str(error), sets=error.sets, found=None)
+        return render(request, "runs/compare.html", status_code=422, refusal=str(error), sets=error.sets, found=None)
     except RefusedInputError as error:
-        return render(request, "compare.html", status_code=422, refusal=str(error), sets=[], found=None)
+        return render(request, "runs/compare.html", status_code=422, refusal=str(error), sets=[], found=None)
     names = read_names(session, [one.run for one in found.compared])
-    return render(request, "compare.html", refusal=None, found=found, view=view, **_tables(found, view, names))
+    return render(request, "runs/compare.html", refusal=None, found=found, view=view, **_tables(found, view, names))
 
 
 def _tables(found: Comparison, view: View, names: Names) -> Mapping[str, Any]:

@@ -55,7 +55,7 @@ def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HT
     result = specimens()["filter"]
     return render(
         request,
-        f"gallery_{part}.html",
+        f"administration/gallery_{part}.html",
         part=part,
         parts=PARTS,
         of=of,

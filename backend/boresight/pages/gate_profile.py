@@ -72,7 +72,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
         versions = gate_profiles.list_profiles(session, sensor_id, limit=MOST_VERSIONS)
         return render(
             request,
-            "gate_profile.html",
+            "approvals/gate_profile.html",
             refused=shown.refusal,
             sensor=sensors.get_sensor(session, sensor_id),
             current=versions[0],

@@ -42,7 +42,7 @@ def _page(
         row = parameter_sets.get_parameter_set(session, set_id)
         return render(
             request,
-            "gate_report.html",
+            "approvals/gate_report.html",
             refused=refusal,
             set=row,
             sensor=sensors.get_sensor(session, row.sensor_id),

@@ -1,6 +1,6 @@
 """The panel of gates that the pages of a set, of a request and of the gates themselves share.
 
-`panel_of` fills it, the macro `gates_panel` of `gates_panel.html` prints it. Its forms post to `gate_report`.
+`panel_of` fills it, the macro `gates_panel` of `approvals/gates_panel.html` prints it. Its forms post to `gate_report`.
 """
 
 from __future__ import annotations

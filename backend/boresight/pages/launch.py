@@ -179,7 +179,7 @@ def _page(
     moved = form is not None and form.get("intent") in {"queue", "save"}
     return render(
         request,
-        "launch.html",
+        "runs/launch.html",
         refused=refusal if refusal and (moved or refusal.is_ours) else None,
         offered=offered,
         parameter_names={sensor.id: names_of(sensor) for sensor in offered.fleet},

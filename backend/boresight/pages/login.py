@@ -34,7 +34,7 @@ def login_page(request: Request, next: str = "/", ended: str = "") -> Response: 
         current_actor(request)
     except UnauthenticatedError:
         said = SessionEndedError.SENTENCES.get(ended)
-        return render(request, "login.html", next=local_path(next), name="", refusal=None, ended=said)
+        return render(request, "access/login.html", next=local_path(next), name="", refusal=None, ended=said)
     return redirect(local_path(next))
 
 
@@ -57,7 +57,7 @@ async def log_in(
         return response
     return render(
         request,
-        "login.html",
+        "access/login.html",
         refused=refusal,
         next=local_path(next),
         name=name,

@@ -44,7 +44,7 @@ def _page(
     with reading(request.app.state.engine) as session:
         return render(
             request,
-            "notes.html",
+            "notes/notes.html",
             refused=refusal,
             notes=notes.list_notes(session, actor, kind, subject_id),
             kind=kind,

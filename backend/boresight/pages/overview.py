@@ -340,7 +340,7 @@ def overview_page(request: Request, session: Reading, actor: Who) -> HTMLRespons
     workers = request.app.state.workers.state() if request.app.state.workers else None
     return render(
         request,
-        "overview.html",
+        "fleet/overview.html",
         follows_from=(desk, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
         desk=desk,
         counts=_counts(desk.standings),

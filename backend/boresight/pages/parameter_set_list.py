@@ -65,7 +65,7 @@ def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
     found = page_of(session, view)
     return render(
         request,
-        "parameter_sets.html",
+        "parameter_sets/parameter_sets.html",
         view=view,
         sets=found.rows,
         last=found.last,

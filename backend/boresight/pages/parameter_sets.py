@@ -143,7 +143,7 @@ def _page(
     incumbent = incumbent_of(session, row, requests)
     return render(
         request,
-        "parameter_set.html",
+        "parameter_sets/parameter_set.html",
         refused=refusal,
         set=row,
         sensor=sensor,

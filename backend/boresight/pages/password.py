@@ -31,7 +31,9 @@ def password_page(request: Request, actor: Who) -> HTMLResponse:  # noqa: ARG001
 def _page(request: Request, refusal: Refusal | None) -> HTMLResponse:
     """Render the form, with why it was refused."""
     sentence = refusal.sentence if refusal else ""
-    return render(request, "password.html", refused=refusal, refusal=sentence, minimum_length=MINIMUM_PASSWORD_LENGTH)
+    return render(
+        request, "access/password.html", refused=refusal, refusal=sentence, minimum_length=MINIMUM_PASSWORD_LENGTH
+    )
 
 
 @router.post("", response_class=HTMLResponse)

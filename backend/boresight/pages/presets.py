@@ -29,7 +29,7 @@ def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse
     changes |= {str(row.id): differences(usual, row.document) for row in saved}
     return render(
         request,
-        "presets.html",
+        "runs/presets.html",
         own=presets.BUILT_IN,
         saved=saved,
         changes=changes,

@@ -63,7 +63,7 @@ def problem_page(request: Request, error: Exception) -> Response:
     problem = problem_of(error)
     return render(
         request,
-        "problem.html",
+        "shared/problem.html",
         status_code=problem.status,
         headers=problem.headers,
         problem=problem,
@@ -90,7 +90,7 @@ def _who_grants(request: Request, status: int) -> str:
 def bare_problem_page(request: Request, error: Exception) -> Response:
     """Answer an error where even the frame around a page cannot be made: its sentence and the request id, alone."""
     problem = problem_of(error)
-    page = TEMPLATES.get_template("bare_problem.html").render(
+    page = TEMPLATES.get_template("shared/bare_problem.html").render(
         problem=problem,
         advice=ADVICE.get(problem.status, ADVICE_OF_ANY),
         request_id=getattr(request.state, "request_id", None),

@@ -1,6 +1,6 @@
 """Turning a template and its values into a page; answering a form.
 
-`render(request, "run.html", run=row)` is all a page file needs: the frame around the content fills itself. After a POST
+`render(request, "runs/run.html", run=row)` is all a page file needs: the frame around the content fills itself. After a POST
 a page answers with `redirect(location, flash="...")`; the line travels in a short-lived cookie and is shown once on the
 next page. Undefined names are errors, and everything is escaped.
 """

@@ -93,7 +93,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
     run, result = desk.run, desk.result
     return render(
         request,
-        "run.html",
+        "runs/run.html",
         run=run,
         terminal=run.state in TERMINAL_RUN_STATES,
         sensor=desk.sensor,

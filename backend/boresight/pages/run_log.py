@@ -76,4 +76,4 @@ def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
 def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, level: str = "info") -> HTMLResponse:
     """Give the lines after a line as list items, for a page that follows the log."""
     rows = runs.log_lines(session, run_id, after_id=after)
-    return render(request, "run_log_lines.html", lines=lines_of(rows, level))
+    return render(request, "runs/run_log_lines.html", lines=lines_of(rows, level))

@@ -214,7 +214,7 @@ def runs_page(request: Request, session: Reading) -> HTMLResponse:
     on_page = {run.id for run in found.rows}
     return render(
         request,
-        "runs.html",
+        "runs/runs.html",
         view=view,
         lines=[line_of(run, names) for run in found.rows],
         last=found.last,

@@ -152,7 +152,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
         advice = advise(trend_of(session, sensor_id))
         return render(
             request,
-            "sensor.html",
+            "fleet/sensor.html",
             refused=shown.refusal,
             sensor=sensor,
             tile=sensors.fleet_overview(session, [sensor_id])[0],

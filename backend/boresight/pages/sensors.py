@@ -203,7 +203,7 @@ def _page(request: Request, roles: frozenset[str], shown: Shown) -> HTMLResponse
         found = page_of(session, view, **_where(chosen))
         return render(
             request,
-            "sensors.html",
+            "fleet/sensors.html",
             refused=shown.refusal,
             view=view,
             tiles=_tiles(session, [sensor.id for sensor in found.rows], chosen),

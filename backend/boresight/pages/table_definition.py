@@ -132,7 +132,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
         )
         return render(
             request,
-            "table_definition.html",
+            "uplinks/table_definition.html",
             refused=refusal,
             sensor=sensor,
             current=current,

@@ -90,7 +90,7 @@ def _page(request: Request, session: Session, roles: frozenset[str], view: View,
     found = page_of(session, view, **_in_use(view))
     return render(
         request,
-        "telemetry.html",
+        "telemetry/telemetry.html",
         refused=shown.refusal,
         view=view,
         sets=found.rows,

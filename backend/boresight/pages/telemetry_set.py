@@ -80,7 +80,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
     blob = session.get(Blob, row.original_sha256)
     return render(
         request,
-        "telemetry_set.html",
+        "telemetry/telemetry_set.html",
         row=row,
         quality=row.quality,
         drawings=drawings_of(row.quality),

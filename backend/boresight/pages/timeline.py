@@ -34,7 +34,7 @@ def timeline_page(
     events = found[:EVENTS_A_PAGE]
     return render(
         request,
-        "timeline.html",
+        "fleet/timeline.html",
         status_code=422 if refusal else 200,
         sensor=sensor,
         at=at.strip(),

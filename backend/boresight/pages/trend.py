@@ -29,7 +29,7 @@ def trend_page(request: Request, session: Reading, actor: Who, sensor_id: int) -
     document = trend_document(session, sensor_id)
     return render(
         request,
-        "trend.html",
+        "fleet/trend.html",
         sensor=sensors.get_sensor(session, sensor_id),
         trend=document,
         models=[None, *dict.fromkeys(point["camera_model"] for point in document["others"])],

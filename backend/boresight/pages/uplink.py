@@ -128,7 +128,7 @@ def uplink_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     lines = [line_of(timeline.as_of(session, sensor_id)) for sensor_id in found[start : start + ROWS_A_PAGE]]
     return render(
         request,
-        "uplink.html",
+        "uplinks/uplink.html",
         lines=lines,
         shown=shown,
         words=WORDS,

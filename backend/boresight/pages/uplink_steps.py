@@ -64,7 +64,7 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
         reference, why = _reference(session, request.app.state.blobs, row)
         return render(
             request,
-            "uplink_steps.html",
+            "uplinks/uplink_steps.html",
             refused=shown.refusal,
             set=row,
             sensor=sensors.get_sensor(session, row.sensor_id),

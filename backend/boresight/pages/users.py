@@ -61,7 +61,7 @@ def _page(request: Request, actor: Actor, session: Session, shown: Shown) -> HTM
     people = users.list_users(session)
     return render(
         request,
-        "users.html",
+        "access/users.html",
         refused=shown.refusal,
         people=people if administrator else [],
         names={person.id: person.printed_name for person in people},
@@ -208,7 +208,7 @@ def _sessions_page(
     person = users.get_user(session, user_id or require_person(actor, "see log-ins"))
     return render(
         request,
-        "sessions.html",
+        "access/sessions.html",
         refused=refusal,
         person=person,
         own=person.id == actor.user_id,

@@ -46,7 +46,7 @@ def _page(request: Request, session: Session, actor: Actor, shown: Shown) -> HTM
     may = "administrator" in actor.roles
     return render(
         request,
-        "webhooks.html",
+        "webhooks/webhooks.html",
         refused=shown.refusal,
         may=may,
         hooks=webhooks.list_webhooks(session, actor) if may else [],
@@ -97,7 +97,7 @@ def _webhook_page(
     found = webhooks.list_deliveries(session, actor, webhook_id, before_id=before_id, limit=ROWS_A_PAGE + 1)
     return render(
         request,
-        "webhook.html",
+        "webhooks/webhook.html",
         hook=hook,
         state=state_of(hook, request.app.state.secret_box),
         secret=secret,

@@ -48,7 +48,7 @@ def rendered(template: str, document: Document, draw: Draw, **more: Any) -> str:
     Parameters
     ----------
     template
-        Its file, which extends `reproduction.html`.
+        Its file, which extends `papers/reproduction.html`.
     document
         The study.
     draw

@@ -52,7 +52,7 @@ def write(document: Document, out: Path) -> list[Path]:
 def render(document: Document) -> str:
     """Render the report as HTML text."""
     return rendered(
-        "enright.html",
+        "papers/enright.html",
         document,
         DRAW,
         table_i=TABLE_I,

@@ -47,7 +47,7 @@ def write(document: Document, out: Path) -> list[Path]:
 def render(document: Document) -> str:
     """Render the report as HTML text."""
     parameters = zip(NAMES, WU_TRUTH, WU_TYPICAL_SIGMA, WU_START, document["start_sigma"].values(), strict=True)
-    return rendered("wu.html", document, DRAW, parameters=list(parameters), labels=LABELS)
+    return rendered("papers/wu.html", document, DRAW, parameters=list(parameters), labels=LABELS)
 
 
 def _set_lines(document: Document) -> Iterator[Sequence[Any]]:
