@@ -30,7 +30,7 @@ from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blobs import register_blob
-from boresight.store.run_events import write_event
+from boresight.store.run_events import Line, write_event
 from boresight.store.sessions import migrate, open_engine, writing
 from boresight.store.tables import Run
 from boresight.telemetry.readers import write_csv
@@ -173,7 +173,7 @@ class House:
             register_blob(session, blobs, sha256, "application/json")
             run = session.get_one(Run, run_id)
             run.state, run.result_sha256 = state, sha256
-            write_event(session, run_id, 1, "state", f"{state}: ended by the test")
+            write_event(session, run_id, 1, Line.moved(state, "ended by the test"))
             audit.append(session, SYSTEM, "ended", f"runs/{run_id}", None, {"state": state})
 
     def finished(self, launcher: str = "ada") -> int:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.api.feed import Place, Ring
-from boresight.store.run_events import write_event
+from boresight.store.run_events import Line, write_event
 from boresight.store.sessions import writing
 
 from .conftest import House
@@ -75,7 +75,7 @@ def test_a_line_of_a_run_s_log_is_told_as_such(house: House) -> None:
     with following(house.person("victor")) as events:
         next(events)
         with writing(house.app.state.engine) as session:
-            write_event(session, run["id"], 1, "log", "Given up on frame 3.")
+            write_event(session, run["id"], 1, Line.log("Given up on frame 3."))
         told = next(event for event in events if event["event"] == "log")
     assert (told["event"], told["data"]["message"]) == ("log", "Given up on frame 3.")
 

@@ -119,7 +119,8 @@ class Store:
 
     def ends(self, run_id: int) -> list[str]:
         """Return the terminal states that were written for a run."""
-        words = [message.partition(":")[0] for message in self.log(run_id, "state")]
+        with reading(self.database) as session:
+            words = [event.state for event in events_of_run(session, run_id, 0, None) if event.state]
         return [word for word in words if word in TERMINAL_RUN_STATES]
 
     def processes(self) -> list[int]:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from boresight.store.runs import End
 from boresight.workers import lookout
 from boresight.workers.lookout import RUNS, Lookout
 
@@ -13,7 +14,7 @@ def look(make_store):
 
     def make(count, state="SUCCEEDED"):
         made = Lookout(store.database)
-        made.note([{"run_id": run_id, "state": state} for run_id in store.launch("quick", count)])
+        made.note([End(run_id, 1, state) for run_id in store.launch("quick", count)])
         return made
 
     return make

@@ -143,7 +143,7 @@ def _line(row: RunEvent) -> Event:
     """Tell a line of a run's log: a change of state as such, any other as a line."""
     told = {"run_id": row.run_id, "attempt": row.attempt, "at_utc": row.at_utc, "message": row.message[:LINE_LENGTH]}
     if row.kind == "state":
-        return Event("run", told | {"state": row.message.partition(":")[0]}, row.id)
+        return Event("run", told | {"state": row.state}, row.id)
     return Event("log", told | {"kind": row.kind}, row.id)
 
 

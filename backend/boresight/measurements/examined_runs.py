@@ -48,7 +48,7 @@ def _rows(session: Session) -> list[Run]:
 
 def _is_good(session: Session, constellation: Constellation, row: Run) -> bool:
     """Say whether a run succeeded once, with the result that it must have."""
-    words = [line.message.partition(":")[0] for line in runs.log_lines(session, row.id) if line.kind == "state"]
+    words = [line.state for line in runs.log_lines(session, row.id)]
     if [word for word in words if word in TERMINAL_RUN_STATES] != ["SUCCEEDED"] or row.result_sha256 is None:
         return False
     table = get_telemetry_set(session, row.telemetry_set_id).table_sha256

@@ -138,12 +138,12 @@ class Site:
         future = self._submit(client, table, own)
         kill = None if kill_after_s is None else Kill(client, others[0], pids[others[0]], began_s + kill_after_s)
         after_s = _cpu_until(future, pids, kill)
-        (outcome,) = future.result()
+        (end,) = future.result()
         took_s = time.perf_counter() - began_s
-        if outcome["result_sha256"] is None:
-            raise RuntimeError(f"The run ended {outcome['state']}: {outcome['reason']}")
+        if end.result_sha256 is None:
+            raise RuntimeError(f"The run ended {end.state}: {end.reason}")
         cpu_s = {f"worker_{n}": round(after_s[pid] - before_s[pid], 3) for n, pid in enumerate(sorted_by(pids, own), 1)}
-        document = orjson.loads(self._blobs.read(outcome["result_sha256"]))
+        document = orjson.loads(self._blobs.read(end.result_sha256))
         told: dict[str, Any] = {} if kill is None else {"kill": kill.told(began_s)}
         return told | {
             "seconds": took_s,

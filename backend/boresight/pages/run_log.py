@@ -1,13 +1,11 @@
 """The log of a run on its page: every line with how grave it is, filtered by that in the address, and what follows a line.
 
-The rows hold a kind and a message. How grave a line is follows from them: a run that failed or was lost and an attempt that
-died are errors, a stop and an attempt that is computed again are warnings, all else is information.
+A run that failed or was lost and an attempt that died are errors, a stop and an attempt that is computed again are warnings.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -24,29 +22,9 @@ router = APIRouter()
 
 LEVELS = {"info": "All lines", "warning": "Warnings and errors", "error": "Errors"}
 SYMBOLS = {"info": "off", "warning": "caution", "error": "serious"}
-STATES = {"FAILED": "error", "LOST": "error", "CANCELLED": "warning", "CANCELLING": "warning"}
 
 
-@dataclass(frozen=True)
-class Line:
-    """A line as it is shown: its level, and the level of the status symbol beside it."""
-
-    row: RunEvent
-    level: str
-    symbol: str
-
-
-def level_of_line(row: RunEvent) -> str:
-    """Say how grave a line is: `info`, `warning` or `error`."""
-    if row.kind == "state":
-        again = row.message.startswith("QUEUED: again")
-        return "warning" if again else STATES.get(row.message.partition(":")[0], "info")
-    if row.kind == "lost" or row.message.startswith("Traceback"):
-        return "error"
-    return "warning" if row.message.startswith("Attempt ") else "info"
-
-
-def lines_of(rows: Sequence[RunEvent], level: str) -> list[Line]:
+def lines_of(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
     """Return the lines that are at least as grave as a level.
 
     Raises
@@ -57,8 +35,7 @@ def lines_of(rows: Sequence[RunEvent], level: str) -> list[Line]:
     if level not in LEVELS:
         raise RefusedInputError(f"A log has no level {level[:40]}; choose from {', '.join(LEVELS)}.")
     order = list(LEVELS)
-    shown = ((row, level_of_line(row)) for row in rows)
-    return [Line(row, own, SYMBOLS[own]) for row, own in shown if order.index(own) >= order.index(level)]
+    return [row for row in rows if order.index(row.level) >= order.index(level)]
 
 
 def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
@@ -67,6 +44,7 @@ def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
     rows = runs.log_lines(session, run.id)
     return {
         "lines": lines_of(rows, level),
+        "symbols": SYMBOLS,
         "level": level,
         "filters": [(name, words, len(lines_of(rows, name))) for name, words in LEVELS.items()],
     }
@@ -76,4 +54,4 @@ def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
 def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, level: str = "info") -> HTMLResponse:
     """Give the lines after a line as list items, for a page that follows the log."""
     rows = runs.log_lines(session, run_id, after_id=after)
-    return render(request, "runs/run_log_lines.html", lines=lines_of(rows, level))
+    return render(request, "runs/run_log_lines.html", lines=lines_of(rows, level), symbols=SYMBOLS)

@@ -90,7 +90,7 @@ def _again(run: Run) -> tuple[tuple[str, str], ...]:
 def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[Notice]:
     """Say the cause, show the end of the log, and what to try."""
     cause = _reason(run) or "The run failed and gave no cause; its log has the last lines."
-    lines = tuple(line for line in log if not (line.kind == "state" and line.message.startswith("FAILED")))
+    lines = tuple(line for line in log if line.state != "FAILED")
     return [
         Notice("serious", cause, lines=lines[-LAST_LINES:]),
         Notice("off", WHAT_TO_TRY, links=_again(run)),
@@ -109,14 +109,11 @@ def _of_partial(run: Run) -> list[Notice]:
 
 def _of_attempts(log: Sequence[RunEvent]) -> list[Notice]:
     """Say why there is more than one attempt."""
-    ended = [line for line in log if line.kind == "state" and line.message.startswith("QUEUED: again")]
-    if not ended:
+    again = [line for line in log if line.state == "QUEUED" and line.cause]
+    if not again:
         return []
-    because = ended[-1].message.partition("because ")[2]
-    sentence = (
-        f"Attempt {count(ended[-1].attempt)} ended without a result: {because}. It is computed again from the start."
-    )
-    return [Notice("caution", sentence)]
+    told = f"Attempt {count(again[-1].attempt)} ended without a result: {again[-1].cause}."
+    return [Notice("caution", f"{told} It is computed again from the start.")]
 
 
 def _of_silence(run: Run) -> list[Notice]:
@@ -130,7 +127,7 @@ def _of_silence(run: Run) -> list[Notice]:
 
 def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
     """Say who asked for the stop and when."""
-    asked = [line.at_utc for line in log if line.kind == "state" and line.message.startswith("CANCELLING")]
+    asked = [line.at_utc for line in log if line.state == "CANCELLING"]
     since = f"Asked at {clock(asked[-1])}, {duration(seconds_since(asked[-1]))} ago. " if asked else ""
     return (
         f"Stopping: {_reason(run)} {since}The worker looks for this five times a second; one that does not answer is "

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 
 from boresight.store import seals
 from boresight.store.documents import among
-from boresight.store.run_events import write_events
+from boresight.store.run_events import Line, write_events
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import TERMINAL_RUN_STATES, Base, Campaign, CampaignRun, Run, Sensor, TelemetrySet
 
@@ -52,7 +52,7 @@ def add_runs(session: Session, values: Sequence[Mapping[str, Any]]) -> dict[int,
     now = utc_now()
     fixed = {"state": "QUEUED", "attempt": 0, "cancel_requested": 0, "launched_utc": now}
     added = _inserted(session, Run, [{**one, **fixed} for one in values], Run.id, Run.sensor_id)
-    write_events(session, [(run_id, 0, "state", "QUEUED") for run_id in sorted(run_id for run_id, _ in added)])
+    write_events(session, [(run_id, 0, Line.moved("QUEUED")) for run_id in sorted(run_id for run_id, _ in added)])
     return {sensor_id: run_id for run_id, sensor_id in added}
 
 
@@ -135,7 +135,7 @@ def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[in
         .returning(Run.id, Run.attempt, Run.state)
         .execution_options(synchronize_session=False, **seals.BULK)
     ).all()
-    write_events(session, [(run_id, attempt, "state", f"{state}: {reason}") for run_id, attempt, state in stopped])
+    write_events(session, [(run_id, attempt, Line.moved(state, reason)) for run_id, attempt, state in stopped])
     for run_id, _, state in stopped:
         if state in TERMINAL_RUN_STATES:
             seals.note(session, Run, run_id)

@@ -3,7 +3,9 @@
 With `canon` the canonical JSON of a row's lasting columns that are not NULL, each row is chained to the one before::
 
     id_n = id_(n-1) + 1,    hash_0 = 64 zeros,    hash_n = SHA-256(hash_(n-1) || canon(row_n))
-    outcome_hash_n = SHA-256(hash_n || canon(moving columns of row_n))
+    outcome_hash_n = SHA-256(hash_n || canon(other columns of row_n))
+
+The other columns are those that move, and those that came when the chain was there already.
 
 So an edit, a row put in between and a removed row are told by the row itself or the next one. Whoever chains the rest anew meets
 the audit log: each of its records carries the newest hash of every journal that has grown since the record before. What came
@@ -31,11 +33,11 @@ MOST_STORES = 64
 
 @dataclass(frozen=True)
 class Journal:
-    """What of a table never changes, and what moves."""
+    """What of a table the chain's hash covers, and what the other one."""
 
     model: type[RunEvent | WebhookDelivery]
     lasting: tuple[str, ...]
-    moving: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -47,14 +49,18 @@ class Journal:
         return _hash(previous, {name: row[name] for name in self.lasting})
 
     def outcome_hash_of(self, row: Mapping[str, Any]) -> str:
-        """Return the hash of what moves in a row."""
-        return _hash(row["hash"] or "", {name: row[name] for name in self.moving})
+        """Return the hash of the other columns."""
+        return _hash(row["hash"] or "", {name: row[name] for name in self.others})
 
 
 JOURNALS: Mapping[str, Journal] = {
     journal.name: journal
     for journal in (
-        Journal(RunEvent, ("id", "run_id", "attempt", "at_utc", "kind", "message")),
+        Journal(
+            RunEvent,
+            ("id", "run_id", "attempt", "at_utc", "kind", "message"),
+            ("state", "cause", "level", "numbers"),
+        ),
         Journal(
             WebhookDelivery,
             ("id", "webhook_id", "audit_id", "body", "created_utc"),
@@ -87,23 +93,22 @@ def chained(
     made = []
     for row_id, row in enumerate(rows, start=last_id + 1):
         previous = journal.hash_of(previous, {**row, "id": row_id})
-        made.append({**row, "id": row_id, "hash": previous})
+        numbered = {**row, "id": row_id, "hash": previous}
+        made.append({**numbered, "outcome_hash": journal.outcome_hash_of(numbered)})
     return made
 
 
 def chain_new(session: Session, context: Any, instances: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives all three
-    """Number and chain the rows that a flush is about to write, and hash what moves in them."""
+    """Number and chain the rows that a flush is about to write, and hash anew what it changes in others."""
     added = sorted((row for row in session.new if _journal(row)), key=lambda row: sa.inspect(row).insert_order)
     for journal in JOURNALS.values():
         rows = [row for row in added if isinstance(row, journal.model)]
-        values = [{name: _value(row, name) for name in journal.lasting} for row in rows]
+        values = [{name: _value(row, name) for name in (*journal.lasting, *journal.others)} for row in rows]
         for row, made in zip(rows, chained(session, journal.model, values) if rows else (), strict=True):
-            row.id = made["id"]
-            row.hash = made["hash"]
-    for row in (*added, *session.dirty):
-        its = _journal(row)
-        if its is not None and its.moving:
-            row.outcome_hash = its.outcome_hash_of({name: _value(row, name) for name in (*its.moving, "hash")})
+            row.id, row.hash, row.outcome_hash = made["id"], made["hash"], made["outcome_hash"]
+    for row in session.dirty:
+        if (its := _journal(row)) is not None:
+            row.outcome_hash = its.outcome_hash_of({name: _value(row, name) for name in (*its.others, "hash")})
 
 
 def _journal(row: Base) -> Journal | None:
@@ -141,7 +146,7 @@ def _store(session: Session) -> str:
 
 def rows_of(session: Session, journal: Journal) -> Iterator[dict[str, Any]]:
     """Yield every row in order, without holding them all."""
-    columns = [*journal.lasting, *journal.moving, "hash", *(("outcome_hash",) if journal.moving else ())]
+    columns = [*journal.lasting, *journal.others, "hash", "outcome_hash"]
     table = journal.model.__table__
     query = sa.select(*(table.columns[name] for name in columns)).order_by(table.c.id)
     with closing(session.execute(query, execution_options={"yield_per": ROWS_AT_A_TIME})) as found:

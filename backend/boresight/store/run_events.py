@@ -1,13 +1,14 @@
-"""The log of runs: one line an event, in the order they happened.
+"""The log of runs: one line an event, in the order they happened, a sentence for people with the same as fields beside it.
 
-Kinds: `state` for every change of state (the message begins with the new state's word), `log` for what the computation
-says, `lost` for every attempt that died with its worker or its server. Writers are one at a time, so numbers ascend in
-the order of commits and whoever follows the log from a number on misses nothing.
+Kinds: `state` for every change of state, `log` for what the computation says, `lost` for every attempt that died with its
+worker or its server. Writers are one at a time, so numbers ascend in the order of commits and whoever follows the log from a
+number on misses nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 
 import sqlalchemy as sa
 
@@ -15,19 +16,74 @@ from boresight.store import journals
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import RunEvent
 
-Line = tuple[int, int, str, str]  # run id, attempt, kind, message
+LEVELS = ("info", "warning", "error")
+LEVEL_OF_STATE = {"FAILED": "error", "LOST": "error", "CANCELLED": "warning", "CANCELLING": "warning"}
 
 
-def write_event(session: Session, run_id: int, attempt: int, kind: str, message: str) -> None:
-    """Add a line to a run's log; `kind` is state, log or lost."""
-    session.add(RunEvent(run_id=run_id, attempt=attempt, at_utc=utc_now(), kind=kind, message=message))
-    session.flush()
+@dataclass(frozen=True)
+class Line:
+    """One line.
+
+    Parameters
+    ----------
+    kind
+        `state`, `log` or `lost`.
+    message
+        The sentence.
+    state
+        The new state; None where it did not change.
+    cause
+        Why it changed, or why an attempt ended without a result.
+    level
+        How grave it is, of `LEVELS`.
+    numbers
+        By name, with the unit in it.
+    """
+
+    kind: str
+    message: str
+    state: str | None = None
+    cause: str | None = None
+    level: str = "info"
+    numbers: Mapping[str, float] | None = None
+
+    @classmethod
+    def log(cls, message: str, numbers: Mapping[str, float] | None = None, *, level: str = "info") -> Line:
+        """Say what a computation says."""
+        return cls("log", message, level=level, numbers=numbers)
+
+    @classmethod
+    def moved(cls, state: str, cause: str | None = None) -> Line:
+        """Say that a run is in another state."""
+        message = f"{state}: {cause}" if cause else state
+        return cls("state", message, state, cause or None, LEVEL_OF_STATE.get(state, "info"))
+
+    @classmethod
+    def begun(cls, attempt: int, owner: str) -> Line:
+        """Say that an attempt computes."""
+        return cls("state", f"RUNNING: attempt {attempt} on {owner}", "RUNNING")
+
+    @classmethod
+    def queued_again(cls, cause: str) -> Line:
+        """Say that a run waits again, its attempt having ended without a result."""
+        return cls("state", f"QUEUED: again, because {cause}", "QUEUED", cause, "warning")
+
+    @classmethod
+    def attempt_ended(cls, attempt: int, cause: str, *, is_lost: bool) -> Line:
+        """Say why an attempt ended without a result, and whether that counts against its run."""
+        kind, level = ("lost", "error") if is_lost else ("log", "warning")
+        return cls(kind, f"Attempt {attempt}: {cause}", cause=cause, level=level)
 
 
-def write_events(session: Session, lines: Sequence[Line]) -> None:
-    """Add lines to the logs of runs in this order, however many in one statement."""
+def write_event(session: Session, run_id: int, attempt: int, line: Line) -> None:
+    """Add a line to a run's log."""
+    write_events(session, [(run_id, attempt, line)])
+
+
+def write_events(session: Session, lines: Sequence[tuple[int, int, Line]]) -> None:
+    """Add lines to the logs of runs and their attempts in this order, however many in one statement."""
     now = utc_now()
-    given = [dict(zip(("run_id", "attempt", "kind", "message"), line, strict=True)) | {"at_utc": now} for line in lines]
+    given = [{"run_id": run_id, "attempt": attempt, "at_utc": now, **asdict(line)} for run_id, attempt, line in lines]
     if given:
         session.flush()  # what waits was said before
         session.execute(sa.insert(RunEvent), journals.chained(session, RunEvent, given))

@@ -38,7 +38,7 @@ def add_run(session: Session, **values: Any) -> Run:
     run = Run(state="QUEUED", attempt=0, cancel_requested=0, launched_utc=utc_now(), **values)
     session.add(run)
     session.flush()
-    write_event(session, run.id, 0, "state", "QUEUED")
+    write_event(session, run.id, 0, Line.moved("QUEUED"))
     return run
 
 
@@ -62,7 +62,7 @@ def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
         .execution_options(synchronize_session=False, **seals.BULK)
     ).first()
     if row is not None:
-        write_event(session, run_id, row.attempt, "state", f"{row.state}: {reason}")
+        write_event(session, run_id, row.attempt, Line.moved(row.state, reason))
         if row.state in TERMINAL_RUN_STATES:
             seals.note(session, Run, run_id)
     return find_run(session, run_id)
@@ -94,7 +94,7 @@ def claim(
         .execution_options(synchronize_session=False, **seals.BULK)
     ).all()
     held = sorted((run_id, attempt) for run_id, attempt in taken)
-    write_events(session, [(*one, "state", f"RUNNING: attempt {one[1]} on {owner}") for one in held])
+    write_events(session, [(*one, Line.begun(one[1], owner)) for one in held])
     return claimed_runs(session, [run_id for run_id, _ in held])
 
 
@@ -133,7 +133,10 @@ def record_progress(session: Session, run_id: int, attempt: int, progress: Mappi
 
 @dataclass(frozen=True)
 class End:
-    """How an attempt ended: the terminal state asked for and why, its result with the bytes of it, lines for the log."""
+    """How an attempt ended: the terminal state asked for and why, its result with the bytes of it, lines for the log.
+
+    `corrupt_sha256` is the address of a stored file that the attempt found corrupt.
+    """
 
     run_id: int
     attempt: int
@@ -142,7 +145,8 @@ class End:
     result_sha256: str | None = None
     summary: Mapping[str, Any] | None = None
     result_bytes: int = 0
-    log: Sequence[str] = ()
+    log: Sequence[Line] = ()
+    corrupt_sha256: str | None = None
 
 
 def finish(
@@ -176,7 +180,10 @@ def finish_all(session: Session, ends: Sequence[End]) -> dict[Held, str]:
     _register_results(session, written, now)
     _write_ends(session, [end for end in written if end.result_sha256 is None], now)
     _write_ends(session, [end for end in written if end.result_sha256 is not None], now, progress=None)
-    write_events(session, [line for end in written for line in _told(end)])
+    write_events(
+        session,
+        [(end.run_id, end.attempt, line) for end in written for line in (*end.log, Line.moved(end.state, end.reason))],
+    )
     for end in written:
         seals.note(session, Run, end.run_id)
         after = {"state": end.state, "result_sha256": end.result_sha256}
@@ -219,13 +226,6 @@ def _write_ends(session: Session, ends: Sequence[End], now: str, **also: Any) ->
         raise RuntimeError(f"Expected {len(rows)} runs to end / Received another number")
 
 
-def _told(end: End) -> list[Line]:
-    """Return what the log tells of an end."""
-    said = f"{end.state}: {end.reason}" if end.reason else end.state
-    lines = [*(("log", line) for line in end.log), ("state", said)]
-    return [(end.run_id, end.attempt, kind, message) for kind, message in lines]
-
-
 def _register_results(session: Session, ends: Sequence[End], now: str) -> None:
     """Name the results' bytes, which the workers have put already; a worker may be on another machine."""
     sizes = {end.result_sha256: end.result_bytes for end in ends if end.result_sha256 is not None}
@@ -241,7 +241,7 @@ def _register_results(session: Session, ends: Sequence[End], now: str) -> None:
 
 def put_back(session: Session, run_id: int, attempt: int, cause: str) -> bool:
     """Queue a run again whose attempt ended through no fault of its own; it does not count against the run."""
-    return _put_back(session, (run_id, attempt), "log", cause)
+    return _put_back(session, (run_id, attempt), cause, is_lost=False)
 
 
 def give_up_attempt(
@@ -262,20 +262,20 @@ def give_up_attempt(
         reason = f"Given up after {times} lost attempt{'s' * (times > 1)}, the last because {cause}."
         written = finish(session, run_id, attempt, end_state, reason)
         if written is not None:
-            write_event(session, run_id, attempt, "lost", f"Attempt {attempt}: {cause}")
+            write_event(session, run_id, attempt, Line.attempt_ended(attempt, cause, is_lost=True))
         return written
-    return "QUEUED" if _put_back(session, (run_id, attempt), "lost", cause) else None
+    return "QUEUED" if _put_back(session, (run_id, attempt), cause, is_lost=True) else None
 
 
-def _put_back(session: Session, held: Held, kind: str, cause: str) -> bool:
+def _put_back(session: Session, held: Held, cause: str, *, is_lost: bool) -> bool:
     """Queue a run again under a line of its log; one that was asked to stop ends instead."""
     if states_of(session, [held[0]]).get(held) == "CANCELLING":
         return finish(session, *held, "CANCELLED") is not None
     write = _fenced(held).values(state="QUEUED", owner=None, lease_until_utc=None, progress=sa.null())
     if not _matched(session, write):
         return False
-    write_event(session, *held, kind, f"Attempt {held[1]}: {cause}")
-    write_event(session, *held, "state", f"QUEUED: again, because {cause}")
+    lines = (Line.attempt_ended(held[1], cause, is_lost=is_lost), Line.queued_again(cause))
+    write_events(session, [(*held, line) for line in lines])
     return True
 
 

@@ -170,7 +170,7 @@ def _gaps(session: Session, scratch: sqlite3.Connection, found: Findings, journa
     for row in journals.rows_of(session, journal):
         found.rows += 1
         digest, _ = carried.pop(row["id"], (row["hash"], 0))
-        moved = bool(journal.moving) and row["outcome_hash"] != journal.outcome_hash_of(row)
+        moved = row["outcome_hash"] != journal.outcome_hash_of(row)
         if row["hash"] is None:
             yield Misfit(f"{journal.name}/{row['id']}", "inserted", None)
             continue

@@ -24,15 +24,16 @@ from distributed.system import MEMORY_LIMIT
 
 import boresight
 from boresight.settings import Settings
-from boresight.store.runs import Held
+from boresight.store.runs import End, Held
 from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE
 from boresight.workers.connection import Connection
 from boresight.workers.fitness import UNFIT_TOPIC, Fitness
 from boresight.workers.link import TOPIC, cancel_event
 from boresight.workers.nodes import Nanny, Scheduler
+from boresight.workers.reports import Report
 from boresight.workers.security import PROTOCOL, own_security, security_of
 from boresight.workers.spread import LENT_TOPIC
-from boresight.workers.tasks import Outcome, Work, execute_group
+from boresight.workers.tasks import Work, execute_group
 from boresight.workers.warm import WarmUp
 
 log = logging.getLogger(__name__)
@@ -61,7 +62,7 @@ class Cluster:
         client.subscribe_topic(UNFIT_TOPIC, lambda event: log.error(event[1]["fault"]))
 
     @classmethod
-    def open(cls, settings: Settings, on_progress: Callable[[dict[str, Any]], None]) -> Cluster:
+    def open(cls, settings: Settings, on_progress: Callable[[Report], None]) -> Cluster:
         """Start our own workers, or connect to the scheduler of the settings.
 
         Raises
@@ -88,7 +89,7 @@ class Cluster:
                 raise
         opened = cls(client, local)
         try:
-            client.subscribe_topic(TOPIC, lambda event: on_progress(event[1]))
+            client.subscribe_topic(TOPIC, lambda event: on_progress(Report(**event[1]["report"])))
             if settings.scheduler:
                 client.register_plugin(Fitness(boresight.__version__, _shared_folder(settings)))
             client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
@@ -114,12 +115,12 @@ class Cluster:
         future.add_done_callback(lambda _: done())
         return future
 
-    def outcome_of(self, future: Any, worker: str) -> list[Outcome] | LostTaskError | None:
-        """Return a task's outcomes, that it was lost, or None when it has not ended or ended for no fault of its own."""
+    def ends_of(self, future: Any, worker: str) -> list[End] | LostTaskError | None:
+        """Return how a task's attempts ended, that it was lost, or None when it has not ended or ended for no fault of its own."""
         if not future.done():
             return None
         try:
-            outcomes: list[Outcome] = future.result(timeout=FETCH_S)
+            ends: list[End] = future.result(timeout=FETCH_S)
         except (TimeoutError, CancelledError):  # its worker died after it had ended and before it was asked
             return None
         except KilledWorker:
@@ -127,7 +128,7 @@ class Cluster:
             return None if lent else LostTaskError(DIED)
         except Exception as error:  # noqa: BLE001 - whatever kept the worker from even beginning
             return LostTaskError(f"its worker could not begin it, {type(error).__name__}: {error}")
-        return outcomes
+        return ends
 
     def _note_loan(self, event: dict[str, Any]) -> None:
         """Note that a worker has, or just had, pieces of another run."""

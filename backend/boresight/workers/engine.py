@@ -198,7 +198,7 @@ class Engine:
         if flight.future.cancelled():
             self._rows.put_back(flight.members, "the scheduler dropped it")
             return True
-        answer = self._on_cluster().outcome_of(flight.future, flight.worker)
+        answer = self._on_cluster().ends_of(flight.future, flight.worker)
         if answer is None and alive:
             return False
         if answer is None:  # the news of the end may still be on its way
@@ -213,7 +213,7 @@ class Engine:
         else:
             self._rows.settle(answer)
             self._lookout.note(answer)
-            for sha256 in {outcome.get("corrupt_sha256") for outcome in answer} - {None}:
+            for sha256 in {end.corrupt_sha256 for end in answer} - {None}:
                 self._suspect(str(sha256))
         return True
 

@@ -8,30 +8,20 @@ run that is over within a second tells nothing on its way: nobody could see it.
 from __future__ import annotations
 
 import time
-from typing import Any, TypedDict
+from typing import Any
 
 import orjson
 from distributed import Event, get_worker
 
 from boresight.calibration.calibrate import Progress
 from boresight.errors import CancelledError
+from boresight.workers.reports import Report
 
 TOPIC = "boresight-progress"
 REPORT_EVERY_S = 0.25
 FIRST_REPORT_S = 1.0
 LOOK_EVERY_S = 0.5
 HISTORY_POINTS = 300
-
-
-class ProgressEvent(TypedDict):
-    """One report on its way; `partial` is a calibration JSON so far, as bytes, or None; `elapsed_s` since it began."""
-
-    run_id: int
-    attempt: int
-    fraction: float
-    message: str
-    elapsed_s: float
-    partial: bytes | None
 
 
 def cancel_event(run_id: int, attempt: int) -> str:
@@ -57,15 +47,9 @@ class Link:
             return
         self._reported_s = now_s
         partial = None if progress.partial is None else encoded(progress.partial)
-        event = ProgressEvent(
-            run_id=self.run_id,
-            attempt=self.attempt,
-            fraction=float(progress.fraction),
-            message=progress.message,
-            elapsed_s=round(now_s - self._begun_s, 3),
-            partial=partial,
-        )
-        get_worker().log_event(TOPIC, dict(event))
+        elapsed_s = round(now_s - self._begun_s, 3)
+        report = Report(self.run_id, self.attempt, float(progress.fraction), progress.message, elapsed_s, partial)
+        get_worker().log_event(TOPIC, {"report": vars(report)})  # the worker adds its own address beside it
 
     def cancelled(self) -> bool:
         """Say whether this attempt was asked to stop."""

@@ -11,9 +11,9 @@ from collections.abc import Collection
 
 from boresight.services.watch import changed_sensors, watch
 from boresight.store.run_lists import sensors_of
+from boresight.store.runs import End
 from boresight.store.sessions import Engine as Database
 from boresight.store.sessions import reading, writing
-from boresight.workers.tasks import Outcome
 
 log = logging.getLogger(__name__)
 
@@ -31,9 +31,9 @@ class Lookout:
         """Whether there is anything to look at."""
         return bool(self._noted)
 
-    def note(self, outcomes: Collection[Outcome]) -> None:
+    def note(self, ends: Collection[End]) -> None:
         """Remember the runs that succeeded."""
-        self._noted += [outcome["run_id"] for outcome in outcomes if outcome["state"] == "SUCCEEDED"]
+        self._noted += [end.run_id for end in ends if end.state == "SUCCEEDED"]
 
     def look(self) -> None:
         """Look at some of them, writing only where an alarm changes; what fails here, the server's upkeep does again."""

@@ -11,19 +11,17 @@ import logging
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
-import orjson
-
-from boresight.store import run_events, runs
+from boresight.store import runs
 from boresight.store.marks import Kept, Marks
 from boresight.store.queued_runs import Claimed, Waiting, waiting_runs
+from boresight.store.run_events import Line, write_event
 from boresight.store.runs import End, Held
 from boresight.store.sessions import Engine as Database
 from boresight.store.sessions import reading, utc_now, writing
 from boresight.workers.paces import Paces
 from boresight.workers.planning import Group, planned
-from boresight.workers.tasks import Outcome
+from boresight.workers.reports import Report
 
 log = logging.getLogger(__name__)
 
@@ -69,12 +67,12 @@ class Reconciler:
         """Let go of the store."""
         self._marks.close()
 
-    def settle(self, outcomes: Collection[Outcome]) -> None:
+    def settle(self, ends: Sequence[End]) -> None:
         """Write how attempts ended, unless they no longer hold their runs."""
         with writing(self.database) as session:
-            written = runs.finish_all(session, [_end(outcome) for outcome in outcomes])
-        for held in {(outcome["run_id"], outcome["attempt"]) for outcome in outcomes} - written.keys():
-            log.info("Run %d: a late outcome of attempt %d writes nothing", *held)
+            written = runs.finish_all(session, ends)
+        for held in {(end.run_id, end.attempt) for end in ends} - written.keys():
+            log.info("Run %d: a late end of attempt %d writes nothing", *held)
 
     def give_up(self, members: Collection[Held], cause: str, *, begun: bool = True) -> None:
         """Write that a task was lost with its worker.
@@ -128,20 +126,12 @@ class Reconciler:
             states = runs.states_of(session, [run_id for run_id, _ in members])
         return {held for held in members if states.get(held) == "CANCELLING"}
 
-    def record(self, reports: Mapping[Held, Mapping[str, Any]], lines: Mapping[Held, str]) -> None:
+    def record(self, reports: Mapping[Held, Report], lines: Mapping[Held, Line]) -> None:
         """Write how far attempts are and when they said so, with what a live page draws, and lines for their logs."""
         with writing(self.database) as session:
             for held, report in reports.items():
-                partial = report["partial"]
-                progress = {
-                    "fraction": report["fraction"],
-                    "message": report["message"],
-                    "elapsed_s": report["elapsed_s"],
-                    "at_utc": utc_now(),
-                    "partial": None if partial is None else orjson.loads(partial),
-                }
-                if runs.record_progress(session, *held, progress) and held in lines:
-                    run_events.write_event(session, *held, "log", lines[held])
+                if runs.record_progress(session, *held, report.progress(utc_now())) and held in lines:
+                    write_event(session, *held, lines[held])
 
     def waiting(self, limit: int) -> list[Waiting]:
         """Return the oldest runs that wait."""
@@ -164,17 +154,3 @@ class Reconciler:
         ours = {run.run_id: run for run in claimed}
         kept = [(group, [ours[run_id] for run_id in group.run_ids if run_id in ours]) for group in groups]
         return [(group, members) for group, members in kept if members]
-
-
-def _end(outcome: Outcome) -> End:
-    """Say as the store does how an attempt ended."""
-    return End(
-        outcome["run_id"],
-        outcome["attempt"],
-        outcome["state"],
-        outcome["reason"],
-        outcome["result_sha256"],
-        outcome["summary"],
-        outcome["result_bytes"],
-        outcome["log"],
-    )

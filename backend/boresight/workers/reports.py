@@ -12,19 +12,52 @@ import time
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 from typing import Any
 
 import orjson
 
+from boresight.store.run_events import Line
 from boresight.store.runs import Held
 
 RECORD_EVERY_S = 0.5
 LINE_EVERY_S = 2.0
 LINES = 20
 POINTS_AN_EVENT = 60
-TOLD = ("run_id", "attempt", "fraction", "message", "elapsed_s")
 COLUMNS = ("parameters", "sigma", "tail_rms_rad", "aggregate_rms_rad")
+
+
+@dataclass(frozen=True)
+class Report:
+    """How far an attempt is; `partial` is the calibration JSON so far as bytes, `elapsed_s` the time since it began."""
+
+    run_id: int
+    attempt: int
+    fraction: float
+    message: str
+    elapsed_s: float
+    partial: bytes | None = None
+
+    @cached_property
+    def calibration(self) -> dict[str, Any] | None:
+        """The calibration so far."""
+        return None if self.partial is None else orjson.loads(self.partial)
+
+    def told(self) -> dict[str, Any]:
+        """Return what everybody is told."""
+        return {name: getattr(self, name) for name in ("run_id", "attempt", "fraction", "message", "elapsed_s")}
+
+    def progress(self, at_utc: str) -> dict[str, Any]:
+        """Return what the run's row keeps of a report that came at a time."""
+        said = {"fraction": self.fraction, "message": self.message, "elapsed_s": self.elapsed_s}
+        return said | {"at_utc": at_utc, "partial": self.calibration}
+
+    def line(self) -> Line:
+        """Return its line for the log."""
+        numbers = {"fraction": self.fraction, "elapsed_s": self.elapsed_s}
+        return Line.log(f"{100 * self.fraction:.0f} %: {self.message}", numbers)
 
 
 class Reports:
@@ -32,17 +65,17 @@ class Reports:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._newest: dict[Held, dict[str, Any]] = {}
+        self._newest: dict[Held, Report] = {}
         self._recorded_s: dict[Held, float] = {}
         self._told_frame: dict[Held, int] = {}
         self._lines: dict[Held, tuple[int, float]] = {}
 
-    def hear(self, report: dict[str, Any]) -> None:
+    def hear(self, report: Report) -> None:
         """Take a report; it replaces the one before of the same attempt."""
         with self._lock:
-            self._newest[report["run_id"], report["attempt"]] = report
+            self._newest[report.run_id, report.attempt] = report
 
-    def take(self, ours: AbstractSet[Held]) -> dict[Held, dict[str, Any]]:
+    def take(self, ours: AbstractSet[Held]) -> dict[Held, Report]:
         """Return what came since the last time, of our attempts only."""
         with self._lock:
             reports, self._newest = self._newest, {}
@@ -50,16 +83,14 @@ class Reports:
         self._lines = {held: line for held, line in self._lines.items() if held in ours}
         return {held: report for held, report in reports.items() if held in ours}
 
-    def news(self, held: Held, report: Mapping[str, Any]) -> dict[str, Any]:
+    def news(self, held: Held, report: Report) -> dict[str, Any]:
         """Say what a report tells, with the points of the course that were not told before; they are taken as told now."""
-        partial = report["partial"]
-        history = (None if partial is None else orjson.loads(partial).get("history")) or {}
-        points = points_after(history, self._told_frame.get(held))
+        points = points_after((report.calibration or {}).get("history") or {}, self._told_frame.get(held))
         if points is not None:
             self._told_frame[held] = points["frame"][-1]
-        return {name: report[name] for name in TOLD} | {"history": points}
+        return report.told() | {"history": points}
 
-    def due(self, reports: dict[Held, dict[str, Any]]) -> dict[Held, dict[str, Any]]:
+    def due(self, reports: dict[Held, Report]) -> dict[Held, Report]:
         """Return those whose rows were not written in the last half second; they are taken as written now."""
         now_s = time.monotonic()
         self._recorded_s = {held: at_s for held, at_s in self._recorded_s.items() if now_s - at_s < RECORD_EVERY_S}
@@ -67,16 +98,16 @@ class Reports:
         self._recorded_s |= dict.fromkeys(due, now_s)
         return due
 
-    def lines(self, reports: Mapping[Held, Mapping[str, Any]]) -> dict[Held, str]:
+    def lines(self, reports: Mapping[Held, Report]) -> dict[Held, Line]:
         """Return a line for the log of each attempt that came to another twentieth of its way, one in two seconds at most."""
         now_s = time.monotonic()
         lines = {}
         for held, report in reports.items():
-            part = int(LINES * report["fraction"])
+            part = int(LINES * report.fraction)
             last, at_s = self._lines.get(held, (-1, -LINE_EVERY_S))
             if part > last and now_s - at_s >= LINE_EVERY_S:
                 self._lines[held] = part, now_s
-                lines[held] = f"{100 * report['fraction']:.0f} %: {report['message']}"
+                lines[held] = report.line()
         return lines
 
 

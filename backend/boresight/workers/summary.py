@@ -5,8 +5,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from boresight.calibration.trend import trend_entry
 from boresight.estimation.observability import WEAK
@@ -14,10 +17,10 @@ from boresight.figures.evidence import verdict
 
 
 def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Pick the figures for lists from a calibration JSON; what the result does not have is None."""
+    """Pick the figures for lists from a calibration JSON; what it does not have, or is no number there, is None."""
     judged = verdict(result)
     advice = [*(result.get("advice") or ()), *(judged.reasons if judged.level != "normal" else ())]
-    return {
+    found = {
         "status": result.get("status"),
         "level": judged.level,
         "advice": advice[0] if advice else None,
@@ -36,6 +39,18 @@ def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
         "validation_rms_initial_arc_rad": _within(result, "validation", "rms_arc_rad", "initial"),
         "validation_rms_final_arc_rad": _within(result, "validation", "rms_arc_rad", "final"),
     }
+    return {name: _plain(value) for name, value in found.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON would give it back: no arrays, no NaN."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _last(values: Any) -> Any:

@@ -50,6 +50,12 @@ class LogLine(Row):
     at_utc: str
     kind: str = Field(description="`state`, `log` or `lost`.")
     message: str
+    state: str | None = Field(description="The run's new state, where this line changed it.")
+    cause: str | None = Field(description="Why the state changed, or why an attempt ended without a result.")
+    level: Literal["info", "warning", "error"]
+    numbers: dict[str, float] | None = Field(
+        description="What the sentence counts: `fraction`, `elapsed_s`, `seconds`."
+    )
 
 
 class Forecast(BaseModel):

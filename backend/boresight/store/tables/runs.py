@@ -57,6 +57,11 @@ class RunEvent(Base):
     run_id: Mapped[int] = mapped_column(sa.ForeignKey("runs.id", ondelete="CASCADE"), index=True)
     attempt: Mapped[int]
     at_utc: Mapped[str] = mapped_column(sa.Text)
-    kind: Mapped[str] = mapped_column(sa.Text)  # state | log
+    kind: Mapped[str] = mapped_column(sa.Text)  # state | log | lost
     message: Mapped[str] = mapped_column(sa.Text)
+    state: Mapped[str | None] = mapped_column(sa.Text)  # the new one
+    cause: Mapped[str | None] = mapped_column(sa.Text)
+    level: Mapped[str] = mapped_column(sa.Text, default="info", server_default="info")  # info | warning | error
+    numbers: Mapped[dict[str, float] | None] = mapped_column(JsonText)
     hash: Mapped[str | None] = mapped_column(sa.Text)  # chains it to the line before
+    outcome_hash: Mapped[str | None] = mapped_column(sa.Text)  # of the columns that the chain's hash leaves out
