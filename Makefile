@@ -42,8 +42,9 @@ lint: $(MADE)/dev  ## style, format, types and import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-pytest: $(MADE)/dev
+pytest: $(MADE)/dev $(COMPILED)
 	@mkdir -p artefacts
+	@for part in backend tests; do echo "$$part: $$(find $$part -name '*.py' -print0 | xargs -0 cat | wc -l) lines"; done
 	failed=0; \
 	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --junit-xml=artefacts/tests.xml || failed=1; \
 	$(PYTEST) $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml || failed=1; \
@@ -52,14 +53,14 @@ pytest: $(MADE)/dev
 bench: $(MADE)/dev  ## measure everything beside its peers and write docs/benchmarks.md and docs/capacity.md anew (an hour, on an idle machine)
 	$(BIN)/python docs/measure.py
 
-postgresql: $(MADE)/dev  ## run the tests on PostgreSQL instead of SQLite (a quarter of an hour)
+postgresql: $(MADE)/dev $(COMPILED)  ## run the tests on PostgreSQL instead of SQLite (a quarter of an hour)
 	@.ci/machine postgresql
 	failed=0; \
 	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --store postgresql || failed=1; \
 	$(PYTEST) $(filter-out tests/test_wheel.py,$(wildcard $(ALONE))) --store postgresql || failed=1; \
 	exit $$failed
 
-search: $(MADE)/dev  ## look for new counterexamples to every property (half an hour)
+search: $(MADE)/dev $(COMPILED)  ## look for new counterexamples to every property (half an hour)
 	$(PYTEST) $(PARALLEL) -m hypothesis --hypothesis-profile search
 
 fuzz: $(MADE)/dev  ## send made-up requests to every operation and documents that are nearly right (REQUESTS=100000, SEED=1)

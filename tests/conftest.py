@@ -12,6 +12,7 @@ import pytest
 from boresight.store.sessions import Engine, open_engine
 from tests import postgresql as postgresql_programs
 from tests import stores
+from tests.passwords import PRODUCT, use_hasher
 
 # The first example of a property may compile kernels; how long one takes says nothing about it. The suite tries the same
 # examples every time, so that a failure always is somebody's change; `make search` looks for new ones.
@@ -29,6 +30,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     stores.choose(config.getoption("--store"))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def cheap_hashes() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        use_hasher(patch)
+        yield
+
+
+@pytest.fixture
+def product_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_hasher(monkeypatch, PRODUCT)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -4,10 +4,23 @@ from __future__ import annotations
 
 from functools import cache
 
+import pytest
+from argon2 import PasswordHasher
+
 from boresight.services import passwords
 from boresight.services.actors import Actor
 from boresight.services.passwords import NewPassword, PasswordProof
 from boresight.store.sessions import Session
+
+# The product's hashes are slow on purpose, and thousands of tests log somebody in; argon2's own tests take the product's.
+CHEAP = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
+PRODUCT = passwords._HASHER
+
+
+def use_hasher(patch: pytest.MonkeyPatch, hasher: PasswordHasher = CHEAP) -> None:
+    """Hash with these parameters in this process, also for a name that does not exist."""
+    patch.setattr(passwords, "_HASHER", hasher)
+    patch.setattr(passwords, "_UNKNOWN", hasher.hash("nobody has this password"))
 
 
 @cache

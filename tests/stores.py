@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import sqlalchemy as sa
 
+from boresight.store.sessions import Engine, migrate, open_engine
 from boresight.store.tables import Base
 from tests.postgresql import server
 
@@ -41,6 +44,24 @@ def url_in(folder: Path) -> str:
         server().make(_name(folder))
         _of_folders[folder] = _name(folder)
     return server().url(_of_folders[folder])
+
+
+def open_migrated(url: str) -> Engine:
+    """Open a migrated store that has nothing in it; a new SQLite file is a copy of one that was migrated once."""
+    if url.startswith("sqlite"):
+        path = Path(url.removeprefix("sqlite:///"))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(_migrated())
+    return open_engine(url)
+
+
+@cache
+def _migrated() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        engine = open_engine(f"sqlite:///{folder}/{FILE}")
+        migrate(engine)
+        engine.dispose()  # the last connection folds the write-ahead log into the file
+        return Path(folder, FILE).read_bytes()
 
 
 def environment_in(folder: Path) -> dict[str, str]:

@@ -31,12 +31,12 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.store.blobs import register_blob
 from boresight.store.run_events import Line, write_event
-from boresight.store.sessions import migrate, open_engine, writing
+from boresight.store.sessions import writing
 from boresight.store.tables import Run
 from boresight.telemetry.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
 from tests.passwords import new_password
-from tests.stores import environment_in
+from tests.stores import environment_in, open_migrated
 
 PASSWORD = "correct horse battery"
 PEOPLE = {
@@ -220,8 +220,7 @@ class House:
 
 def add_people(settings: Settings) -> None:
     """Make the store with the people of PEOPLE."""
-    engine = open_engine(settings.database_url)
-    migrate(engine)
+    engine = open_migrated(settings.database_url)
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
             users.create_user(

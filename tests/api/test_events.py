@@ -20,8 +20,8 @@ from boresight.api.broadcast import QUEUE_LENGTH, Broadcast, Telling
 from boresight.api.feed import Place, events_after
 from boresight.services import audit
 from boresight.services.actors import SYSTEM
-from boresight.store.sessions import migrate, open_engine, reading, writing
-from tests.stores import url_in
+from boresight.store.sessions import open_engine, reading, writing
+from tests.stores import open_migrated, url_in
 
 from .conftest import House, add_people, serving, settings_in
 
@@ -197,8 +197,7 @@ def test_stopping_the_server_ends_the_streams_at_once(tmp_path: Path) -> None:
 
 
 def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path: Path) -> None:
-    engine = open_engine(url_in(tmp_path))
-    migrate(engine)
+    engine = open_migrated(url_in(tmp_path))
     broadcast = Broadcast(engine)
 
     async def fall_behind() -> list[Telling | None]:
@@ -224,8 +223,7 @@ def test_pages_of_missed_records_follow_one_another_without_a_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("boresight.api.feed.PAGE", 7)
-    engine = open_engine(url_in(tmp_path))
-    migrate(engine)
+    engine = open_migrated(url_in(tmp_path))
     with writing(engine) as session:
         records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(20)]
     made = [record.id for record in records]

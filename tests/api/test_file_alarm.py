@@ -13,17 +13,16 @@ from boresight.services import alarms, audit
 from boresight.services.actors import COMMAND_LINE
 from boresight.services.sessions import SessionLimits
 from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
+from boresight.store.sessions import Engine, reading, writing
 from boresight.store.tables import Alarm
-from tests.stores import url_in
+from tests.stores import open_migrated, url_in
 
 CONTENT = b'{"f_m":0.016}'
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
-    store = open_engine(url_in(tmp_path))
-    migrate(store)
+    store = open_migrated(url_in(tmp_path))
     yield store
     store.dispose()
 

@@ -22,9 +22,9 @@ from boresight.services.sessions import SessionLimits
 from boresight.services.webhooks import HEAD
 from boresight.settings import read_settings
 from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, migrate, open_engine, reading, utc_now, writing
+from boresight.store.sessions import Engine, open_engine, reading, utc_now, writing
 from boresight.store.tables import Webhook, WebhookDelivery
-from tests.stores import url_in
+from tests.stores import open_migrated, url_in
 
 LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 
@@ -32,8 +32,7 @@ LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
     (tmp_path / "data").mkdir()
-    store = open_engine(url_in(tmp_path / "data"))
-    migrate(store)
+    store = open_migrated(url_in(tmp_path / "data"))
     _count(store, 3)
     yield store
     store.dispose()

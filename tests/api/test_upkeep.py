@@ -17,9 +17,9 @@ from boresight.services import alarms, api_keys, audit, users
 from boresight.services.actors import COMMAND_LINE
 from boresight.services.session_limits import SessionLimits
 from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
+from boresight.store.sessions import Engine, reading, writing
 from tests.passwords import new_password
-from tests.stores import url_in
+from tests.stores import open_migrated, url_in
 
 from .conftest import PASSWORD
 
@@ -29,8 +29,7 @@ LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
     """A store with a person who has a key."""
-    store = open_engine(url_in(tmp_path))
-    migrate(store)
+    store = open_migrated(url_in(tmp_path))
     with writing(store) as session:
         row = users.create_user(
             session, COMMAND_LINE, name="ada", printed_name="Ada", password=new_password(PASSWORD), roles=[]

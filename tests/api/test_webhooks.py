@@ -24,10 +24,10 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.services.webhook_secrets import encrypt_all, state_of
 from boresight.services.webhook_targets import Targets
 from boresight.store.secret_box import SecretBox
-from boresight.store.sessions import Engine, migrate, open_engine, reading, utc_now, writing
+from boresight.store.sessions import Engine, reading, utc_now, writing
 from boresight.store.tables import Webhook, WebhookDelivery
 from tests.passwords import new_password
-from tests.stores import url_in
+from tests.stores import open_migrated, url_in
 
 from .conftest import PASSWORD, House
 
@@ -78,8 +78,7 @@ def receiver() -> Iterator[Receiver]:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
-    store = open_engine(url_in(tmp_path))
-    migrate(store)
+    store = open_migrated(url_in(tmp_path))
     yield store
     store.dispose()
 

@@ -9,8 +9,8 @@ import pytest
 
 from boresight.services import sensors
 from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import migrate, open_engine, writing
-from tests.stores import url_in
+from boresight.store.sessions import writing
+from tests.stores import open_migrated, url_in
 
 INITIAL = {"s": 1.0, "f_m": 0.05, "u0_px": 512.3, "v0_px": 511.2, "k1": 0.01, "k2": -0.02}
 SENSOR = {
@@ -43,8 +43,7 @@ def files(tmp_path):
 
 @pytest.fixture
 def stocked(store, tmp_path):
-    engine = open_engine(url_in(tmp_path))
-    migrate(engine)
+    engine = open_migrated(url_in(tmp_path))
     with writing(engine) as session:
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     engine.dispose()

@@ -12,10 +12,10 @@ import pytest
 from boresight.services import approvals, audit, parameter_sets, sensors, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
+from boresight.store.sessions import Engine, Session, open_engine, reading, utc_now, writing
 from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
 from tests.passwords import new_password, proved
-from tests.stores import copied, url_in
+from tests.stores import copied, open_migrated, url_in
 
 PASSWORD = "correct horse battery"
 PEOPLE: Mapping[str, tuple[str, ...]] = {
@@ -59,8 +59,7 @@ SENSOR: dict[str, Any] = {
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder whose store every test starts from."""
     folder = tmp_path_factory.mktemp("filled")
-    engine = open_engine(url_in(folder))
-    migrate(engine)
+    engine = open_migrated(url_in(folder))
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
             users.create_user(

@@ -102,6 +102,7 @@ def test_a_password_that_cannot_be_written_proves_nothing_and_costs_as_much() ->
         assert not passwords.check(passwords.StoredPassword(), odd).fits
 
 
+@pytest.mark.usefixtures("product_hashes")
 def test_the_parameters_of_the_hash_are_at_least_what_owasp_asks() -> None:
     variant, _, parameters = passwords.prepare("correct horse battery").hash().split("$")[1:4]
     named = dict(part.split("=") for part in parameters.split(","))

@@ -6,7 +6,8 @@ import pytest
 
 from boresight.store import lists
 from boresight.store.lists import LISTS, Asked
-from boresight.store.sessions import migrate, open_engine, reading
+from boresight.store.sessions import reading
+from tests.stores import open_migrated
 
 FIRST = {
     "sensors": "sensor",
@@ -21,8 +22,7 @@ FIRST = {
 @pytest.fixture
 def session(tmp_path):
     """An empty store: what is planned does not depend on rows that were never counted."""
-    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
-    migrate(engine)
+    engine = open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
     with reading(engine) as opened:
         yield opened
     engine.dispose()

@@ -42,7 +42,7 @@ class StoredPassword:
     """What is stored of a person's password; of nobody's, and of one who may not log in, what costs as much to check."""
 
     user_id: int | None = None
-    password_hash: str = field(default=_UNKNOWN, repr=False)
+    password_hash: str = field(default_factory=lambda: _UNKNOWN, repr=False)
 
 
 @dataclass(frozen=True)
