@@ -31,7 +31,7 @@ def problem_of(sensor):
     def problem(seed, frames=40, noise_px=NOISE_PX, parity=1):
         arcs = star_field(np.random.default_rng(seed), frames=frames, noise_px=noise_px)
         arcs = arcs if parity == 1 else replace(arcs, s_i=arcs.s_i * [1, -1, 1])
-        return Problem(replace(sensor, parity=parity), INVERTED_WANG, arcs, None, frames, ())
+        return Problem(replace(sensor, parity=parity), arcs, None, frames, ())
 
     return problem
 

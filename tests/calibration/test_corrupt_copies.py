@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from boresight.calibration.streaming.columns import write_columns
+from boresight.columns import write_columns
 from boresight.errors import CorruptFileError
 from boresight.telemetry.limits import LIMITS
 from boresight.telemetry.parquet import Layout

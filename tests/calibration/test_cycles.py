@@ -57,7 +57,7 @@ def test_the_statistical_rule_needs_no_growth_for_it_matches_nearly_all_at_once(
 
 def test_matches_that_do_not_rest_end_after_three_cycles(catalogue, monkeypatch):
     field, gone = sky(catalogue, 1, 20), []
-    real = matched.MatchedSet.at
+    real = matched.Dataset.at
 
     def restless(self, estimate, problem):
         again = real(self, estimate, problem)
@@ -65,7 +65,7 @@ def test_matches_that_do_not_rest_end_after_three_cycles(catalogue, monkeypatch)
         again.telemetry.star_id[np.flatnonzero(again.telemetry.star_id)[len(gone)]] = 0
         return again
 
-    monkeypatch.setattr(matched.MatchedSet, "at", restless)
+    monkeypatch.setattr(matched.Dataset, "at", restless)
     matching = calibrate(field.blanked(0.2), field.sensor, catalogue, CalibrationSettings())["matching"]
 
     assert len(matching["cycles"]) == MOST_CYCLES

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.estimate import Parameters, run_batch
-from boresight.calibration.matched import MatchedSet, RematchedFrames
+from boresight.calibration.matched import Dataset
 from boresight.calibration.rematch import Rematcher
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.filters.history import start
@@ -23,7 +23,7 @@ def field(catalogue):
 def matched_set(field, telemetry, free=ALL, **settings):
     """The set ready to be matched under any state."""
     parameters = Parameters(free, field.sensor.typical_sigma[free])
-    return MatchedSet(telemetry, field.sensor, field.catalogue, parameters, CalibrationSettings(**settings), None)
+    return Dataset(telemetry, field.sensor, field.catalogue, parameters, CalibrationSettings(**settings), None)
 
 
 def fitted(field, sets, free=ALL):
@@ -49,7 +49,7 @@ def test_given_matches_stand_under_every_state(field):
     sets = matched_set(field, field.blanked(0.4), match="given")
     first = sets.at_start()
 
-    assert sets.matcher is None
+    assert sets.stands
     assert sets.at_covariance(field.x * 1.01, np.eye(8)) is first
     assert first.problem.arcs.n_stars <= (field.blanked(0.4).star_id > 0).sum()
 
@@ -111,7 +111,7 @@ def test_the_flight_rule_keeps_fewer_stars_at_the_ground_than_the_statistical_an
 
 def test_frames_matched_one_by_one_are_those_of_the_whole_set(field):
     sets = matched_set(field, field.blanked(0.3))
-    frames, state = RematchedFrames(sets), start(field.sensor.initial, 8, 10.0)
+    frames, state = sets.frames(), start(field.sensor.initial, 8, 10.0)
 
     parts = [frames.arcs(k, k + 1, state) for k in range(frames.n_frames)]
     whole = sets.at_start().problem.arcs

@@ -10,6 +10,8 @@ from boresight.calibration.cycles import Ended
 from boresight.calibration.matched import Matched
 from boresight.calibration.matching_view import counted, matching_view
 from boresight.calibration.sighting import given_matches
+from boresight.calibration.streaming.matching import MatchedRange
+from boresight.calibration.streaming.sample import MatchedRows
 from boresight.sky.doubles import DOUBLE, UNRELIABLE
 from boresight.sky.matching import EXPOSURE_REASONS, ROW_REASONS, STARTS
 from tests.calibration.rematched import sky
@@ -30,7 +32,7 @@ class AtState:
 
 
 def view(field, telemetry, matches):
-    ended = Ended(Matched(None, telemetry, matches), AtState(field.x))
+    ended = Ended(Matched(None, (MatchedRange(MatchedRows(telemetry, matches, matches.star_id)),)), AtState(field.x))
     return matching_view(telemetry, field.sensor, ended, EVALUATION)
 
 

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from boresight.calibration import calibrate as calibration
 from boresight.calibration import matched
 from boresight.calibration.source import TelemetryFile
-from boresight.calibration.spread import InThisProcess
-from boresight.calibration.streaming import rematched_set, sample
+from boresight.calibration.streaming import sample
 from boresight.calibration.streaming.telemetry_pieces import copy_stretch
 from boresight.errors import CancelledError
 from boresight.estimation.blocks import FRAMES
+from boresight.estimation.spread import InThisProcess
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.readers import write_parquet
@@ -90,8 +90,7 @@ def test_no_size_of_the_pieces_changes_a_bit(long_set, sensor, catalogue):
 
 @pytest.mark.parametrize("choices", [{}, {"method": "sqrf"}, {"match_rule": "flight"}], ids=str)
 def test_matches_that_follow_the_estimate_are_the_same_from_a_file_in_pieces(choices, catalogue, tmp_path, monkeypatch):
-    for module in (matched, rematched_set):
-        monkeypatch.setattr(module, "MATCHED_FRAMES", 32)
+    monkeypatch.setattr(matched, "MATCHED_FRAMES", 32)
     field = sky(catalogue, 3, 70)
     path, named = written(field.blanked(0.3), tmp_path)
 

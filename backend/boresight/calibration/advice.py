@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from boresight.calibration.estimate import Estimate, Parameters, claim
-from boresight.calibration.problem import AnyProblem
+from boresight.calibration.problem import Problem
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.consistency import ChiSquare
@@ -23,7 +23,7 @@ OVERCLAIM = 1.5
 
 
 def advice(
-    problem: AnyProblem,
+    problem: Problem,
     parameters: Parameters,
     settings: CalibrationSettings,
     estimate: Estimate,
@@ -43,7 +43,7 @@ def advice(
     ]
 
 
-def too_few(problem: AnyProblem, minimum_stars: int) -> list[str]:
+def too_few(problem: Problem, minimum_stars: int) -> list[str]:
     """Say that nothing can be estimated, and what was missing."""
     reasons = [
         f"{item.count} {item.what[: -1 if item.count == 1 else None]}: {item.reason}" for item in problem.left_out
@@ -80,7 +80,7 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
 
 
 def _of_consistency(
-    fit: ChiSquare, nis: ChiSquare, problem: AnyProblem, settings: CalibrationSettings, estimate: Estimate
+    fit: ChiSquare, nis: ChiSquare, problem: Problem, settings: CalibrationSettings, estimate: Estimate
 ) -> Iterator[str]:
     """Sentences on whether the sigmas can be believed."""
     if estimate.status == "diverged":
@@ -120,7 +120,7 @@ def _of_consistency(
         )
 
 
-def _centroid_sigma_px(problem: AnyProblem) -> float:
+def _centroid_sigma_px(problem: Problem) -> float:
     """Root mean square of the stated centroid sigmas."""
     return float(np.sqrt(sum(problem.arcs.over_blocks(_variance_in_block)) / problem.arcs.n_stars))
 
@@ -130,7 +130,7 @@ def _variance_in_block(block: ArcSet) -> float:
     return float(np.sum(block.sigma_px**2))
 
 
-def _of_shift(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> Iterator[str]:
+def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> Iterator[str]:
     """Name parameters that went far from where they started."""
     if estimate.status == "diverged":
         return
@@ -145,13 +145,13 @@ def _of_shift(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -
         yield f"Moved far from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma."
 
 
-def _of_data(problem: AnyProblem) -> Iterator[str]:
+def _of_data(problem: Problem) -> Iterator[str]:
     """Sentences on what the data lack."""
     if problem.arcs.n_frames < 20:
         yield f"Only {problem.arcs.n_frames} frames took part: the result follows these few fields closely."
 
 
-def _of_gain_form(problem: AnyProblem, settings: CalibrationSettings) -> Iterator[str]:
+def _of_gain_form(problem: Problem, settings: CalibrationSettings) -> Iterator[str]:
     """Say where the printed inverse of all pairs gave way to a smaller one."""
     if settings.method != "angular" or settings.gain_form != "gain":
         return

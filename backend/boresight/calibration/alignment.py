@@ -108,7 +108,7 @@ def align(problem: Problem, x_0: FloatArray, x: FloatArray, P: FloatArray) -> Al
     -------
     The alignment; None for fewer than two frames, whose scatter says nothing.
     """
-    arcs, camera = problem.arcs, problem.camera
+    arcs, camera = problem.arcs.whole(), problem.camera
     if arcs.n_frames < 2:
         return None
     sigma = angular_sigma(camera, x_0, arcs)
@@ -176,7 +176,7 @@ def sensitivity(problem: Problem, x: FloatArray, sigma_rad: FloatArray) -> Float
     sigma_rad
         (n_stars,) direction errors that weigh the stars of an attitude.
     """
-    arcs = problem.arcs
+    arcs = problem.arcs.whole()
     chosen, starts = _spread(arcs)
     s, ds = problem.camera.directions_and_jacobian(x, arcs.row_px[chosen], arcs.col_px[chosen], arcs.pitch)
     s, ds = triad(s, problem.sensor.parity), np.swapaxes(triad(np.swapaxes(ds, 1, 2), problem.sensor.parity), 1, 2)

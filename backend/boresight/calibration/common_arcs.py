@@ -47,7 +47,7 @@ def common_arcs(
         same = _unchanged(ordered, seen, s_i)
         found.append(ordered.exposures(same))
         s_i[found[0].source_row] = np.nan
-    found.append(problem_of(replace(telemetry, star_id=None), sensor, s_i, minimum_stars).arcs)
+    found.append(problem_of(replace(telemetry, star_id=None), sensor, s_i, minimum_stars).arcs.whole())
     return [arcs for arcs in found if arcs.n_exposures]
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
 from boresight.estimation import batch, cosine
-from boresight.estimation.arcs import Arcs
+from boresight.estimation.stored_arcs import Arcs
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, run_batch
-from boresight.calibration.matched import Judged, Matched
-from boresight.calibration.problem import AnyProblem
-from boresight.calibration.sequence import Frames, ProblemFrames, finished, run_sequential
+from boresight.calibration.matched import Dataset, Matched
+from boresight.calibration.sequence import finished, run_sequential, standing_frames
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.metrics import rms
 
@@ -49,62 +47,6 @@ class Cycle:
     rms_arc_rad: float | None
 
 
-class AnyMatched(Protocol):
-    """A set under one state, in memory or in files."""
-
-    @property
-    def problem(self) -> AnyProblem:
-        """Its arcs."""
-
-    @property
-    def unidentified(self) -> int:
-        """Exposures that want the lost-in-space extra, which is not installed."""
-
-
-class MatchedFrames(Frames, Protocol):
-    """Frames that are matched with the state of the filter that takes them; `matching_s` is the processor time that took."""
-
-    matching_s: float
-
-
-class Renewed(Protocol):
-    """A set that can be matched under any state."""
-
-    def at(self, estimate: Estimate, problem: AnyProblem) -> AnyMatched:
-        """Match with an estimate made from a problem."""
-
-    def at_covariance(self, x: FloatArray, P: FloatArray) -> AnyMatched:
-        """Match with a state and its covariance in typical sigmas."""
-
-    def matched_frames(self) -> MatchedFrames:
-        """Its frames for a filter."""
-
-    def changed(self, before: Any, after: Any) -> int:
-        """Count the detections whose star differs between two of its matchings."""
-
-
-class AnySet(Protocol):
-    """A set in memory (`MatchedSet`) or in files."""
-
-    @property
-    def settings(self) -> CalibrationSettings:
-        """How it is matched."""
-
-    @property
-    def renewed(self) -> Renewed | None:
-        """What matches it under other states; None where the given matches stand."""
-
-    @property
-    def prepared(self) -> float:
-        """Share of a calibration's progress that making it ready took."""
-
-    def at_start(self) -> AnyMatched:
-        """The set under the sensor's own parameters."""
-
-    def judged(self, first: Any, last: Any) -> Judged:
-        """What of two of its matchings is judged in memory."""
-
-
 @dataclass(frozen=True)
 class Ended:
     """Where the cycles ended: the set and estimate that belong together, every cycle, and whether the matches rest.
@@ -118,75 +60,62 @@ class Ended:
     rested: bool = True
     method_s: float = 0.0
 
-
-@dataclass(frozen=True)
-class Cycled:
-    """The same of a set that may be in files."""
-
-    matched: AnyMatched
-    estimate: Estimate
-    cycles: tuple[Cycle, ...] = ()
-    rested: bool = True
-    method_s: float = 0.0
-
     def judged_by(self, matched: Matched) -> Ended:
         """Put what is in memory of the set, all or a sample, in its place, and of a filter's updates those that are of it."""
         history, frame = self.estimate.history, matched.problem.arcs.frame
         if history is not None and len(frame) < self.matched.problem.arcs.n_frames:
             history = history.of_frames(frame)
-        estimate = replace(self.estimate, history=history)
-        return Ended(matched, estimate, self.cycles, self.rested, self.method_s)
+        return replace(self, matched=matched, estimate=replace(self.estimate, history=history))
 
 
 def fit_in_cycles(
-    sets: AnySet,
-    first: AnyMatched,
+    sets: Dataset,
+    first: Matched,
     parameters: Parameters,
     settings: CalibrationSettings,
     listen: Listener,
     cancelled: Asked,
-) -> Cycled:
+) -> Ended:
     """Run the batch estimator until its matches rest."""
-    matched, cycles, renewed = first, list[Cycle](), sets.renewed
+    matched, cycles = first, list[Cycle]()
     while True:
         began = time.thread_time()
         estimate = run_batch(matched.problem, parameters, settings, listen, cancelled)
         method_s = time.thread_time() - began
-        if renewed is None or estimate.status == "diverged":
-            return Cycled(matched, estimate, tuple(cycles), renewed is None, method_s)
-        again = renewed.at(estimate, matched.problem)
-        cycles.append(_cycle(len(cycles) + 1, renewed.changed(matched, again), matched, again, estimate))
+        if sets.stands or estimate.status == "diverged":
+            return Ended(matched, estimate, tuple(cycles), sets.stands, method_s)
+        again = sets.at(estimate, matched.problem)
+        cycles.append(_cycle(len(cycles) + 1, sets.changed(matched, again), matched, again, estimate))
         rested = cycles[-1].changed == 0
         if rested or len(cycles) == MOST_CYCLES or again.problem.arcs.n_exposures == 0:
-            return Cycled(matched, estimate, tuple(cycles), rested, method_s)
+            return Ended(matched, estimate, tuple(cycles), rested, method_s)
         matched = again
 
 
 def filter_set(
-    sets: AnySet,
-    first: AnyMatched,
+    sets: Dataset,
+    first: Matched,
     parameters: Parameters,
     settings: CalibrationSettings,
     listen: Listener,
     cancelled: Asked,
-) -> Cycled:
+) -> Ended:
     """Run a filter, on the baseline's matches or on those of its latest state."""
-    renewed = sets.renewed if settings.matched_with == "latest" else None
-    matched = None if renewed is None else renewed.matched_frames()
-    frames = ProblemFrames(first.problem) if matched is None else matched
+    renewed = settings.matched_with == "latest" and not sets.stands
+    frames = sets.frames() if renewed else standing_frames(first.problem)
     began = time.thread_time()
     history = run_sequential(frames, first.problem, parameters, settings, listen, cancelled)
-    method_s = time.thread_time() - began - (0.0 if matched is None else matched.matching_s)
-    if renewed is None or not history.finite:
-        return Cycled(first, finished(first.problem, parameters, history), method_s=method_s)
-    last = renewed.at_covariance(history.last.x, history.last.P)
+    method_s = time.thread_time() - began - sets.matching_s
+    if not renewed or not history.finite:
+        return Ended(first, finished(first.problem, parameters, history), method_s=method_s)
+    last = sets.at_covariance(history.last.x, history.last.P)
     if last.problem.arcs.n_exposures == 0:
-        return Cycled(first, finished(first.problem, parameters, history), rested=False, method_s=method_s)
+        return Ended(first, finished(first.problem, parameters, history), rested=False, method_s=method_s)
     estimate = finished(last.problem, parameters, history)
-    return Cycled(last, estimate, (_cycle(1, renewed.changed(first, last), first, last, estimate),), method_s=method_s)
+    return Ended(last, estimate, (_cycle(1, sets.changed(first, last), first, last, estimate),), method_s=method_s)
 
 
-def _cycle(number: int, changed: int, before: AnyMatched, after: AnyMatched, estimate: Estimate) -> Cycle:
+def _cycle(number: int, changed: int, before: Matched, after: Matched, estimate: Estimate) -> Cycle:
     """Count what a result changed in its matches."""
     value = rms(before.problem.weighed(estimate.x), estimate.x)
     return Cycle(

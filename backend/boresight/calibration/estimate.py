@@ -10,7 +10,7 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.comparison import compared
 from boresight.calibration.course import Course
-from boresight.calibration.problem import AnyProblem
+from boresight.calibration.problem import Problem
 from boresight.calibration.robust import Robustness
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch, cosine
@@ -87,7 +87,7 @@ Asked = Callable[[], bool]
 
 
 def run_batch(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, listen: Listener, cancelled: Asked
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, listen: Listener, cancelled: Asked
 ) -> Estimate:
     """Fit, take the weights at the solution, and fit again."""
     steps: list[batch.Step] = []
@@ -109,7 +109,7 @@ def run_batch(
 
 
 def _fit(
-    problem: AnyProblem,
+    problem: Problem,
     x: FloatArray,
     parameters: Parameters,
     settings: CalibrationSettings,
@@ -126,7 +126,7 @@ def _fit(
 
 
 def _robustness(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, fitted: batch.BatchFit
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, fitted: batch.BatchFit
 ) -> Robustness:
     """Set a robust fit beside least squares on the same arcs, started where it ended."""
     plain = _fit(problem, fitted.x, parameters, replace(settings, robust="none"), None, _never)
@@ -139,7 +139,7 @@ def _never() -> bool:
     return False
 
 
-def _of_cosine(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> Estimate:
+def _of_cosine(problem: Problem, parameters: Parameters, estimate: Estimate) -> Estimate:
     """Give a cosine fit the information that the arcs' true covariance leaves it."""
     judged = compared(problem.weighed(estimate.x), estimate.x, parameters.free, parameters.scale)
     if judged is None:

@@ -27,7 +27,7 @@ from boresight.calibration.advice import too_few
 from boresight.calibration.calibrate import matchable, parameters_of
 from boresight.calibration.estimate import Estimate, Parameters, covariance, run_batch
 from boresight.calibration.match_report import identification_advice
-from boresight.calibration.matched import MatchedSet
+from boresight.calibration.matched import Dataset
 from boresight.calibration.problem import Problem
 from boresight.calibration.remedies import remedies
 from boresight.calibration.result import numbers
@@ -84,9 +84,7 @@ def forecast(
         When the free parameters are not the sensor's, or directions cannot be had.
     """
     parameters = parameters_of(sensor, settings)
-    sets = MatchedSet(
-        sample.telemetry, sensor, catalogue, parameters, matchable(sample.telemetry, settings), cache_folder
-    )
+    sets = Dataset(sample.telemetry, sensor, catalogue, parameters, matchable(sample.telemetry, settings), cache_folder)
     start = sets.at_start()
     problem = start.problem
     names = [problem.camera.parameter_names[p] for p in parameters.free]
@@ -126,7 +124,9 @@ def _foreseen(sample: Sample, problem: Problem, parameters: Parameters, settings
     x, at, A = _fitted(problem, parameters, settings)
     if settings.method in ("svd", "angular"):
         view = View(problem.camera, x, parameters.free, parameters.scale)
-        A = whitened_information(view, problem.weighed(x), settings.selection if settings.method == "svd" else None)
+        A = whitened_information(
+            view, problem.weighed(x).whole(), settings.selection if settings.method == "svd" else None
+        )
     whole = A * (sample.frames_in_set / sample.frames)
     if not settings.sequential or not np.isfinite(A).all():
         return _Foreseen(whole, covariance(whole), at)

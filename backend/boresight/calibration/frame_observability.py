@@ -58,7 +58,7 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
     `information`, one entry a reference with `share` of the bound's (geometric mean over the parameters), `least_share` and
     `least`, the parameter that has it; `sentence`.
     """
-    arcs = weighed(chosen(problem.arcs, _taken(problem.arcs)), problem.camera, estimate.x)
+    arcs = weighed(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
     view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
     runs = seen(view, arcs)
     found = {chosen_values: judged(view, runs, Selection(*chosen_values)) for chosen_values in SELECTIONS}

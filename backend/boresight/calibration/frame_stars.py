@@ -72,7 +72,7 @@ def frame_stars(found: MatchedFrame, sensor: Sensor, catalogue: Catalogue, minim
     star_id = np.where(matched, new.matches.star_id, 0)[rows]
     s_i = np.where(matched[:, None], new.matches.s_i, given_s)[rows]
     off = ~on_detector(telemetry, sensor)[rows]
-    used = np.isin(np.arange(rows.start, rows.stop), new.problem.arcs.source_row)
+    used = np.isin(np.arange(rows.start, rows.stop), new.problem.arcs.whole().source_row)
     matched = matched[rows]
     off &= matched | (given[rows] > 0)
     fate = np.select([used, matched | off, given[rows] > 0], [USED, LEFT_OUT, REJECTED], UNMATCHED).tolist()

@@ -17,7 +17,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Parameters
-from boresight.calibration.matched import Matched, MatchedSet
+from boresight.calibration.matched import Dataset, Matched
 from boresight.calibration.pixel_residuals import Freedom
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
@@ -178,7 +178,7 @@ def _matched(
 ) -> MatchedFrame:
     """Match some frames under both states."""
     settings = states.settings if _rematched(states, telemetry) else replace(states.settings, match="given")
-    sets = MatchedSet(telemetry, states.sensor, catalogue, states.parameters, settings, cache_folder)
+    sets = Dataset(telemetry, states.sensor, catalogue, states.parameters, settings, cache_folder)
     old = sets.at_start()
     with_old = states.new is None or (settings.sequential and settings.matched_with == "baseline")
     new = old if with_old or states.new is None else sets.at_covariance(states.new.x, states.P, states.noise)

@@ -19,7 +19,7 @@ from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluate import evaluate_sightings
 from boresight.calibration.frame_observability import frame_observability
 from boresight.calibration.match_report import identification_advice, names_advice
-from boresight.calibration.matched import Matched, MatchedSet
+from boresight.calibration.matched import Dataset, Matched
 from boresight.calibration.matching_view import matching_view
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.shadow import shadow_view
@@ -32,7 +32,7 @@ from boresight.telemetry.sensors import Sensor
 
 def judge(
     document: dict[str, Any],
-    sets: MatchedSet,
+    sets: Dataset,
     first: Matched,
     ended: Ended,
     parameters: Parameters,
@@ -68,7 +68,7 @@ def validate(
     cache_folder: Path | None,
 ) -> None:
     """Judge an estimate on a set that took no part; adds its sentence to the advice."""
-    held_out = MatchedSet(telemetry, sensor, catalogue, parameters, settings, cache_folder)
+    held_out = Dataset(telemetry, sensor, catalogue, parameters, settings, cache_folder)
     first, last = held_out.at_start(), held_out.at_covariance(estimate.x, estimate.P)
     if last.problem.arcs.n_exposures == 0:
         document["advice"] += identification_advice(last.unidentified)
@@ -82,14 +82,14 @@ def validate(
 
 
 def _flown(
-    sets: MatchedSet, first: Matched, last: Matched, x: FloatArray, settings: CalibrationSettings
+    sets: Dataset, first: Matched, last: Matched, x: FloatArray, settings: CalibrationSettings
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Flight scores of a set with intervals, and its shadow: as matched first under the sensor's parameters, and last under x."""
     telemetry, sensor = sets.telemetry, sets.sensor
     initial = sighting_of(telemetry, sensor, first.matches, sensor.initial, settings)
     final = sighting_of(telemetry, sensor, last.matches, x, settings)
     rng = np.random.default_rng(bootstrap.SEED)
-    scores = evaluate_sightings(telemetry, sensor, initial, final, settings, rng, last.problem.weighed(x))
+    scores = evaluate_sightings(telemetry, sensor, initial, final, settings, rng, last.problem.weighed(x).whole())
     return scores, shadow_view(telemetry, initial, final)
 
 

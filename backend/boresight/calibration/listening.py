@@ -11,7 +11,7 @@ import numpy as np
 
 from boresight.calibration import result
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import AnyProblem
+from boresight.calibration.problem import Problem
 from boresight.calibration.settings import CalibrationSettings
 
 #: Seconds between two progress reports with a partial result.
@@ -45,7 +45,7 @@ class Listener:
 
     def __init__(
         self,
-        problem: AnyProblem,
+        problem: Problem,
         parameters: Parameters,
         settings: CalibrationSettings,
         sha256s: Mapping[str, str],

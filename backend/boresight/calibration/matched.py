@@ -12,31 +12,29 @@ chi-square where the residuals say that it claims too much; parameters held fixe
 
 from __future__ import annotations
 
+import shutil
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
-from boresight.arrays import FloatArray, IntArray
+from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.flight import flight_tolerance, flight_view
-from boresight.calibration.problem import AnyProblem, Problem, build_problem, problem_from
-from boresight.calibration.rematch import Matches, Rematcher, ground_covariance, joined_matches, matched_telemetry
+from boresight.calibration.problem import Problem, build_problem, problem_from
+from boresight.calibration.rematch import Matches, Rematcher, ground_covariance, joined_matches
+from boresight.calibration.sequence import Frames
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import GivenMatches, given_matches
-from boresight.calibration.streaming.sample import (
-    WHOLE,
-    Ends,
-    MatchedRows,
-    judged_frames,
-    judged_matches,
-    judged_telemetry,
-)
+from boresight.calibration.streaming import matching
+from boresight.calibration.streaming.matching import MatchedRange, Under, changed_in_range, match_range, matched_rows
+from boresight.calibration.streaming.ordering import order_set, problem_of_parts, refuse_timeless, write_catalogue
+from boresight.calibration.streaming.sample import WHOLE, MatchedRows, judged_frames, judged_matches, judged_telemetry
+from boresight.calibration.streaming.telemetry_pieces import PREPARED, READING, Pieces, Prepared, in_memory
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterState
+from boresight.estimation.spread import Told
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry, rows_of
 from boresight.telemetry.sensors import Sensor
@@ -53,29 +51,31 @@ class Matched:
     ----------
     problem
         Its arcs.
-    telemetry
-        The set with the stars it was matched with.
-    matches
-        Which star is which; before the flight code's check where `match_rule` asks for it.
+    ranges
+        Its rows and their matches, before the flight code's check where `match_rule` asks for it: one in memory, many in
+        files, none of a set in files whose given matches stand.
+    folder
+        Where these files are.
     """
 
     problem: Problem
-    telemetry: Telemetry
-    matches: Matches | GivenMatches
+    ranges: tuple[MatchedRange, ...]
+    folder: Path | None = None
 
     @property
     def unidentified(self) -> int:
         """Exposures that want the lost-in-space extra, which is not installed."""
-        return self.matches.unidentified if isinstance(self.matches, Matches) else 0
+        return sum(part.unidentified for part in self.ranges)
 
+    @cached_property
+    def telemetry(self) -> Telemetry:
+        """The set in memory with the stars it was matched with."""
+        return self.ranges[0].rows().named()
 
-@dataclass(frozen=True)
-class Under:
-    """What a set is matched under: x, SI, its covariance P, SI, and centroid errors so many times the stated ones."""
-
-    x: FloatArray
-    P: FloatArray
-    noise: float = 1.0
+    @property
+    def matches(self) -> Matches | GivenMatches:
+        """Which star is which, of a set in memory."""
+        return self.ranges[0].rows().matches
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Known:
         """Before any estimate."""
         return Under(self.sensor.initial, self._ground)
 
-    def at(self, estimate: Estimate, problem: AnyProblem) -> Under:
+    def at(self, estimate: Estimate, problem: Problem) -> Under:
         """After an estimate made from a problem."""
         n = len(self.parameters.free)
         held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self.settings.initial_sigma_scale**2), np.float64)
@@ -112,184 +112,177 @@ class Known:
 class Judged:
     """What of a set is judged in memory, all of it or a sample: as it is matched first, and last."""
 
-    sets: MatchedSet
+    sets: Dataset
     first: Matched
     last: Matched
 
 
-class MatchedSet:
-    """A set that can be matched under any state, or whose given matches stand.
+class Dataset:
+    """A set over pieces that can be matched under any state, or whose given matches stand.
 
     Parameters
     ----------
-    telemetry, sensor, catalogue
-        The set, whose it is, and the stars there are.
+    pieces
+        The set: one piece in memory, or files.
+    sensor, catalogue
+        Whose it is, and the stars there are.
     parameters, settings
         Which parameters are free, and how to match.
     cache_folder
         Where lost-in-space identification keeps its tables.
+    told
+        How far the first matching or ordering of files is.
     """
 
     def __init__(
         self,
-        telemetry: Telemetry,
+        pieces: Pieces | Telemetry,
         sensor: Sensor,
         catalogue: Catalogue,
         parameters: Parameters,
         settings: CalibrationSettings,
         cache_folder: Path | None,
+        told: Prepared = lambda _fraction, _line: None,
     ) -> None:
-        self.telemetry, self.sensor, self.catalogue = telemetry, sensor, catalogue
-        self._parameters, self.settings = parameters, settings
-        self._cache_folder = cache_folder
+        self.sensor, self.catalogue, self.settings = sensor, catalogue, settings
+        self.matching_s = (
+            0.0  # processor time of this thread that matching for a filter took: its cost is told without it
+        )
+        self._pieces = in_memory(pieces) if isinstance(pieces, Telemetry) else pieces
+        self._parameters, self._cache_folder, self._told = parameters, cache_folder, told
         self._known = Known(sensor, parameters, settings)
-        self.matcher: Rematcher | None = None
-        if settings.match == "rematch":
-            self.matcher = Rematcher(telemetry, sensor, catalogue, settings, cache_folder)
-        else:
-            given = given_matches(telemetry, sensor, catalogue)
-            problem = problem_from(telemetry, sensor, given.s_i, settings.minimum_stars)
-            self._standing = Matched(problem, telemetry, given)
+        self._states: list[Matched] = []
 
     @property
     def prepared(self) -> float:
         """Share of a calibration's progress that making it ready took."""
-        return 0.0
+        return PREPARED if self._pieces.folder else 0.0
 
     @property
-    def renewed(self) -> MatchedSet | None:
-        """The set where its matches follow the state."""
-        return None if self.matcher is None else self
+    def stands(self) -> bool:
+        """Whether the given matches stand under every state."""
+        return self.settings.match == "given"
 
-    def matched_frames(self) -> RematchedFrames:
-        """Its frames for a filter, each matched with the state that the filter has when it comes to it."""
-        return RematchedFrames(self)
-
-    def changed(self, before: Matched, after: Matched) -> int:
-        """Count the detections whose star differs between two of its matchings."""
-        return int(np.sum(before.telemetry.star_id != after.telemetry.star_id))
-
-    def judged(self, first: Matched, last: Matched) -> Judged:
-        """What of it is judged."""
-        ends = judged_frames(last.problem.arcs)
-        if ends == WHOLE:
-            return Judged(self, first, last)
-        telemetry = judged_telemetry([self.telemetry], ends)
-        sets = MatchedSet(telemetry, self.sensor, self.catalogue, self._parameters, self.settings, self._cache_folder)
-        if self.matcher is None:
-            return Judged(sets, sets.at_start(), sets.at_start())
-        return Judged(sets, *(sets.judged_from([self._rows(state)], ends) for state in (first, last)))
-
-    def judged_from(self, parts: Iterable[MatchedRows], ends: Ends) -> Matched:
-        """Put together the judged stretches of a set, whose telemetry this is, from the matches of its parts."""
-        telemetry, matches, kept = judged_matches(parts, ends)
-        taken = replace(matches, star_id=kept, s_i=np.where(kept[:, None] > 0, matches.s_i, np.nan))
-        named = matched_telemetry(telemetry, taken)
-        problem = build_problem(named, self.sensor, self.catalogue, self.settings.minimum_stars)
-        return Matched(problem, named, matches)
-
-    def _rows(self, matched: Matched) -> MatchedRows:
-        """The set with its matches under a state."""
-        kept = cast("IntArray", matched.telemetry.star_id)
-        return self.telemetry, cast("Matches", matched.matches), kept
+    @property
+    def telemetry(self) -> Telemetry:
+        """The set as it came, of one that is in memory."""
+        return self._pieces.pieces[0].read()
 
     def at_start(self) -> Matched:
         """Match with the sensor's own parameters."""
-        return self._at(self._known.at_start())
+        return self._at(self._known.at_start(), self._first_done("matched"))
 
-    def at(self, estimate: Estimate, problem: AnyProblem) -> Matched:
-        """Match with an estimate made from a problem."""
+    def at(self, estimate: Estimate, problem: Problem) -> Matched:
+        """Match with an estimate made from a problem; of matchings between the first and that one the files are removed."""
+        for state in self._states[1:]:
+            if state.folder is not None and state.problem is not problem:
+                shutil.rmtree(state.folder, ignore_errors=True)
         return self._at(self._known.at(estimate, problem))
 
     def at_covariance(self, x: FloatArray, P: FloatArray, noise: float = 1.0) -> Matched:
         """Match with x, SI, its free parameters' covariance P (n_free, n_free) in typical sigmas, centroid errors times `noise`."""
         return self._at(replace(self._known.at_covariance(x, P), noise=noise))
 
-    def arcs(self, frames: slice, state: FilterState) -> ArcSet:
-        """Arcs of consecutive frames of the set, matched with the state of a filter."""
-        if self.matcher is None:
-            return self._standing.problem.arcs.frames(frames.start, frames.stop)
-        telemetry = rows_of(self.telemetry, self.matcher.rows(frames))
-        under = self._known.at_covariance(state.x, state.P)
-        return matched_under(
-            telemetry, self.matcher, frames, under, self.sensor, self.catalogue, self.settings
-        ).problem.arcs
+    def frames(self) -> Frames:
+        """Its frames for a filter, each matched with the state that the filter has when it comes to it."""
+        return Frames(self._pieces.frame(), self._latest)
 
-    def _at(self, under: Under) -> Matched:
-        """Match the set, a range of frames at a time."""
-        if self.matcher is None:
+    def changed(self, before: Matched, after: Matched) -> int:
+        """Count the detections whose star differs between two of its matchings."""
+        return sum(self._pieces.spread.map(changed_in_range, list(zip(before.ranges, after.ranges, strict=True))))
+
+    def judged(self, first: Matched, last: Matched) -> Judged:
+        """What of two of its matchings is judged in memory."""
+        ends = judged_frames(last.problem.arcs)
+        if ends == WHOLE and not self._pieces.folder:
+            return Judged(self, first, last)
+        telemetry = judged_telemetry(self._pieces.parts(), ends)
+        sets = Dataset(telemetry, self.sensor, self.catalogue, self._parameters, self.settings, self._cache_folder)
+        if self.stands:
+            return Judged(sets, sets.at_start(), sets.at_start())
+        rows = [judged_matches((part.rows() for part in state.ranges), ends) for state in (first, last)]
+        return Judged(sets, *(sets._of_rows(part) for part in rows))
+
+    def _first_done(self, verb: str) -> Told:
+        return lambda k, n: self._told(READING + (1 - READING) * k / n, f"{verb} {k} of {n} pieces")
+
+    def _at(self, under: Under, done: Told | None = None) -> Matched:
+        """Match all ranges of frames; files go into a folder of their own."""
+        if self.stands:
             return self._standing
-        n = self.matcher.n_frames
-        ranges = [slice(first, min(first + MATCHED_FRAMES, n)) for first in range(0, n, MATCHED_FRAMES)]
-        matches = joined_matches([self.matcher(under.x, under.P, frames, under.noise) for frames in ranges])
-        return matched_with(self.telemetry, matches, under.x, self.sensor, self.catalogue, self.settings)
+        if self._pieces.folder is None:
+            return self._of_rows(self._matched_rows(under))
+        folder = self._pieces.folder / f"state-{len(self._states)}"
+        folder.mkdir()
+        work = [
+            (self._how, self._pieces.frames(*ends), under, str(folder / f"{k:06d}"))
+            for k, ends in enumerate(self._ranges)
+        ]
+        ranges: list[MatchedRange] = self._pieces.spread.map(match_range, work, done=done)
+        parts = [part.ordered for part in ranges if part.ordered is not None]
+        timeless = sum(part.timeless for part in parts)
+        refuse_timeless(self._pieces.pieces, timeless, self._how.catalogue, self._pieces.spread)
+        problem = problem_of_parts(parts, self.sensor, self._pieces.spread)
+        self._states.append(Matched(problem, tuple(ranges), folder))
+        return self._states[-1]
 
+    def _matched_rows(self, under: Under) -> MatchedRows:
+        """Match a set in memory, a range of frames at a time."""
+        parts = [self._matcher(under.x, under.P, slice(*ends), under.noise) for ends in self._ranges]
+        return matched_rows(self.telemetry, joined_matches(parts), under.x, self.sensor, self.settings)
 
-def matched_under(
-    telemetry: Telemetry,
-    matcher: Rematcher,
-    frames: slice,
-    under: Under,
-    sensor: Sensor,
-    catalogue: Catalogue,
-    settings: CalibrationSettings,
-) -> Matched:
-    """Match consecutive frames, which are this telemetry."""
-    matches = matcher(under.x, under.P, frames, under.noise)
-    return matched_with(telemetry, matches, under.x, sensor, catalogue, settings)
+    def _of_rows(self, rows: MatchedRows) -> Matched:
+        """Make a problem of rows in memory and their matches."""
+        unidentified = rows.matches.unidentified if isinstance(rows.matches, Matches) else 0
+        problem = build_problem(rows.named(), self.sensor, self.catalogue, self.settings.minimum_stars)
+        return Matched(problem, (MatchedRange(rows, unidentified),))
 
-
-def matched_with(
-    telemetry: Telemetry,
-    matches: Matches,
-    x: FloatArray,
-    sensor: Sensor,
-    catalogue: Catalogue,
-    settings: CalibrationSettings,
-) -> Matched:
-    """Make a problem of the matches that the flight code would accept at x, or of all where `match_rule` does not ask it."""
-    kept = _flown(telemetry, matches, x, sensor, settings) if settings.match_rule == "flight" else matches
-    named = matched_telemetry(telemetry, kept)
-    return Matched(build_problem(named, sensor, catalogue, settings.minimum_stars), named, matches)
-
-
-def _flown(
-    telemetry: Telemetry, matches: Matches, x: FloatArray, sensor: Sensor, settings: CalibrationSettings
-) -> Matches:
-    """Keep what the flight code would accept at x."""
-    tolerance = flight_tolerance(sensor, settings)
-    view = flight_view(telemetry, sensor, matches, x, tolerance, settings.minimum_stars)
-    taken = view.accepted & np.repeat(view.valid, np.diff(matches.exposure_start))
-    return replace(
-        matches,
-        star_id=np.where(taken, matches.star_id, 0),
-        s_i=np.where(taken[:, None], matches.s_i, np.nan),
-    )
-
-
-class RematchedFrames:
-    """The frames of a set, matched again with the state of the filter that takes them.
-
-    `matching_s` counts the processor time of this thread that matching took, for a filter's cost is told without it.
-    """
-
-    def __init__(self, matched_set: MatchedSet) -> None:
-        self.matching_s = 0.0
-        self._set = matched_set
-        self._frame = np.unique(matched_set.telemetry.frame)
-
-    @property
-    def n_frames(self) -> int:
-        """How many there are."""
-        return len(self._frame)
-
-    def place_of(self, frame: int) -> int:
-        """Place of a frame number among them."""
-        return int(np.searchsorted(self._frame, frame))
-
-    def arcs(self, first: int, last: int, state: FilterState) -> ArcSet:
-        """Match the frames first <= k < last at this state."""
+    def _latest(self, first: int, last: int, state: FilterState) -> ArcSet:
+        """Arcs of the frames first <= k < last, matched with the state of a filter."""
         began = time.thread_time()
-        arcs = self._set.arcs(slice(first, last), state)
+        under = self._known.at_covariance(state.x, state.P)
+        if self._pieces.folder is None:
+            frames = slice(first, last)
+            telemetry, matches = (
+                rows_of(self.telemetry, self._matcher.rows(frames)),
+                self._matcher(under.x, under.P, frames),
+            )
+            rows = matched_rows(telemetry, matches, under.x, self.sensor, self.settings)
+        else:
+            rows, _, _ = matching.matched_range(self._how, self._pieces.frames(first, last).read()[0], under)
+        arcs = build_problem(rows.named(), self.sensor, self.catalogue, self.settings.minimum_stars).arcs.whole()
         self.matching_s += time.thread_time() - began
         return arcs
+
+    @property
+    def _ranges(self) -> list[tuple[int, int]]:
+        """First frame and end of each range that is matched together."""
+        n = self._pieces.n_frames
+        return [(first, min(first + MATCHED_FRAMES, n)) for first in range(0, n, MATCHED_FRAMES)]
+
+    @cached_property
+    def _matcher(self) -> Rematcher:
+        """Of a set in memory."""
+        return Rematcher(self.telemetry, self.sensor, self.catalogue, self.settings, self._cache_folder)
+
+    @cached_property
+    def _how(self) -> matching.Matching:
+        """Of a set in files."""
+        pieces, folder = self._pieces, self._pieces.folder or Path()
+        stars = write_catalogue(self.catalogue, folder)
+        limit = matching.magnitude_limit(pieces.pieces, self.sensor, stars, pieces.spread)
+        return matching.Matching(self.sensor, stars, self.settings, self._cache_folder, limit, pieces.epoch)
+
+    @cached_property
+    def _standing(self) -> Matched:
+        """Under the given matches."""
+        if self._pieces.folder is None:
+            given = given_matches(self.telemetry, self.sensor, self.catalogue)
+            problem = problem_from(self.telemetry, self.sensor, given.s_i, self.settings.minimum_stars)
+            return Matched(problem, (MatchedRange(MatchedRows(self.telemetry, given, given.star_id)),))
+        stars = write_catalogue(self.catalogue, self._pieces.folder)
+        problem = order_set(
+            self._pieces.pieces, self.sensor, stars, self.settings.minimum_stars, self._pieces.folder, self._pieces.spread,
+            self._first_done("ordered"),
+        )  # fmt: skip
+        return Matched(problem, ())

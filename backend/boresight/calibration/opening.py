@@ -10,12 +10,11 @@ from tempfile import TemporaryDirectory
 
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.listening import Progress
-from boresight.calibration.matched import MatchedSet
+from boresight.calibration.matched import Dataset
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
-from boresight.calibration.spread import InThisProcess, Spread
-from boresight.calibration.streaming.rematched_set import RematchedSet
-from boresight.calibration.streaming.streamed_set import PREPARED, StreamedSet, copied
+from boresight.calibration.streaming.telemetry_pieces import PREPARED, copied
+from boresight.estimation.spread import InThisProcess, Spread
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import Telemetry, joined
@@ -66,7 +65,7 @@ def opened(
     parameters: Parameters,
     settings: CalibrationSettings,
     workplace: Workplace,
-) -> Iterator[tuple[MatchedSet | StreamedSet | RematchedSet, OffDetector]]:
+) -> Iterator[tuple[Dataset, OffDetector]]:
     """Make a set ready, and say which stars of it lie off the detector; while the context lasts it can be matched and computed on.
 
     Raises
@@ -80,14 +79,13 @@ def opened(
         inside = telemetry.read() if isinstance(telemetry, TelemetryFile) else telemetry
         off = check_against_sensor(inside, sensor)
         chosen = matchable(inside, settings)
-        yield MatchedSet(inside, sensor, catalogue, parameters, chosen, workplace.cache_folder), off
+        yield Dataset(inside, sensor, catalogue, parameters, chosen, workplace.cache_folder), off
         return
     spread = workplace.spread or InThisProcess(workplace.cancelled)
     with workplace.folder() as folder:
         copy = copied(telemetry, sensor, folder, spread, workplace.tell, workplace.cancelled)
         chosen = matchable(copy.pieces[0].read(), settings)
-        taken = RematchedSet if chosen.match == "rematch" else StreamedSet
-        sets = taken(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
+        sets = Dataset(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
         yield sets, copy.off_detector
 
 

@@ -83,7 +83,7 @@ def _of_holding(held: list[int], A: FloatArray, observed: Observability) -> list
 
 def _of_coverage(problem: Problem) -> list[str]:
     """Say where the detector has no stars."""
-    sensor, arcs = problem.sensor, problem.arcs
+    sensor, arcs = problem.sensor, problem.arcs.whole()
     row, col = arcs.row_px - (sensor.rows - 1) / 2, arcs.col_px - (sensor.columns - 1) / 2
     reach = float(np.hypot(row, col).max() / (np.hypot(sensor.rows, sensor.columns) / 2))
     counts, _, _ = np.histogram2d(

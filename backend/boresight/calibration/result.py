@@ -17,15 +17,15 @@ from boresight import __version__
 from boresight.arrays import FloatArray
 from boresight.calibration.advice import advice, too_few
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import AnyProblem
+from boresight.calibration.problem import Problem
 from boresight.calibration.robust import robust_view
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.views import coverage_view, history_view, radial_view, trace_view
-from boresight.estimation.arcs import Arcs
 from boresight.estimation.batch import sigma_in_scale
 from boresight.estimation.consistency import ChiSquare, chi_square
 from boresight.estimation.metrics import tail_rms
 from boresight.estimation.observability import observability
+from boresight.estimation.stored_arcs import Arcs
 
 SCHEMA = "boresight.calibration/1"
 
@@ -38,7 +38,7 @@ def numbers(values: FloatArray) -> list[Any]:
 
 
 def header(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
 ) -> dict[str, Any]:
     """Everything that is known before estimating."""
     sensor, camera = problem.sensor, problem.camera
@@ -80,7 +80,7 @@ def _versions() -> dict[str, str]:
 
 
 def document(
-    problem: AnyProblem,
+    problem: Problem,
     parameters: Parameters,
     settings: CalibrationSettings,
     estimate: Estimate,
@@ -126,7 +126,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _sigma(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> FloatArray:
+def _sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> FloatArray:
     """(n_parameters,) one-sigma in SI, NaN where not estimated or not determined."""
     sigma = np.full(len(problem.camera.parameter_names), np.nan)
     in_scale = np.sqrt(np.diag(estimate.P))
@@ -136,7 +136,7 @@ def _sigma(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> F
     return sigma
 
 
-def _estimated(problem: AnyProblem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> dict[str, Any]:
+def _estimated(problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> dict[str, Any]:
     """Parameters with sigma, covariance and shift."""
     names = problem.camera.parameter_names
     known = np.isfinite(sigma[parameters.free])
@@ -157,7 +157,7 @@ def _estimated(problem: AnyProblem, parameters: Parameters, estimate: Estimate, 
 
 
 def _judged(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, arcs: Arcs
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, arcs: Arcs
 ) -> dict[str, Any]:
     """Chi-square, innovations, observability and advice; nulls while the estimate is on its way."""
     dof = arcs.n_arcs - len(parameters.free)
@@ -215,7 +215,7 @@ def _innovations_so_far(estimate: Estimate) -> dict[str, Any] | None:
 
 
 def nothing_estimated(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
 ) -> dict[str, Any]:
     """The document of a set with too few stars everywhere: the start's values, no sigma, and why."""
     names: Sequence[str] = problem.camera.parameter_names

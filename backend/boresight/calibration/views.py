@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.course import Course
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import AnyProblem
+from boresight.calibration.problem import Problem
 from boresight.calibration.streaming.sample import spread_blocks
-from boresight.estimation.arcs import Arcs, ArcSet
+from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.metrics import sums_of_squares, tail_rms
+from boresight.estimation.stored_arcs import Arcs
 from boresight.estimation.uncertainty import displacement_px, radial_difference
 
 #: Tail RMS costs one pass over the set a point; a history keeps as many points as this many frame passes allow.
@@ -42,7 +43,7 @@ def kept_points(n_updates: int, n_frames: int) -> IntArray:
     return np.unique(np.linspace(0, n_updates - 1, most).round().astype(np.int64))
 
 
-def history_view(problem: AnyProblem, parameters: Parameters, estimate: Estimate, arcs: Arcs) -> dict[str, Any] | None:
+def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, arcs: Arcs) -> dict[str, Any] | None:
     """A filter's history: state, sigma, tail and aggregate RMS, innovations; None for the batch."""
     history = estimate.history
     if not history:
@@ -91,7 +92,7 @@ def _tail(arcs: Arcs, states: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total / n_arcs))
 
 
-def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: AnyProblem) -> dict[str, Any] | None:
+def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: Problem) -> dict[str, Any] | None:
     """The batch's iterates; None for a filter."""
     if not estimate.steps:
         return None
@@ -109,7 +110,7 @@ def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem:
 
 
 def radial_view(
-    problem: AnyProblem, parameters: Parameters, estimate: Estimate, sigma: FloatArray
+    problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray
 ) -> dict[str, Any] | None:
     """Radial displacement of the estimate against its start, one-sigma, and where the data are (E Figure 5)."""
     sensor, camera = problem.sensor, problem.camera
@@ -144,7 +145,7 @@ def _reach_in_block(block: ArcSet, row_0: float, col_0: float, edges: FloatArray
     return float(reach.max()), np.histogram(reach, edges)[0]
 
 
-def coverage_view(problem: AnyProblem) -> dict[str, Any]:
+def coverage_view(problem: Problem) -> dict[str, Any]:
     """Star counts over the detector."""
     sensor = problem.sensor
     row_edges = np.linspace(-0.5, sensor.rows - 0.5, COVERAGE_ROWS + 1)

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from boresight import kernels
 from boresight.arrays import FloatArray
-from boresight.estimation.arcs import Arcs, ArcSet
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.stored_arcs import Arcs
 
 
 @dataclass(frozen=True)

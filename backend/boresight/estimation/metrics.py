@@ -11,7 +11,8 @@ import numpy as np
 
 from boresight import kernels
 from boresight.arrays import FloatArray
-from boresight.estimation.arcs import Arcs, ArcSet
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.stored_arcs import Arcs
 
 
 def arc_errors(arcs: ArcSet, x: FloatArray) -> FloatArray:

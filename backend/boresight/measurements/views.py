@@ -83,7 +83,7 @@ def simulated_views(frames: int, seed: int, catalogue: Catalogue) -> Views:
     sensor, truth = st16_sensor(SENSOR), st16_truth(SENSOR)
     drawn = star_frames(frames + SPARE, sensor, truth, catalogue, np.random.default_rng([SENSOR, seed]))
     telemetry = _first_full(drawn, sensor, frames)
-    arcs = build_problem(telemetry, sensor, catalogue).arcs
+    arcs = build_problem(telemetry, sensor, catalogue).arcs.whole()
     if telemetry.star_id is None or len(arcs.row_px) != len(telemetry):
         raise ValueError(f"Expected every star in the problem / Received {len(arcs.row_px)} of {len(telemetry)}")
     star = catalogue.index_of(telemetry.star_id[arcs.source_row])

@@ -26,7 +26,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import orjson
@@ -138,7 +138,7 @@ def _given(path: Path, sensor: Sensor, catalogue: Catalogue) -> dict[str, Any]:
             ),
             "R_of_both_weighings": 2 * fastest(lambda: replace(problem).weighed(x), repeats=REPEATS),
         }
-    weighed = problem.weighed(x)
+    weighed = problem.weighed(x).whole()
     first, second = _evaluations(path, sensor, catalogue, settings)
     counted = {"evaluations": first + second, "evaluations_of_one_weighing": first}
     beside = _beside_c(weighed, x, scale, first + second, found["total_s"])
@@ -169,8 +169,10 @@ def _evaluations(path: Path, sensor: Sensor, catalogue: Catalogue, settings: Cal
     problem = problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars)
     x, counts = sensor.initial, list[int]()
     for _ in range(2):
-        counted = _Counted(problem.weighed(x))
-        x = batch.fit(counted, x, parameters.free, parameters.scale, max_iterations=settings.max_iterations).x
+        counted = _Counted(problem.weighed(x).whole())
+        x = batch.fit(
+            cast("ArcSet", counted), x, parameters.free, parameters.scale, max_iterations=settings.max_iterations
+        ).x
         counts.append(counted.passes)
     return counts[0], counts[1]
 

@@ -41,7 +41,7 @@ def measure(frames: int, rng: np.random.Generator) -> tuple[dict[str, float], di
     x, P = sensor.initial, ground_covariance(sensor, 10.0)
     matcher = Rematcher(half, sensor, catalogue, CalibrationSettings())
     matcher(x, P, slice(0, 2))
-    arcs = build_problem(named, sensor, catalogue).weighed(x)
+    arcs = build_problem(named, sensor, catalogue).weighed(x).whole()
     free = np.arange(len(x))
     matching, evaluation = fastest_of_each(
         lambda: matcher(x, P), lambda: batch.normal_equations(arcs, x, free, sensor.typical_sigma), repeats=REPEATS

@@ -2,7 +2,7 @@
 
 The run's own worker takes pieces from the front all the time, in a thread beside; the run's thread hands groups to idle workers and
 gathers. So nothing can wait for ever: with no other worker, or with all of them busy, the run computes everything itself, and
-what is out elsewhere for too long it computes again, for a piece may be computed twice (`boresight.calibration.spread`).
+what is out elsewhere for too long it computes again, for a piece may be computed twice (`boresight.estimation.spread`).
 
 - A worker that computes a run, or has one waiting, is lent nothing: runs go first, and wait for the group under way at most.
 - A piece whose worker died is computed by the run itself. If it is poison it ends the run's own worker, and the engine counts that
@@ -25,8 +25,8 @@ from typing import Any
 
 from distributed import get_client, get_worker
 
-from boresight.calibration.spread import Told
 from boresight.errors import CancelledError
+from boresight.estimation.spread import Told
 from boresight.workers.pieces import Broken, Group, Pieces
 
 LENT_TOPIC = "boresight-lent"

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.problem import LeftOut, Problem, added, problem_of
-from boresight.calibration.spread import Spread, Told
-from boresight.calibration.streaming.columns import Columns, write_columns
-from boresight.calibration.streaming.stored_arcs import ArcsPiece, write_arcs
-from boresight.calibration.streaming.stored_problem import StoredProblem
 from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece
+from boresight.columns import Columns, write_columns
+from boresight.estimation.spread import Spread, Told
+from boresight.estimation.stored_arcs import ArcsPiece, StoredArcs, write_arcs
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import TimelessError, star_directions
 from boresight.telemetry.schema import Telemetry
@@ -56,7 +55,7 @@ def order_set(
     folder: Path,
     spread: Spread,
     done: Told,
-) -> StoredProblem:
+) -> Problem:
     """Order the stars of every exposure of a set.
 
     Raises
@@ -73,12 +72,14 @@ def order_set(
     return problem_of_parts(parts, sensor, spread)
 
 
-def problem_of_parts(parts: Sequence[OrderedPiece], sensor: Sensor, spread: Spread) -> StoredProblem:
-    """Make one problem of the parts of a set."""
-    return StoredProblem(
+def problem_of_parts(parts: Sequence[OrderedPiece], sensor: Sensor, spread: Spread) -> Problem:
+    """Make one problem of the parts of a set; a part may have no frame."""
+    pieces = tuple(part.arcs for part in parts if part.arcs.n_frames)
+    timed = bool(pieces) and all(piece.has("time_utc") for piece in pieces)
+    return Problem(
         sensor=sensor,
-        pieces=tuple(part.arcs for part in parts),
-        spread=spread,
+        arcs=StoredArcs(pieces, spread),
+        time_utc=np.concatenate([piece.column("time_utc") for piece in pieces]) if timed else None,
         frames_in_set=sum(part.frames_in_set for part in parts),
         left_out=added(item for part in parts for item in part.left_out),
     )
@@ -99,9 +100,9 @@ def order_piece(
 
 def write_ordered(problem: Problem, begins: int, path: Path, timeless: int = 0) -> OrderedPiece:
     """Write the arcs of a piece whose rows begin at this place of the set."""
-    problem.arcs.source_row[:] += begins
-    arcs = write_arcs(path, problem.arcs, problem.time_utc)
-    return OrderedPiece(arcs, problem.frames_in_set, problem.left_out, timeless)
+    arcs = problem.arcs.whole()
+    arcs.source_row[:] += begins
+    return OrderedPiece(write_arcs(path, arcs, problem.time_utc), problem.frames_in_set, problem.left_out, timeless)
 
 
 def _directions(telemetry: Telemetry, catalogue: Catalogue) -> NDArray[np.float64]:

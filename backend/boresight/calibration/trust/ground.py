@@ -185,13 +185,13 @@ def _best_fit(
     problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
 ) -> tuple[FloatArray, ArcSet]:
     """State and arcs weighed there; the estimate itself where it is the best fit, or a robust one."""
-    arcs = problem.weighed(estimate.x)
+    arcs = problem.weighed(estimate.x).whole()
     if not settings.sequential and settings.error == "arclength":
         return estimate.x, arcs
     fitted = batch.fit(arcs, estimate.x, parameters.free, parameters.scale, max_iterations=MOST_ITERATIONS)
     if fitted.status == "diverged":
         return estimate.x, arcs
-    return fitted.x, problem.weighed(fitted.x)
+    return fitted.x, problem.weighed(fitted.x).whole()
 
 
 def chosen(arcs: ArcSet, frames: BoolArray) -> ArcSet:

@@ -128,12 +128,12 @@ def _data(trial: Trial, catalogue: Catalogue) -> _Data:
 def _information(known: Problem, truth: FloatArray) -> FloatArray:
     """Fisher information F (n_parameters, n_parameters) of all centroids at the truth, in typical sigmas."""
     scale = known.sensor.typical_sigma
-    return centroid_rows(known.camera, truth, known.arcs, np.arange(len(scale)), scale).information
+    return centroid_rows(known.camera, truth, known.arcs.whole(), np.arange(len(scale)), scale).information
 
 
 def _plain_condition(known: Problem, truth: FloatArray) -> float:
     """Condition number of the scaled Jacobian of the arcs at the truth, not whitened (E Eq 23), by central differences."""
-    arcs = known.weighed(truth)
+    arcs = known.weighed(truth).whole()
     steps = np.diag(STEP_SIGMA * known.sensor.typical_sigma)
     H = np.stack([(arc_errors(arcs, truth + step) - arc_errors(arcs, truth - step)) for step in steps], axis=-1)
     return float(np.linalg.cond(H))

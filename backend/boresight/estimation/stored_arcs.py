@@ -10,16 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.spread import Spread
-from boresight.calibration.streaming.columns import Columns, write_columns
+from boresight.arrays import IntArray
+from boresight.columns import Columns, write_columns
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import FRAMES, in_blocks
+from boresight.estimation.spread import Spread
 
 T = TypeVar("T")
 Step = tuple[Callable[..., ArcSet], tuple[Any, ...]]
@@ -78,7 +80,7 @@ def write_arcs(path: Path, arcs: ArcSet, time_utc: NDArray[np.datetime64] | None
 
 @dataclass(frozen=True)
 class StoredArcs:
-    """The arcs of a set in pieces; `estimation.arcs.Arcs` says what its methods do.
+    """The arcs of a set in pieces; what is computed of them is the same to the last bit as of an `ArcSet`.
 
     Parameters
     ----------
@@ -93,6 +95,11 @@ class StoredArcs:
     pieces: tuple[ArcsPiece, ...]
     spread: Spread
     steps: tuple[Step, ...] = ()
+
+    @cached_property
+    def frame(self) -> IntArray:
+        """(n_frames,) frame numbers of the telemetry."""
+        return np.concatenate([np.zeros(0, np.int64), *(piece.column("frame") for piece in self.pieces)])
 
     @property
     def n_frames(self) -> int:
@@ -119,6 +126,10 @@ class StoredArcs:
         pieces, k0, k1 = self.part(first, last)
         return taken([piece.read() for piece in pieces], k0, k1, self.steps)
 
+    def whole(self) -> ArcSet:
+        """Return the set in memory."""
+        return self.frames(0, self.n_frames)
+
     def each(self, function: Callable[..., ArcSet], *arguments: Any) -> StoredArcs:
         """Remember to do this to every part that is taken."""
         return replace(self, steps=(*self.steps, (function, arguments)))
@@ -136,6 +147,10 @@ class StoredArcs:
         begin, end = int(np.searchsorted(ends, first, side="right")), int(np.searchsorted(ends, last))
         before = int(ends[begin - 1]) if begin else 0
         return self.pieces[begin : end + 1], first - before, last - before
+
+
+#: The arcs of a set, in memory or in files.
+Arcs = ArcSet | StoredArcs
 
 
 def over_range(
