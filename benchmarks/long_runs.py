@@ -18,7 +18,7 @@ from boresight.store.blobs import BlobStore, register_blob
 from boresight.store.sessions import migrate, open_engine, utc_now, writing
 from boresight.store.tables import Run, Sensor, TelemetrySet
 from boresight.telemetry.sensors import sensor_document
-from boresight.workers.summary import summary_of
+from boresight.verdicts.summary import summary_of
 
 PASSWORD = "a password of the benchmark"  # noqa: S105 - of a store that lives as long as this program
 

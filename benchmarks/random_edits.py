@@ -44,8 +44,6 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import FIGURES, Trace
 from boresight.figures.report import render_report
-from boresight.gates import parse_profile
-from boresight.gates.assessment import assess, ground_set
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import wu_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
@@ -53,6 +51,8 @@ from boresight.sky.directions import star_directions
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
 from boresight.telemetry.writers import write_csv
+from boresight.verdicts.gates import parse_profile
+from boresight.verdicts.gates.assessment import assess, ground_set
 
 FRAMES, VALIDATION_FRAMES = 24, 12
 SEED = 20_260_101

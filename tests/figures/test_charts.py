@@ -6,7 +6,8 @@ import pytest
 from boresight.figures import FIGURES, Trace, radial_contrast
 from boresight.figures.axes import EXTRAPOLATED
 from boresight.figures.course import settled_step
-from boresight.figures.rms_tail import sigma_of_rms, tail_of, tailed
+from boresight.figures.rms_tail import tail_of, tailed
+from boresight.verdicts.verdict import sigma_of_rms
 
 
 def named(drawn, name):

@@ -19,7 +19,7 @@ import pyarrow.parquet
 import requests
 
 from boresight.calibration.settings import CalibrationSettings
-from boresight.gates.profile import DEFAULT_PROFILE
+from boresight.verdicts.gates.profile import DEFAULT_PROFILE
 from tests.api.conftest import House
 from tests.fuzz.judge import Asker, Tally, bare_case
 from tests.fuzz.world import World

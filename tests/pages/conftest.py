@@ -33,7 +33,7 @@ from boresight.store.blobs import open_blobs
 from boresight.store.sessions import migrate, open_engine, utc_now, writing
 from boresight.store.tables import Blob, Run, Sensor, TelemetrySet
 from boresight.telemetry.sensors import sensor_document
-from boresight.workers.summary import summary_of
+from boresight.verdicts.summary import summary_of
 from tests.passwords import new_password
 from tests.stores import copied, environment_in
 

@@ -6,10 +6,10 @@ import re
 
 import pytest
 
-from boresight.figures.evidence import marks
 from boresight.figures.parameter_table import parameter_rows
 from boresight.store.sessions import utc_now, writing
 from boresight.store.tables import RunEvent
+from boresight.verdicts.verdict import marks
 
 
 def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(house, read, results):

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from boresight.figures.evidence import LEVEL_OF_STATUS
 from boresight.pages.fleet import worst_standing
 from boresight.pages.states import LEVEL_OF_STATE, LEVELS, level_of, worst
 from boresight.store.tables import APPROVAL_STATES, GROUND_STATES, ONBOARD_STATES, RUN_STATES
+from boresight.verdicts.verdict import LEVEL_OF_STATUS
 
 
 @pytest.mark.parametrize("state", sorted({*RUN_STATES, *GROUND_STATES, *ONBOARD_STATES, *APPROVAL_STATES}))

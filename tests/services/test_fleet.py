@@ -15,7 +15,7 @@ from boresight.services.fleet import STATUS_WORDS, Known, SensorTile, findings, 
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, reading, utc_after, writing
 from boresight.store.tables import ParameterSet, Run
-from boresight.workers.summary import summary_of
+from boresight.verdicts.summary import summary_of
 from tests.missions import add_run, add_set
 
 from .onboard import climb, promote_by_hand

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from boresight.errors import ForbiddenError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
-from boresight.gates import DEFAULT_PROFILE
 from boresight.services import approvals, audit, gate_profiles, gates, parameter_sets
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.sessions import reading, writing
+from boresight.verdicts.gates import DEFAULT_PROFILE
 
 SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]}
 

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from boresight.errors import ForbiddenError, NotFoundError, StaleError
-from boresight.gates import DEFAULT_PROFILE
 from boresight.services import audit, gate_profiles, gates, parameter_sets
 from boresight.store.sessions import reading, writing
 from boresight.store.tables import ParameterSet
+from boresight.verdicts.gates import DEFAULT_PROFILE
 
 
 def limits(**gates: Any) -> dict[str, Any]:

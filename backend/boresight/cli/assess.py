@@ -48,10 +48,10 @@ def assess(
 
 def _assess(files: tuple[Path, Path, Path | None, Path | None, Path | None], report: Any) -> dict[str, Any]:
     """Read the files and judge."""
-    from boresight.gates import parse_profile
-    from boresight.gates.assessment import as_set, assess, ground_set
     from boresight.services.calibration_document import refuse_incomplete
     from boresight.telemetry.sensors import read_sensor
+    from boresight.verdicts.gates import parse_profile
+    from boresight.verdicts.gates.assessment import as_set, assess, ground_set
 
     calibration, sensor_file, against, telemetry, profile_file = files
     sensor = read_sensor(sensor_file)
@@ -91,7 +91,7 @@ def _read_object(path: Path, what: str) -> dict[str, Any]:
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
     """Lay a report out for a terminal: the table, then a sentence for every gate that does not pass."""
-    from boresight.gates.table import gate_rows
+    from boresight.verdicts.gates.table import gate_rows
 
     rows = gate_rows(document)
     head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")

@@ -15,7 +15,8 @@ import plotly.graph_objects as go
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.detector_maps import MAX_MAPS, beside, cells, frame_maps
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Arc uncertainty"
 PART, KEY = "arc_sigma_map", "sigma_arcsec"

@@ -26,8 +26,8 @@ from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.convergence_judge import PANELS, draw_judges, mark_settled
 from boresight.figures.course import Course, course_of, free_names
 from boresight.figures.following import follow_column, follow_parameters
-from boresight.figures.quantities import Quantity, change_label, quantity
 from boresight.figures.thinning import keep_extremes
+from boresight.verdicts.quantities import Quantity, change_label, quantity
 
 TITLE = "Convergence"
 FEW_PANELS = 9  # up to so many stand in three columns, more in four

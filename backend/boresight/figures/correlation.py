@@ -16,7 +16,7 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.quantities import quantity
+from boresight.verdicts.quantities import quantity
 
 TITLE = "Parameter correlations"
 STRONG = 0.9  # from here on two parameters are read together

@@ -16,8 +16,9 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.quantities import quantity
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.quantities import quantity
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Leaving one parameter out"
 PART = "drop_one"

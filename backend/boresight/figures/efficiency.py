@@ -13,8 +13,9 @@ import plotly.graph_objects as go
 from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.quantities import quantity
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.quantities import quantity
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Cramér-Rao efficiency"
 PART = "efficiency"

@@ -16,7 +16,7 @@ import plotly.graph_objects as go
 
 from boresight.figures.chart import Trace
 from boresight.figures.course import Course, course_of
-from boresight.figures.quantities import Quantity
+from boresight.verdicts.quantities import Quantity
 
 BAND_SIGMAS = 3
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from boresight.estimation.observability import NAMED, WEAK
 from boresight.figures.chart import Result
-from boresight.figures.numbers import count, percent
-from boresight.figures.quantities import quantity
+from boresight.verdicts.numbers import count, percent
+from boresight.verdicts.quantities import quantity
 
 REACH_ENOUGH = 0.95  # of the way to the corner
 MOST_TIMES = 100.0  # more frames than so many times these are no advice

@@ -15,9 +15,10 @@ import plotly.graph_objects as go
 from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.numbers import percent
 from boresight.figures.thinning import keep_extremes
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.numbers import percent
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Innovations over time"
 PART = "nis_over_time"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.figures.chart import Result
-from boresight.figures.numbers import MISSING, NARROW_SPACE, count, fixed, number, percent, urad
 from boresight.figures.shadow import shown
+from boresight.verdicts.numbers import MISSING, NARROW_SPACE, count, fixed, number, percent, urad
 
 COUNTS = (
     ("Given", "given", "identified in the telemetry"),

@@ -17,7 +17,7 @@ import numpy as np
 from boresight.estimation.consistency import ChiSquare, chi_square, nees
 from boresight.figures.chart import Result
 from boresight.figures.course import Course, course_of, settled_step
-from boresight.figures.trust_parts import part_of
+from boresight.verdicts.verdict import part_of
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.course import Course, course_of
 from boresight.figures.method_scores import bound_of, method_scores
-from boresight.figures.numbers import number
 from boresight.figures.thinning import keep_extremes
-from boresight.figures.trust_parts import why_absent
+from boresight.verdicts.numbers import number
+from boresight.verdicts.verdict import why_absent
 
 TITLE = "Error against the bound"
 POINT_BUDGET = 8000  # of all runs together

@@ -19,8 +19,8 @@ from boresight.arrays import FloatArray
 from boresight.estimation.observability import WEAK
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.numbers import number
-from boresight.figures.quantities import quantity
+from boresight.verdicts.numbers import number
+from boresight.verdicts.quantities import quantity
 
 TITLE = "Observability"
 THRESHOLD = 1.0 / WEAK

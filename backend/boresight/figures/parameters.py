@@ -13,7 +13,7 @@ from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.course import free_names
-from boresight.figures.quantities import quantity
+from boresight.verdicts.quantities import quantity
 
 TITLE = "Parameter changes"
 SIGNIFICANT = 3.0

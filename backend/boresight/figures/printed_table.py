@@ -7,9 +7,9 @@ from dataclasses import astuple, dataclass
 from decimal import Decimal
 
 from boresight.figures.chart import Result
-from boresight.figures.numbers import MINUS, MISSING, to_second_digit
 from boresight.figures.parameter_table import ParameterRow, parameter_rows
-from boresight.figures.quantities import Quantity, quantity
+from boresight.verdicts.numbers import MINUS, MISSING, to_second_digit
+from boresight.verdicts.quantities import Quantity, quantity
 
 LARGE = 1e5  # the width of a terminal's column
 HEADINGS = ("parameter", "unit", "initial", "final", "change", "sigma", "unit", "change / sigma", "typical sigmas")

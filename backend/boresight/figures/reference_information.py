@@ -16,8 +16,8 @@ from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.frame_observability import absent, view_of
-from boresight.figures.quantities import quantity
 from boresight.figures.trust_parts import Part, column
+from boresight.verdicts.quantities import quantity
 
 TITLE = "Information of each reference"
 LABELS = {

@@ -16,7 +16,6 @@ from boresight.errors import RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.chart import Result, Trace
 from boresight.figures.command_line import calibrate_command
-from boresight.figures.evidence import verdict
 from boresight.figures.matching import why_no_matching
 from boresight.figures.matching_table import (
     flight_rows,
@@ -29,9 +28,8 @@ from boresight.figures.matching_table import (
 from boresight.figures.printed_table import HEADINGS, printed_rows
 from boresight.figures.standing import standing
 from boresight.figures.star_table import star_rows, to_flag
-from boresight.figures.trust_marks import prospects, trust_marks
-from boresight.figures.trust_parts import why_absent
 from boresight.resources import folder
+from boresight.verdicts.verdict import prospects, trust_marks, verdict, why_absent
 
 SCHEMA = "boresight.calibration/1"
 MOST_STARS = 25  # in print; the run's CSV has more

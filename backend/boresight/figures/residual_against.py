@@ -17,7 +17,8 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Residual against causes"
 PART = "residual_against"

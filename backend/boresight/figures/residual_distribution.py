@@ -17,8 +17,9 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.numbers import percent
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.numbers import percent
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Distribution of residuals"
 PART = "residual_distribution"

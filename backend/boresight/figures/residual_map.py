@@ -18,7 +18,8 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import absent, column, part_of, parts
+from boresight.figures.trust_parts import absent, column, parts
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Residuals on the detector"
 PART = "residuals"

@@ -15,7 +15,8 @@ from plotly.subplots import make_subplots
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.residual_against import folded
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Outliers and what was left out"
 PART = "residual_outliers"

@@ -18,9 +18,10 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.numbers import number
 from boresight.figures.residual_map import others
-from boresight.figures.trust_parts import absent, column, part_of, parts
+from boresight.figures.trust_parts import absent, column, parts
+from boresight.verdicts.numbers import number
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Mean residuals over the detector"
 PART = "residual_field"

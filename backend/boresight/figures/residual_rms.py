@@ -12,8 +12,9 @@ from boresight.arrays import FloatArray
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.detector_maps import MAX_MAPS, frame_maps, short_label
-from boresight.figures.numbers import number
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.numbers import number
+from boresight.verdicts.verdict import part_of
 
 TITLE = "RMS residual over the detector"
 PART = "residual_field"

@@ -20,7 +20,8 @@ from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import theme
 from boresight.figures.axes import share_cursor
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import absent, column, part_of, parts
+from boresight.figures.trust_parts import absent, column, parts
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Residual RMS by axis"
 PART = "residuals"

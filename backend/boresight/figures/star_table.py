@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from boresight.figures.chart import Result
-from boresight.figures.numbers import count, fixed
-from boresight.figures.trust_parts import part_of
+from boresight.verdicts.numbers import count, fixed
+from boresight.verdicts.verdict import part_of
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ import plotly.graph_objects as go
 
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Star by star"
 PART = "stars"

@@ -14,7 +14,7 @@ from plotly.subplots import make_subplots
 
 from boresight.figures import theme
 from boresight.figures.chart import Table
-from boresight.figures.quantities import change_label, quantity
+from boresight.verdicts.quantities import change_label, quantity
 
 Document = Mapping[str, Any]
 Points = Sequence[Mapping[str, Any]]

@@ -15,8 +15,9 @@ from plotly.subplots import make_subplots
 from boresight.figures import theme
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.detector_maps import cells, detector_map, frame_maps
-from boresight.figures.quantities import quantity
-from boresight.figures.trust_parts import Part, absent, column, part_of, parts
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.quantities import quantity
+from boresight.verdicts.verdict import part_of
 
 TITLE = "Two halves"
 PART, KEY = "two_halves", "difference_arcsec"

@@ -17,7 +17,6 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.api.numbers import row_number
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.figures.evidence import LEVELS
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.forms import read_texts, seen_version
 from boresight.pages.rendering import redirect, render
@@ -27,6 +26,7 @@ from boresight.services import alarms, sensors, users
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session, reading, utc_after
 from boresight.store.tables import ALARM_KINDS, Alarm
+from boresight.verdicts.verdict import LEVELS
 
 router = APIRouter(dependencies=[Depends(csrf)])
 

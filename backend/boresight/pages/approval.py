@@ -15,7 +15,6 @@ from fastapi import Request
 from fastapi.responses import HTMLResponse
 
 from boresight.figures import FIGURES, WIDE
-from boresight.figures.evidence import marks
 from boresight.figures.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
 from boresight.pages.attempts import Refusal
 from boresight.pages.gates_panel import panel_of
@@ -26,6 +25,7 @@ from boresight.services import approvals, parameter_sets, proposals, runs, senso
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
 from boresight.store.tables import Approval, Opening, ParameterSet
+from boresight.verdicts.verdict import marks
 
 CHANGE_FIGURE = "radial"
 EVIDENCE_FIGURES = ("rms", "arc-uncertainty", "shadow", "two-halves", "observability", "parameters")

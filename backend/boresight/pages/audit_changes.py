@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.figures.numbers import MISSING
-from boresight.figures.quantities import QUANTITIES
-from boresight.pages.formats import day_of_year, instant, parameter
+from boresight.pages.formats import day_of_year, instant
+from boresight.verdicts.numbers import MISSING, parameter
+from boresight.verdicts.quantities import QUANTITIES
 
 LONGEST_VALUE = 120
 HASH = re.compile(r"[0-9a-f]{64}")

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.errors import ConflictError, NotFoundError
-from boresight.figures.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
 from boresight.services import runs
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 from boresight.store.tables import Run
+from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
 
 #: How many of the newest finished runs are looked at for one with a validation set.
 LOOKED_AT = 20

@@ -13,7 +13,6 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.api.numbers import row_number
-from boresight.figures.evidence import LEVELS
 from boresight.pages.attempts import attempt
 from boresight.pages.forms import read_texts
 from boresight.pages.rendering import redirect, redirect_refused, render
@@ -22,6 +21,7 @@ from boresight.pages.tables import csv_file
 from boresight.services import campaigns
 from boresight.services.campaign_views import FAILED, CampaignView, result_of
 from boresight.store.sessions import Session
+from boresight.verdicts.verdict import LEVELS
 
 router = APIRouter(dependencies=[Depends(csrf)])
 

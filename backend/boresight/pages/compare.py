@@ -22,7 +22,6 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE, radial_contrast
 from boresight.figures.alignment import ALIGNMENTS
-from boresight.figures.numbers import number, urad
 from boresight.pages.compare_tables import correlation_lines, parameter_lines, together
 from boresight.pages.method_panel import method_panel
 from boresight.pages.methods import title_of
@@ -30,6 +29,7 @@ from boresight.pages.rendering import render
 from boresight.pages.runs import Names, read_names
 from boresight.services import comparisons
 from boresight.services.comparisons import Compared, Comparison, UnlikeModelsError
+from boresight.verdicts.numbers import number, urad
 
 CROWDED_RUNS = 8
 OVERLAYS = {"lines": "every run", "band": "lowest to highest", "table": "no figures, tables only"}

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from boresight.figures.numbers import MISSING, fixed, number
-from boresight.pages.formats import parameter, plus_minus, sigmas
 from boresight.services.comparisons import Comparison, joint
+from boresight.verdicts.numbers import MISSING, fixed, number, parameter, plus_minus, sigmas
 
 #: From here on a difference is marked: one of 370 is so large by chance.
 FAR_SIGMAS = 3.0

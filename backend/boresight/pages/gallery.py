@@ -16,11 +16,11 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.credentials import who_acts
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES, WIDE, figure_json
-from boresight.figures.evidence import LEVELS, marks
 from boresight.figures.parameter_table import parameter_rows
 from boresight.figures.specimen import specimen_traces, specimens
 from boresight.pages.rendering import render
 from boresight.pages.states import LEVEL_OF_STATE
+from boresight.verdicts.verdict import LEVELS, marks
 
 PARTS = {"figures": "Figures", "elements": "Elements"}
 STATES = {

@@ -19,8 +19,6 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.dependencies import Who, csrf
 from boresight.api.numbers import row_number
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
-from boresight.gates import GATES, Gate
-from boresight.gates.profile import THRESHOLDS
 from boresight.pages.attempts import Refusal, attempt
 from boresight.pages.forms import read_texts
 from boresight.pages.rendering import redirect, render
@@ -30,6 +28,8 @@ from boresight.services.actors import Actor, Policy
 from boresight.services.gate_profiles import Tried
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import ChangeProposal, GateProfile, TableDefinition
+from boresight.verdicts.gates import GATES, Gate
+from boresight.verdicts.gates.profile import THRESHOLDS
 
 router = APIRouter(dependencies=[Depends(csrf)])
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from boresight.gates.table import GateRow, gate_rows
 from boresight.services import gate_profiles, gates, users, waivers
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import GateReport, ParameterSet, Waiver
+from boresight.verdicts.gates.table import GateRow, gate_rows
 
 USUAL_DAYS = 7
 ONLY_WAIVERS = "Only an analyst or an approver may waive a gate; ask an administrator for the role."

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.calibration.settings import CalibrationSettings
-from boresight.figures.numbers import count
-from boresight.pages.formats import duration
 from boresight.pages.methods import NUMBERS, WORDS, title_of
+from boresight.verdicts.numbers import count, duration
 
 #: Settings whose names a person would not guess.
 NAMES: Mapping[str, str] = {

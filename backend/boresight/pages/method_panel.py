@@ -12,10 +12,10 @@ from typing import Any, Protocol
 
 from boresight.figures.course import SETTLED_SIGMAS
 from boresight.figures.method_scores import MethodScores, method_scores
-from boresight.figures.numbers import MISSING, count, fixed, number
 from boresight.pages.formats import words
 from boresight.pages.methods import METHODS, is_sequential, title_of
 from boresight.store.tables import Run
+from boresight.verdicts.numbers import MISSING, count, fixed, number
 
 #: Settings that are a method's own, and so belong to the comparison.
 OWN = frozenset({

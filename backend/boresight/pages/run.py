@@ -18,11 +18,8 @@ from markupsafe import Markup
 from boresight.api.dependencies import Reading, Who, csrf
 from boresight.errors import NotFoundError
 from boresight.figures import WIDE
-from boresight.figures.evidence import verdict
-from boresight.figures.numbers import MISSING, count
-from boresight.gates.table import gate_rows
 from boresight.pages.attempts import attempt
-from boresight.pages.formats import duration, short_hash, utc, words
+from boresight.pages.formats import short_hash, utc, words
 from boresight.pages.methods import title_of
 from boresight.pages.rendering import redirect, redirect_refused, render
 from boresight.pages.run_live import live_of
@@ -34,6 +31,9 @@ from boresight.services.actors import Actor
 from boresight.services.neighbours import neighbours
 from boresight.store.sessions import Session
 from boresight.store.tables import TERMINAL_RUN_STATES, ParameterSet, Run, TelemetrySet
+from boresight.verdicts.gates.table import gate_rows
+from boresight.verdicts.numbers import MISSING, count, duration
+from boresight.verdicts.verdict import verdict
 
 router = APIRouter(dependencies=[Depends(csrf)])
 

@@ -14,12 +14,12 @@ from urllib.parse import urlencode
 from fastapi import Request
 
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
-from boresight.figures.numbers import MISSING, fixed, number
 from boresight.pages.frame_drawing import SCALES, FrameDrawing, draw_frame, usual_scale
 from boresight.services import frames
 from boresight.services.frames import FrameLine
 from boresight.store.sessions import Session
 from boresight.store.tables import Run
+from boresight.verdicts.numbers import MISSING, fixed, number
 
 SHOWN = {"new": "New parameters", "old": "Old parameters", "both": "Both"}
 UNDER = {"new": ("new",), "old": ("old",), "both": ("old", "new")}

@@ -14,15 +14,14 @@ from fastapi.responses import Response
 
 from boresight.api.dependencies import Who, csrf
 from boresight.calibration.settings import CalibrationSettings
-from boresight.figures.numbers import fixed
 from boresight.pages.attempts import attempt
-from boresight.pages.formats import duration
 from boresight.pages.forms import read_texts
 from boresight.pages.rendering import redirect, redirect_refused
 from boresight.pages.run_states import heard_s, notices_of
 from boresight.services import runs, telemetry_sets
 from boresight.store.sessions import Session
 from boresight.store.tables import Run
+from boresight.verdicts.numbers import duration, fixed
 
 router = APIRouter(dependencies=[Depends(csrf)])
 

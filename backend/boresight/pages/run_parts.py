@@ -10,7 +10,6 @@ from typing import Any
 from fastapi import Request
 
 from boresight.figures import CHAPTERS, Figure
-from boresight.figures.evidence import marks
 from boresight.figures.matching import MATCHING, why_no_matching
 from boresight.figures.matching_table import (
     flight_rows,
@@ -20,12 +19,9 @@ from boresight.figures.matching_table import (
     reason_tables,
     side_by_side,
 )
-from boresight.figures.numbers import count
 from boresight.figures.parameter_table import parameter_rows
 from boresight.figures.shadow import SHADOW, shown
 from boresight.figures.star_table import star_rows, to_flag
-from boresight.figures.trust_marks import prospects, trust_marks
-from boresight.figures.trust_parts import why_absent
 from boresight.pages.run_frames import frames_of
 from boresight.pages.run_log import log_of
 from boresight.pages.run_provenance import command_of, provenance_of
@@ -34,6 +30,8 @@ from boresight.services import notes
 from boresight.services.actors import Actor
 from boresight.store.sessions import Session
 from boresight.store.tables import TERMINAL_RUN_STATES, Run, Sensor, TelemetrySet
+from boresight.verdicts.numbers import count
+from boresight.verdicts.verdict import marks, prospects, trust_marks, why_absent
 
 Result = Mapping[str, Any]
 

@@ -8,9 +8,9 @@ from typing import Any
 from markupsafe import Markup
 
 from boresight.figures.command_line import calibrate_command
-from boresight.figures.numbers import MISSING, count
-from boresight.pages.formats import duration, short_hash
+from boresight.pages.formats import short_hash
 from boresight.store.tables import Run, TelemetrySet
+from boresight.verdicts.numbers import MISSING, count, duration
 
 
 def provenance_of(run: Run, result: Mapping[str, Any] | None) -> list[tuple[str, Any]]:

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.figures.numbers import count, percent
-from boresight.pages.formats import duration, seconds_since
+from boresight.pages.formats import seconds_since
 from boresight.services import runs
 from boresight.store.sessions import Session
 from boresight.store.tables import Run, RunEvent
+from boresight.verdicts.numbers import count, duration, percent
 
 LAST_LINES = 5
 SILENT_S = 30.0  # a worker reports four times a second, or at every frame of a slow replay

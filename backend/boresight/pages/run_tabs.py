@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.figures.course import settled_step
-from boresight.figures.evidence import marks, verdict
-from boresight.figures.numbers import count, number, urad
-from boresight.figures.trust_marks import trust_doubts, trust_level
+from boresight.verdicts.numbers import count, number, urad
+from boresight.verdicts.verdict import marks, trust_doubts, trust_level, verdict
 
 Result = Mapping[str, Any]
 Standing = tuple[str, str]

@@ -12,8 +12,9 @@ from starlette.datastructures import QueryParams
 
 from boresight.figures.course import course_of, settled_step
 from boresight.figures.helpful_data import helpful_data, weakest_words
-from boresight.figures.numbers import MISSING, count, number, percent, urad
-from boresight.figures.rms_tail import Tail, sigma_of_rms, tail_of
+from boresight.figures.rms_tail import Tail, tail_of
+from boresight.verdicts.numbers import MISSING, count, number, percent, urad
+from boresight.verdicts.verdict import sigma_of_rms
 
 Result = Mapping[str, Any]
 Rows = list[tuple[str, str, str]]

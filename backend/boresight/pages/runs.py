@@ -15,8 +15,6 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.credentials import who_acts
 from boresight.api.dependencies import Reading
 from boresight.api.keeping import same_for_roles
-from boresight.figures.evidence import WORD_OF_LEVEL
-from boresight.figures.numbers import MISSING, NARROW_SPACE, number, urad
 from boresight.pages.formats import instant, seconds_since
 from boresight.pages.methods import METHODS, title_of
 from boresight.pages.rendering import render
@@ -26,6 +24,8 @@ from boresight.services import sensors, telemetry_sets, users
 from boresight.services.fleet import level_of_result
 from boresight.store.sessions import Session
 from boresight.store.tables import RUN_STATES, Run
+from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
+from boresight.verdicts.verdict import WORD_OF_LEVEL
 
 RUNS = Table(
     "runs",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
+from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
 
 __all__ = ["LEVELS", "LEVEL_OF_STATE", "level_of", "worst"]
 

@@ -18,11 +18,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from boresight.figures.numbers import count, fixed
 from boresight.services.drift import GROUND_SHIFTED, Drift, judge
 from boresight.services.fleet import OLD_DAYS, days_since
 from boresight.services.trend import Point, Trend, span_of
 from boresight.store.tables import ParameterSet, TelemetrySet
+from boresight.verdicts.numbers import count, fixed
 
 HALVED = 0.5
 TOO_COARSE = 3.0  # of the baseline's sigmas

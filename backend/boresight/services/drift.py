@@ -22,10 +22,10 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.estimation import drift as tests
 from boresight.estimation.drift import FALSE_ALARM_RATE, Epoch, Line
-from boresight.figures.numbers import fixed, number
-from boresight.figures.quantities import quantity
 from boresight.services.trend import Point, Trend
 from boresight.store.tables import ParameterSet
+from boresight.verdicts.numbers import fixed, number
+from boresight.verdicts.quantities import quantity
 
 DAY_S = 86400.0
 GROUND_SHIFTED = "The ground calibration does not hold any more: promote a calibration made on orbit."

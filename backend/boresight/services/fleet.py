@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from boresight.figures.evidence import LEVEL_OF_STATUS, LEVELS
 from boresight.services.drift import GROUND_SHIFTED
 from boresight.services.judgements import judgements
 from boresight.store import alarms, trends
 from boresight.store import sensors as rows
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import Alarm, ParameterSet, Run, Sensor
+from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
 
 STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]

@@ -1,6 +1,6 @@
 """Gate profiles: the limits that a sensor's sets are held to. Every version is kept; the newest is in force.
 
-Until somebody sets another, the default of `boresight.gates` is version 0; its row is written when first needed. Who sets
+Until somebody sets another, the default of `verdicts.gates` is version 0; its row is written when first needed. Who sets
 limits neither runs nor signs: only an administrator does. Other limits are another verdict, so setting a profile makes the
 sensor's undecided requests stale. A profile can be tried first on what was measured of past runs.
 """
@@ -11,11 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from boresight import gates
 from boresight.errors import BoresightError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
-from boresight.gates import Measurement, Profile
-from boresight.gates.assessment import ground_set
-from boresight.gates.held_out import of_result
 from boresight.services import audit, proposals, staleness
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.calibration_document import read_result
@@ -27,6 +23,10 @@ from boresight.store.documents import sha256_of
 from boresight.store.sessions import Session, utc_now
 from boresight.store.tables import ChangeProposal, GateProfile, Run, Sensor
 from boresight.telemetry.sensors import parse_sensor
+from boresight.verdicts import gates
+from boresight.verdicts.gates import Measurement, Profile
+from boresight.verdicts.gates.assessment import ground_set
+from boresight.verdicts.gates.held_out import of_result
 
 DEFAULT = gates.parse_profile({}).document()
 DEFAULT_SHA256 = sha256_of(DEFAULT)
@@ -127,7 +127,7 @@ def set_profile(
     Parameters
     ----------
     document
-        As `boresight.gates.parse_profile` reads it.
+        As `verdicts.gates.parse_profile` reads it.
     reason
         Why the limits change; needed.
     seen_number

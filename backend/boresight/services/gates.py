@@ -18,11 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from boresight import gates
 from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import BoresightError, CorruptFileError, StaleError
-from boresight.gates.assessment import started_from
-from boresight.gates.held_out import held_out_scores, of_result
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.calibration_document import read_result
@@ -38,6 +35,9 @@ from boresight.store.tables import GateReport, Waiver
 from boresight.telemetry.limits import STORED
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor
+from boresight.verdicts import gates
+from boresight.verdicts.gates.assessment import started_from
+from boresight.verdicts.gates.held_out import held_out_scores, of_result
 
 NO_SET = "There are no held-out frames: upload a validation set that neither this set nor the incumbent was fitted to."
 NOT_SEEN = "The held-out frames were not seen under this set and the incumbent: assess the set."

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError
-from boresight.gates import GATES
 from boresight.services import audit, staleness, users
 from boresight.services.actors import Actor, require_person, require_role
 from boresight.services.gates import latest_report, with_waivers
@@ -22,6 +21,7 @@ from boresight.store import gates as rows
 from boresight.store.sessions import Session, utc_after, utc_now
 from boresight.store.tables import GateReport, Waiver
 from boresight.store.times import read_time
+from boresight.verdicts.gates import GATES
 
 CODES = {
     "known-cause": "The cause is known and does no harm",

@@ -35,10 +35,10 @@ from boresight.store.runs import End
 from boresight.telemetry.limits import STORED
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
+from boresight.verdicts.summary import summary_of
 from boresight.workers.link import Link
 from boresight.workers.scratch import scratch_of
 from boresight.workers.spread import ClusterSpread
-from boresight.workers.summary import summary_of
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
 TABLES = 2  # kept in a worker process; none is so large that it is spread

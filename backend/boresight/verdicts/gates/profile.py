@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from boresight.errors import RefusedInputError
-from boresight.gates.gate import GATES, Gate
+from boresight.verdicts.gates.gate import GATES, Gate
 
 SCHEMA = "boresight.gate-profile/1"
 FLAGS = ("critical", "waivable", "must_have_data", "observe_only")

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.figures.numbers import MINUS, to_second_digit, with_reach
-from boresight.figures.quantities import QUANTITIES, quantity
+from boresight.verdicts.numbers import MINUS, to_second_digit, with_reach
+from boresight.verdicts.quantities import QUANTITIES, quantity
 
 
 @given(

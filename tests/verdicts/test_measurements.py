@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.gates import GATES, judge, measure, parse_profile
-from boresight.gates.assessment import as_set, ground_set, started_from
-from boresight.gates.measurements import MEASURES
 from boresight.store.documents import canonical
+from boresight.verdicts.gates import GATES, judge, measure, parse_profile
+from boresight.verdicts.gates.assessment import as_set, ground_set, started_from
+from boresight.verdicts.gates.measurements import MEASURES
 
 from .evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from boresight.verdicts.quantities import quantity
+
 MISSING = "–"
 NARROW_SPACE = "\u202f"  # narrow, and no line breaks in it
 MINUS = "\u2212"  # as wide as a digit
@@ -82,3 +84,70 @@ def with_reach(value: float, reach: float, sigma: float, large: float = LARGE) -
     decimals = max(power + 1 - math.floor(math.log10(sigma)), 0)
     texts = (grouped(f"{one / 10**power:.{decimals}f}") for one in (value, reach))
     return f"({' ± '.join(texts)})·10{str(power).translate(RAISED)}"
+
+
+def unit(name: str) -> str:
+    """Return the unit a parameter is shown in: `f_m` gives mm."""
+    return quantity(name).unit or "1"
+
+
+def parameter(value: Any, name: str, sigma: Any = None) -> str:
+    """Print a parameter in its page unit, to the second significant digit of its sigma; as given where none is known."""
+    if not is_number(value):
+        return MISSING
+    factor = quantity(name).factor
+    if not is_number(sigma) or sigma <= 0:
+        return grouped(f"{value * factor:.6g}")
+    return grouped(to_second_digit(value * factor, sigma * factor))
+
+
+def sigma(value: Any, name: str) -> str:
+    """Print a sigma in its parameter's page unit, two significant digits; `fixed` where it was not estimated."""
+    return parameter(value, name, value) if is_number(value) and value > 0 else "fixed"
+
+
+def plus_minus(value: Any, name: str, sigma_si: Any = None, times: float = 1.0) -> str:
+    """Print `value ± times sigma` in the page unit, without the unit (its column has it)."""
+    if not is_number(sigma_si) or sigma_si <= 0:
+        return parameter(value, name)
+    if not is_number(value):
+        return MISSING
+    factor = quantity(name).factor
+    return with_reach(value * factor, times * sigma_si * factor, sigma_si * factor)
+
+
+def sigmas(value: Any) -> str:
+    """Print a difference in units of its sigma, signed."""
+    return f"{'+' if value >= 0.05 else ''}{fixed(value, 1)}{NARROW_SPACE}σ" if is_number(value) else MISSING
+
+
+def size(value_bytes: Any) -> str:
+    """Print a file's size in decimal units."""
+    if not is_number(value_bytes):
+        return MISSING
+    for factor, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if value_bytes >= factor:
+            return f"{value_bytes / factor:.1f}{NARROW_SPACE}{name}"
+    return f"{int(value_bytes)}{NARROW_SPACE}B"
+
+
+def duration(seconds: Any) -> str:
+    """Print a span of time with its two largest units: `3 d 4 h`."""
+    if not is_number(seconds):
+        return MISSING
+    if 0 < seconds < 0.1:
+        return f"{fixed(1000 * seconds, 0 if seconds >= 0.01 else 1)}{NARROW_SPACE}ms"
+    if seconds < 10:
+        return f"{max(seconds, 0):.1f}{NARROW_SPACE}s"
+    whole = round(seconds)
+    parts = [
+        (amount, name)
+        for amount, name in (
+            (whole // 86400, "d"),
+            (whole // 3600 % 24, "h"),
+            (whole // 60 % 60, "min"),
+            (whole % 60, "s"),
+        )
+        if amount
+    ]
+    return " ".join(f"{amount}{NARROW_SPACE}{name}" for amount, name in parts[:2])

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.figures.numbers import MINUS, MISSING, NARROW_SPACE, number, percent
-from boresight.gates.gate import GATES
+from boresight.verdicts.gates.gate import GATES
+from boresight.verdicts.numbers import MINUS, MISSING, NARROW_SPACE, number, percent
 
 SHARES = ("of frames", "of regions")
 

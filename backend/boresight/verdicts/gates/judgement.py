@@ -25,9 +25,9 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
-from boresight.gates.gate import GATES
-from boresight.gates.measurement import Ends, Measurement
-from boresight.gates.profile import Profile, Threshold
+from boresight.verdicts.gates.gate import GATES
+from boresight.verdicts.gates.measurements import Ends, Measurement
+from boresight.verdicts.gates.profile import Profile, Threshold
 
 SCHEMA = "boresight.gate-report/1"
 STATUSES = ("PASS", "MARGINAL", "NO-DATA", "FAIL")  # the worst last

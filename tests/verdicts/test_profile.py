@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.gates import DEFAULT_PROFILE, GATES, parse_profile
-from boresight.gates.profile import FLAGS
+from boresight.verdicts.gates import DEFAULT_PROFILE, GATES, parse_profile
+from boresight.verdicts.gates.profile import FLAGS
 
 LIMITED = [gate for gate in GATES.values() if gate.direction != "met"]
 CRITICAL = [name for name, gate in GATES.items() if gate.critical]

@@ -31,11 +31,11 @@ from boresight.calibration.evaluate import evaluate_sightings
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import sightings
-from boresight.gates.evidence import Document
-from boresight.gates.measurement import ends
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
+from boresight.verdicts.gates.evidence import Document
+from boresight.verdicts.gates.measurements import ends
 
 Score = dict[str, Any]  # value, interval, and of the incumbent where it has one
 

@@ -9,8 +9,7 @@ direction   a value v passes a limit L when
 `met`       it is met; there is no number to limit
 ==========  ================================================================================================
 
-A gate whose name ends in `-incumbent` compares with the baseline on the same held-out frames; the others hold a set against
-a limit. Critical gates ask whether the numbers are numbers of this sensor at all: nobody can waive them.
+Critical gates ask whether the numbers are numbers of this sensor at all: nobody can waive them.
 """
 
 from __future__ import annotations
@@ -48,11 +47,6 @@ class Gate:
     lowest: float = 0.0
     highest: float = 1e15
     critical: bool = False
-
-    @property
-    def against_incumbent(self) -> bool:
-        """Whether it compares with the baseline."""
-        return self.name.endswith("-incumbent")
 
 
 GATES = {

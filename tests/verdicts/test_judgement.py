@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.estimation.consistency import chi_square
-from boresight.gates import GATES, Measurement, judge, measurements_of, parse_profile, summarised, words
-from boresight.gates.judgement import STATUSES, worst
+from boresight.verdicts.gates import GATES, Measurement, judge, measurements_of, parse_profile, summarised, words
+from boresight.verdicts.gates.judgement import STATUSES, worst
 
 NUMBERS = st.floats(0.0, 1.0)
 

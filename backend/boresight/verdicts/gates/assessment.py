@@ -10,14 +10,14 @@ import numpy as np
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.gates.evidence import Document, Evidence
-from boresight.gates.held_out import held_out_scores, of_result
-from boresight.gates.judgement import judge
-from boresight.gates.measurements import measure
-from boresight.gates.profile import Profile
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
+from boresight.verdicts.gates.evidence import Document, Evidence
+from boresight.verdicts.gates.held_out import held_out_scores, of_result
+from boresight.verdicts.gates.judgement import judge
+from boresight.verdicts.gates.measurements import measure
+from boresight.verdicts.gates.profile import Profile
 
 NO_FRAMES = "No held-out frames were given: add a telemetry set that the calibration did not use."
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from boresight.calibration.trend import trend_entry
 from boresight.estimation.observability import WEAK
-from boresight.figures.evidence import verdict
+from boresight.verdicts.verdict import verdict
 
 
 def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,9 +8,9 @@ and units.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-from boresight.figures.chart import Result
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ QUANTITIES = {
 }
 
 
-def quantity(name: str, result: Result | None = None) -> Quantity:
+def quantity(name: str, result: Mapping[str, Any] | None = None) -> Quantity:
     """Look a parameter up by its name, one that is not in the table in its result."""
     if name in QUANTITIES:
         return QUANTITIES[name]

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from boresight.gates import Evidence
-from boresight.gates.assessment import ground_set
 from boresight.simulation.sensors import st16_sensor
+from boresight.verdicts.gates import Evidence
+from boresight.verdicts.gates.assessment import ground_set
 
 SENSOR = st16_sensor(1)
 NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")

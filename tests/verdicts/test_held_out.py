@@ -9,12 +9,12 @@ import pytest
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.settings import CalibrationSettings
-from boresight.gates import judge, parse_profile
-from boresight.gates.assessment import assess, ground_set
-from boresight.gates.held_out import change_of_share, held_out_scores, of_result
-from boresight.gates.measurement import Measurement, ends
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
+from boresight.verdicts.gates import judge, parse_profile
+from boresight.verdicts.gates.assessment import assess, ground_set
+from boresight.verdicts.gates.held_out import change_of_share, held_out_scores, of_result
+from boresight.verdicts.gates.measurements import Measurement, ends
 
 from .evidence_cases import NAMES, SENSOR
 
