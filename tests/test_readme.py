@@ -11,7 +11,8 @@ import click
 import pytest
 
 import boresight
-from boresight.api.routes import NOUNS, PREFIX
+from boresight.api.operation import PREFIX
+from boresight.api.routes import NOUNS
 from boresight.calibration.settings import MATCHES, METHODS, VARIANTS
 from boresight.cli import main
 from boresight.estimation.cameras import CAMERA_MODELS
@@ -72,7 +73,7 @@ def test_the_readme_names_exactly_the_commands_there_are():
 
 def test_the_readme_names_exactly_the_nouns_of_the_api():
     paths = [route.path for noun in NOUNS for route in noun.router.routes]
-    nouns = {"/" + re.split("[/:]", path)[1] for path in paths}
+    nouns = {"/" + re.split("[/:]", path.removeprefix(PREFIX))[1] for path in paths}
     told = {
         noun for row in re.findall(r"^\| (`/[^|]*) \|", README, re.MULTILINE) for noun in re.findall("`(.*?)`", row)
     }

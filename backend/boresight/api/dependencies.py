@@ -7,21 +7,25 @@ pool: were they to wait for the database inside it, they could take every thread
 
 from __future__ import annotations
 
-import hashlib
 import hmac
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import Depends, Header, Query
 from fastapi.concurrency import contextmanager_in_threadpool
+from pydantic import BaseModel, SecretStr
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api.credentials import bearer, who_acts
+from boresight.api.drawn import Drawn
 from boresight.api.numbers import row_number
+from boresight.api.openapi import refuses
 from boresight.api.origins import SAFE_METHODS
 from boresight.api.passwords import Passwords
+from boresight.api.schemas import Row
 from boresight.errors import (
     ForbiddenError,
     PreconditionRequiredError,
@@ -32,9 +36,12 @@ from boresight.errors import (
 from boresight.services import sessions, users
 from boresight.services.actors import Actor, Policy, require_person
 from boresight.services.forecasts import Sight
-from boresight.services.passwords import PasswordProof
+from boresight.services.passwords import NO_PROOF, PasswordProof
 from boresight.services.sessions import Client
-from boresight.store.sessions import Session, only_try, reading, writing
+from boresight.settings import Settings
+from boresight.sky.catalogue import Catalogue
+from boresight.store.blobs import BlobStore
+from boresight.store.sessions import Engine, Session, only_try, reading, writing
 
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
 CSRF_HEADER = "X-CSRF-Token"
@@ -133,19 +140,33 @@ async def _form_token(request: Request) -> str:
     return value if isinstance(value, str) else ""
 
 
-def weak(tag: str) -> str:
-    """Return a row's tag for an answer in which more may change than the tag tells of (RFC 9110, 8.8.1)."""
-    return f"W/{tag}"
-
-
 def strong(given: str) -> str:
     """Return the row's tag that a client read, weak or not: it names the row's state, and says nothing of bytes."""
     return given.strip().removeprefix("W/")
 
 
-async def seen_tag(
+@dataclass(frozen=True)
+class Seen:
+    """What of a row was seen by who asks: its tag; none where a transition may be asked without having looked."""
+
+    tag: str | None
+
+    def require(self, shape: type[Row], row: Any, name: str = "It") -> None:
+        """Refuse a transition by someone who did not see the row as it is.
+
+        Raises
+        ------
+        StaleError
+            When it changed since.
+        """
+        if self.tag is not None and self.tag != shape.etag(row):
+            raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
+
+
+@refuses(412, 428)
+async def seen(
     if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read.")] = None,
-) -> str:
+) -> Seen:
     """Return the tag in `If-Match`, which every transition must state.
 
     Raises
@@ -155,13 +176,18 @@ async def seen_tag(
     """
     if if_match is None:
         raise PreconditionRequiredError('Say which version you saw: send its ETag in If-Match, as in If-Match: "v3".')
-    return strong(if_match)
+    return Seen(strong(if_match))
 
 
-SeenTag = Annotated[str, Depends(seen_tag)]
+@refuses(412)
+async def maybe_seen(
+    if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read, if you did.")] = None,
+) -> Seen:
+    """Return the tag in `If-Match`, if there is one."""
+    return Seen(None if if_match is None else strong(if_match))
 
 
-async def seen_version(given: SeenTag) -> int:
+async def seen_version(given: Annotated[Seen, Depends(seen)]) -> int:
     """Return the version that the tag in `If-Match` names.
 
     Raises
@@ -169,55 +195,21 @@ async def seen_version(given: SeenTag) -> int:
     StaleError
         When it cannot be the tag of any version.
     """
-    digits = given.removeprefix('"v').removesuffix('"')
+    tag = given.tag or ""
+    digits = tag.removeprefix('"v').removesuffix('"')
     version = row_number(digits)
-    if given != f'"v{digits}"' or version is None:
-        raise StaleError(f"No version has the tag {given[:40]}; read it again and send its ETag in If-Match.")
+    if tag != f'"v{digits}"' or version is None:
+        raise StaleError(f"No version has the tag {tag[:40]}; read it again and send its ETag in If-Match.")
     return version
 
 
-def etag(version: int) -> str:
-    """Return the entity tag of a version."""
-    return f'"v{version}"'
+def of_server(name: str) -> Any:
+    """Return a dependency on a part of the server, by its name in the state of the application."""
 
+    async def part(request: Request) -> Any:
+        return getattr(request.app.state, name)
 
-async def maybe_seen_tag(
-    if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read, if you did.")] = None,
-) -> str | None:
-    """Return the tag in `If-Match`, where a transition may be asked without having looked."""
-    return None if if_match is None else strong(if_match)
-
-
-MaybeSeenTag = Annotated[str | None, Depends(maybe_seen_tag)]
-
-
-def tag_of(*parts: Any) -> str:
-    """Return the entity tag of a row without a version, from the columns that its transitions change."""
-    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"'
-
-
-def require_tag(given: str, current: str, name: str) -> None:
-    """Refuse a transition by someone who did not see the row as it is.
-
-    Raises
-    ------
-    StaleError
-        When it changed since.
-    """
-    if given != current:
-        raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
-
-
-async def policy_of(request: Request) -> Policy:
-    """Return what this installation asks of a request for approval."""
-    policy: Policy = request.app.state.policy
-    return policy
-
-
-async def sight_of(request: Request) -> Sight:
-    """Return what a dry run may look at."""
-    sight: Sight = request.app.state.sight
-    return sight
+    return Depends(part)
 
 
 def log_in_person(request: Request, response: Response, session: Session, proof: PasswordProof) -> tuple[Actor, str]:
@@ -239,15 +231,27 @@ def client_of(request: Request) -> Client:
     return Client.of(address, request.headers.get("user-agent"))
 
 
+def clear_cookie(request: Request, response: Response) -> None:
+    """Take the cookie of a log-in that has ended away from the browser."""
+    request.app.state.log_in_cookie.clear(response)
+
+
 async def check_own(request: Request, actor: Actor, password: str) -> PasswordProof:
     """Check the password of who acts, before any transaction begins."""
     checks: Passwords = request.app.state.passwords
     return await checks.check_own(actor, password, client_of(request))
 
 
-def clear_cookie(request: Request, response: Response) -> None:
-    """Take the cookie of a log-in that has ended away from the browser."""
-    request.app.state.log_in_cookie.clear(response)
+def own_password(body: type[BaseModel]) -> Any:
+    """Return a dependency that checks the password in a body, of who acts; none where the body may leave it out."""
+
+    @refuses(429)
+    async def proven(signed: Any, actor: Who, request: Request) -> PasswordProof:
+        given: SecretStr | None = signed.password
+        return NO_PROOF if given is None else await check_own(request, actor, given.get_secret_value())
+
+    proven.__annotations__["signed"] = body  # the same parameter as its endpoint's, so the body is one
+    return Depends(proven)
 
 
 Who = Annotated[Actor, Depends(who_acts)]
@@ -255,5 +259,13 @@ Reading = Annotated[Session, Depends(read_session, scope="function")]
 Writing = Annotated[Session, Depends(write_or_try, scope="function")]
 LoggingIn = Annotated[Session, Depends(write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]
-Held = Annotated[Policy, Depends(policy_of)]
-Sighted = Annotated[Sight, Depends(sight_of)]
+SeenTag = Annotated[Seen, Depends(seen)]
+MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
+Blobs = Annotated[BlobStore, of_server("blobs")]
+Database = Annotated[Engine, of_server("engine")]
+Drawings = Annotated[Drawn, of_server("drawn")]
+Held = Annotated[Policy, of_server("policy")]
+PasswordChecks = Annotated[Passwords, of_server("passwords")]
+ServerSettings = Annotated[Settings, of_server("settings")]
+Sighted = Annotated[Sight, of_server("sight")]
+Stars = Annotated[Callable[[], Catalogue], of_server("catalogue")]

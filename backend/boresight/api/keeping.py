@@ -83,7 +83,7 @@ def whole_tag(request: Request, *, holds: bool = True) -> None:
     request.scope["state"][WHOLE] = holds
 
 
-Known = Annotated[None, Depends(same_for_all)]
+SAME_FOR_ALL = Depends(same_for_all)
 Roles = Annotated[frozenset[str], Depends(same_for_roles)]
 
 

@@ -5,29 +5,27 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import Depends
-from starlette.requests import Request
 
-from boresight.api.dependencies import Who
+from boresight.api.dependencies import Database, Sighted, Who
 from boresight.api.numbers import Id
 from boresight.services import gates, submissions
 from boresight.services.gate_evidence import gather
 from boresight.store.sessions import reading
 
 
-def measured(request: Request, actor: Who, parameter_set_id: Id) -> gates.Assessment | None:
+def measured(actor: Who, parameter_set_id: Id, sight: Sighted, engine: Database) -> gates.Assessment | None:
     """Return a set's assessment for its submission; None where a report holds, or the request will be refused anyhow.
 
     A report that holds but was made without looking at held-out frames does not count where there are some.
     """
-    state = request.app.state
-    with reading(state.engine) as session:
+    with reading(engine) as session:
         if not submissions.is_submittable(session, actor, parameter_set_id):
             return None
         case = gather(session, parameter_set_id)
         report = gates.latest_report(session, parameter_set_id)
     if report is not None and (case.held_out is None or report.document.get("held_out")):
         return None
-    return gates.examine(case, state.blobs, state.catalogue(), state.settings.catalogue_folder)
+    return gates.examine(case, sight.blobs, sight.catalogue(), sight.catalogue_folder)
 
 
 Measured = Annotated[gates.Assessment | None, Depends(measured)]

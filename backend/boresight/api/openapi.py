@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from http import HTTPStatus
-from typing import Any
+from typing import Any, TypeVar
 
+from fastapi.dependencies.models import Dependant
 from pydantic import BaseModel, Field
 
 from boresight.api.problems import MEDIA_TYPE
@@ -132,6 +133,32 @@ def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:
         }
         for status in statuses
     }
+
+
+Noted = TypeVar("Noted", bound=Callable[..., Any])
+
+
+def refuses(*statuses: int) -> Callable[[Noted], Noted]:
+    """Note on a dependency which refusals it makes besides those that every operation has; its routes list them."""
+
+    def noted(dependency: Noted) -> Noted:
+        dependency.refuses = statuses  # type: ignore[attr-defined]  # read by `dependency_refusals`
+        return dependency
+
+    return noted
+
+
+def dependency_refusals(dependant: Dependant) -> dict[int | str, dict[str, Any]]:
+    """List the refusals that the dependencies of an operation note."""
+    noted = {status for call in _calls(dependant) for status in getattr(call, "refuses", ())}
+    return {status: {**answer, "model": None} for status, answer in refusals(*sorted(noted)).items()}
+
+
+def _calls(dependant: Dependant) -> Iterator[Any]:
+    """Yield every dependency, and what it depends on."""
+    for one in dependant.dependencies:
+        yield one.call
+        yield from _calls(one)
 
 
 def corrected(document: dict[str, Any], cookie_name: str) -> dict[str, Any]:

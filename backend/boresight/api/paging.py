@@ -35,6 +35,14 @@ class Page(BaseModel, Generic[T]):
 
 
 @dataclass(frozen=True)
+class Listing(Generic[T]):
+    """Rows of a list, and the cursor of the next page."""
+
+    items: Sequence[T]
+    next: str | None = None
+
+
+@dataclass(frozen=True)
 class Paging:
     """Which page is asked for: up to `limit` rows after the row `last_id`, from the beginning when None."""
 
@@ -42,17 +50,17 @@ class Paging:
     limit: int
     filters: str
 
-    def cut(self, rows: Sequence[Any], write: Callable[[Any], Any]) -> dict[str, Any]:
+    def cut(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
         """Make a page of `limit + 1` or fewer rows; the one too many only says that there is a next page."""
         kept = rows[: self.limit]
-        cursor = _cursor(kept[-1].id, self.filters) if len(rows) > self.limit else None
-        return {"items": [write(row) for row in kept], "next": cursor}
+        cursor = _cursor(kept[-1].id, self.filters) if len(rows) > self.limit else None  # type: ignore[attr-defined]  # every row has a number
+        return Listing([show(row) for row in kept], cursor)
 
-    def cut_whole(self, rows: Sequence[Any], write: Callable[[Any], Any]) -> dict[str, Any]:
+    def cut_whole(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
         """Make a page of a list that is read whole, which only short lists are."""
-        ids = [row.id for row in rows]
+        ids = [row.id for row in rows]  # type: ignore[attr-defined]  # every row has a number
         begin = ids.index(self.last_id) + 1 if self.last_id in ids else 0
-        return self.cut(rows[begin : begin + self.limit + 1], write)
+        return self.cut(rows[begin : begin + self.limit + 1], show)
 
 
 def _cursor(last_id: int, filters: str) -> str:

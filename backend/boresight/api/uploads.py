@@ -15,15 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, BinaryIO
 
 from fastapi import Depends
-from fastapi.concurrency import run_in_threadpool
 from python_multipart.exceptions import FormParserError
 from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
-from boresight.api.answers import IdempotencyKey, Once, digest
 from boresight.api.credentials import who_acts
-from boresight.api.dependencies import OnlyAsked
 from boresight.api.numbers import row_number
+from boresight.api.operation import FORM_CONTENT
 from boresight.disks import storage_error
 from boresight.errors import RefusedInputError
 from boresight.services.actors import Actor
@@ -56,6 +54,11 @@ class Upload:
         if self.path is None:
             raise RefusedInputError(f"There is no file in the request. {HOW}")
         return self.path
+
+    def content(self) -> bytes:
+        """Return fields and file, to be digested."""
+        with self.file().open("rb") as file:
+            return repr(sorted(self.fields.items())).encode() + hashlib.file_digest(file, "sha256").digest()
 
     def number(self, name: str) -> int:
         """Return a field that is a number.
@@ -167,6 +170,7 @@ async def uploaded(
     with tempfile.TemporaryDirectory(dir=folder) as place:
         upload = Upload(Path(place))
         await _receive(request, upload)
+        setattr(request.state, FORM_CONTENT, upload.content)
         yield upload
 
 
@@ -189,21 +193,3 @@ async def _receive(request: Request, upload: Upload) -> None:
 
 
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]
-
-
-async def once_uploaded(
-    request: Request, upload: Uploaded, asked: OnlyAsked, idempotency_key: IdempotencyKey = None
-) -> Once:
-    """Read the key, and digest fields and file if there is one."""
-    if idempotency_key is None:
-        return Once(None, "", asked)
-    content = repr(sorted(upload.fields.items())).encode() + await run_in_threadpool(_digest, upload.file())
-    return Once(idempotency_key, digest(request, content), asked)
-
-
-def _digest(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").digest()
-
-
-UploadedOnce = Annotated[Once, Depends(once_uploaded, scope="function")]

@@ -180,7 +180,7 @@ async def _asked(
     """Open a request, and show it or why it was refused."""
     form = await read_texts(request)
     reason, state = form.get("reason", ""), request.app.state
-    assessed = await run_in_threadpool(measured, request, actor, set_id)
+    assessed = await run_in_threadpool(measured, actor, set_id, state.sight, state.engine)
 
     def change(session: Session) -> Approval:
         asked = (state.blobs, set_id, reason, seen_version(form), assessed)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from boresight.calibration.settings import CalibrationSettings
-from boresight.errors import BoresightError, CorruptFileError, StaleError
+from boresight.errors import BoresightError, CorruptFileError, NotFoundError, StaleError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope
 from boresight.services.calibration_document import read_result
@@ -181,6 +181,19 @@ def newest_report(session: Session, parameter_set_id: int, sha256: str | None = 
     if sha256 is not None:
         return rows.report_with(session, parameter_set_id, sha256)
     return rows.newest_reports(session, [parameter_set_id]).get(parameter_set_id)
+
+
+def get_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport:
+    """Return a set's newest report, or the one with a hash; refuse where there is none."""
+    row = get_parameter_set(session, parameter_set_id)
+    report = newest_report(session, parameter_set_id, sha256)
+    if report is None and sha256 is not None:
+        raise NotFoundError(
+            f"{row.name} (parameter set {row.id}) has no gate report {sha256}; leave sha256 out for the newest."
+        )
+    if report is None:
+        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report; POST :assess.")
+    return report
 
 
 def moved_since(session: Session, report: GateReport) -> list[str]:

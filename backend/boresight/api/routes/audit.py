@@ -7,19 +7,20 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 from starlette.background import BackgroundTask
-from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse
 
 from boresight.api import schemas
-from boresight.api.answers import json_response
-from boresight.api.dependencies import Held, Reading, Who
+from boresight.api.dependencies import Blobs, Held, Reading
 from boresight.api.media import PythonFile
-from boresight.api.paging import Page, Paged
+from boresight.api.operation import operations
+from boresight.api.paging import Listing, Page, Paged
 from boresight.services import audit, audit_export
+from boresight.services.audit import ChainReport
+from boresight.store.tables import AuditRecord
 
-router = APIRouter(prefix="/audit", tags=["audit"])
+router = operations("/audit", tags=["audit"])
 MEDIA_TYPES = {"zip": "application/zip", "jsonl": "application/x-ndjson"}
 
 
@@ -30,9 +31,8 @@ class Form(StrEnum):
     JSONL = "jsonl"
 
 
-@router.get("", name="list_audit", summary="List records", response_model=Page[schemas.AuditRecord])
+@router.get("", summary="List records", response_model=Page[schemas.AuditRecord])
 def list_audit(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     page: Paged,
     subject: Annotated[str | None, Query(alias="object", examples=["parameter-sets/3"])] = None,
@@ -40,40 +40,34 @@ def list_audit(
     action: Annotated[str | None, Query(examples=["promoted"])] = None,
     since: Annotated[str | None, Query(description="ISO 8601; from this time on.")] = None,
     until: Annotated[str | None, Query(description="ISO 8601; before this time.")] = None,
-) -> Response:
+) -> Listing[AuditRecord]:
     """List records, newest first, with what each changed."""
     sought = audit.sought(object=subject, actor=person, action=action, since=since, until=until)
-    found = audit.list_records(session, before_id=page.last_id, sought=sought, limit=page.limit + 1)
-    return json_response(page.cut(found, lambda row: schemas.written(schemas.AuditRecord, row)))
+    return page.cut(audit.list_records(session, before_id=page.last_id, sought=sought, limit=page.limit + 1))
 
 
-@router.get("/verification", name="verify_audit", summary="Verify the chain", response_model=schemas.ChainReport)
+@router.get("/verification", summary="Verify the chain", response_model=schemas.ChainReport)
 def verify_audit(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
-    request: Request,
+    stored: Blobs,
     expected_head: Annotated[str | None, Query(description="A head from an earlier export.")] = None,
     blobs: Annotated[bool, Query(description="Whether to look at the stored files too.")] = True,
-) -> Response:
+) -> ChainReport:
     """Walk the whole chain, every row that it seals, and the stored files; say whether all is as it was written, else what is not.
 
     A file that this server has seen to be intact is read again when anything about it has changed; the server's upkeep reads all of
     them again, some a minute.
     """
-    stored = request.app.state.blobs if blobs else None
-    found = audit.verify(session, expected_head, stored, again=False)
-    return json_response(schemas.written(schemas.ChainReport, found))
+    return audit.verify(session, expected_head, stored if blobs else None, again=False)
 
 
 @router.get(
     "/export",
-    name="export_audit",
     summary="Export the log",
     response_class=FileResponse,
     responses={200: {"content": {media_type: {"schema": {"type": "string"}} for media_type in MEDIA_TYPES.values()}}},
 )
 def export_audit(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     policy: Held,
     form: Annotated[Form, Query(description="A ZIP with its verifier, or the JSON Lines alone.")] = Form.ZIP,
@@ -86,12 +80,7 @@ def export_audit(
     return FileResponse(path, media_type=MEDIA_TYPES[form], filename=name, background=BackgroundTask(path.unlink))
 
 
-@router.get(
-    "/verifier",
-    name="get_audit_verifier",
-    summary="The program that verifies an export",
-    response_class=PythonFile,
-)
-def get_audit_verifier(actor: Who) -> PythonFile:  # noqa: ARG001 - whoever is known may read
+@router.get("/verifier", summary="The program that verifies an export", response_class=PythonFile)
+def get_audit_verifier() -> PythonFile:
     """Return the program that verifies an export; it runs on any Python 3.8 or newer, without Boresight."""
     return PythonFile(audit_export.verifier())

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 from pydantic import BaseModel, ConfigDict, Field
-from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, etag
+from boresight.api.dependencies import Reading, SeenVersion, Who, Writing
 from boresight.api.numbers import Id
-from boresight.api.openapi import refusals
-from boresight.api.paging import Page, Paged
+from boresight.api.operation import Answer, Beside, operations
+from boresight.api.paging import Listing, Page, Paged
 from boresight.services import proposals, second_person
 from boresight.store.sessions import Session
-from boresight.store.tables import ChangeProposal
+from boresight.store.tables import ChangeProposal, GateProfile, TableDefinition
 
-router = APIRouter(prefix="/change-proposals", tags=["change proposals"])
+router = operations("/change-proposals", tags=["change proposals"])
 
-TRANSITION = refusals(404, 409, 412, 428)
 PROPOSED: dict[int | str, dict[str, Any]] = {
     202: {
         "model": schemas.ChangeProposal,
@@ -36,25 +33,22 @@ class ProposalComment(BaseModel):
     comment: str = Field("", max_length=4000, description="Needed to refuse.")
 
 
-def shown(session: Session, row: ChangeProposal) -> schemas.Document:
-    """Write a proposal with what it changes."""
-    changed = [schemas.written(schemas.Difference, one) for one in second_person.differences(session, row)]
-    return {**schemas.written(schemas.ProposedChange, row), "differences": changed}
+def _shown(session: Session, row: ChangeProposal) -> Beside:
+    """Return a proposal with what it changes."""
+    return Beside(row, differences=second_person.differences(session, row))
 
 
-def answer(session: Session, row: ChangeProposal, status: int = 200) -> Answer:
-    """Answer with a proposal and its ETag."""
-    headers = {"ETag": etag(row.version)}
-    if status == 202:
-        headers["Location"] = f"/api/v1/change-proposals/{row.id}"
-    return Answer(shown(session, row), status, headers)
+def in_force_or_proposed(
+    session: Session, row: GateProfile | TableDefinition | ChangeProposal
+) -> GateProfile | TableDefinition | Answer:
+    """Answer a change that is in force with its version, and one that waits with its proposal."""
+    if isinstance(row, ChangeProposal):
+        return Answer(_shown(session, row), 202, schemas.ChangeProposal)
+    return row
 
 
-@router.get(
-    "", name="list_change_proposals", summary="List proposed changes", response_model=Page[schemas.ChangeProposal]
-)
+@router.get("", summary="List proposed changes", response_model=Page[schemas.ChangeProposal])
 def list_change_proposals(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
     page: Paged,
     sensor_id: Id | None = None,
@@ -62,78 +56,40 @@ def list_change_proposals(
     state: Annotated[
         Literal["OPEN", "CONFIRMED", "REFUSED", "WITHDRAWN", "STALE", "EXPIRED"] | None, Query(examples=["OPEN"])
     ] = None,
-) -> Response:
+) -> Listing[ChangeProposal]:
     """List changes of gate limits and table layouts that were proposed, newest first."""
-    asked = {"sensor_id": sensor_id, "kind": kind, "state": state}
-    found = proposals.list_proposals(session, **asked, before_id=page.last_id, limit=page.limit + 1)  # type: ignore[arg-type]
-    return json_response(page.cut(found, lambda row: shown(session, row)))
+    found = proposals.list_proposals(
+        session, sensor_id=sensor_id, kind=kind, state=state, before_id=page.last_id, limit=page.limit + 1
+    )
+    return page.cut(found, lambda row: _shown(session, row))
 
 
-@router.get(
-    "/{proposal_id}",
-    name="get_change_proposal",
-    summary="Read a proposed change",
-    response_model=schemas.ChangeProposal,
-    responses=refusals(404),
-)
-def get_change_proposal(proposal_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+@router.get("/{proposal_id}", summary="Read a proposed change", response_model=schemas.ChangeProposal)
+def get_change_proposal(proposal_id: Id, session: Reading) -> Beside:
     """Read a proposal with what it changes; the ETag is for deciding on it."""
-    return answer(session, proposals.get_proposal(session, proposal_id)).response()
+    return _shown(session, proposals.get_proposal(session, proposal_id))
 
 
-@router.post(
-    "/{proposal_id}:confirm",
-    name="confirm_change",
-    summary="Put it into force",
-    response_model=schemas.ChangeProposal,
-    responses=TRANSITION,
-)
+@router.post("/{proposal_id}:confirm", summary="Put it into force", response_model=schemas.ChangeProposal)
 def confirm_change(
-    proposal_id: Id,
-    actor: Who,
-    seen: SeenVersion,
-    once: Idempotent,
-    session: Writing,
-    said: ProposalComment | None = None,
-) -> Response:
+    proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing, said: ProposalComment | None = None
+) -> Beside:
     """Confirm a change as a second person: one who may make it, did not propose it, and is logged in; no API key.
 
     The sensor's undecided requests for approval become STALE, as with every such change. A proposal that was made against a
     version which is in force no more is STALE too, and answers 412.
     """
     comment = "" if said is None else said.comment
-    return once.answer(
-        session,
-        actor,
-        lambda: answer(session, second_person.confirm(session, actor, proposal_id, seen, comment)),
-    )
+    return _shown(session, second_person.confirm(session, actor, proposal_id, seen, comment))
 
 
-@router.post(
-    "/{proposal_id}:refuse",
-    name="refuse_change",
-    summary="Refuse it",
-    response_model=schemas.ChangeProposal,
-    responses=TRANSITION,
-)
-def refuse_change(
-    proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing
-) -> Response:
+@router.post("/{proposal_id}:refuse", summary="Refuse it", response_model=schemas.ChangeProposal)
+def refuse_change(proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
     """Refuse a change as a second person, with a comment."""
-    return once.answer(
-        session,
-        actor,
-        lambda: answer(session, second_person.refuse(session, actor, proposal_id, seen, said.comment)),
-    )
+    return _shown(session, second_person.refuse(session, actor, proposal_id, seen, said.comment))
 
 
-@router.post(
-    "/{proposal_id}:withdraw",
-    name="withdraw_change",
-    summary="Take it back",
-    response_model=schemas.ChangeProposal,
-    responses=TRANSITION,
-)
-def withdraw_change(proposal_id: Id, actor: Who, seen: SeenVersion, once: Idempotent, session: Writing) -> Response:
+@router.post("/{proposal_id}:withdraw", summary="Take it back", response_model=schemas.ChangeProposal)
+def withdraw_change(proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
     """Take a proposal back, as who made it or as an administrator."""
-    return once.answer(session, actor, lambda: answer(session, proposals.withdraw(session, actor, proposal_id, seen)))
+    return _shown(session, proposals.withdraw(session, actor, proposal_id, seen))

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import json_response
 from boresight.api.comma_separated import csv_response
-from boresight.api.dependencies import Reading, Who
+from boresight.api.dependencies import Blobs, Drawings, Reading
 from boresight.api.media import CsvFile
-from boresight.api.openapi import refusals
+from boresight.api.operation import json_response, operations
 from boresight.api.routes.figures import label_of, source_of
 from boresight.figures import figure_json, radial_contrast
 from boresight.services import comparisons
 from boresight.services.comparisons import Comparison
+from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 
-router = APIRouter(prefix="/runs", tags=["runs"])
+router = operations("/runs", tags=["runs"])
 
 Asked = Annotated[str, Query(alias="runs", description="The runs, 2 to 20: `1,2,3`.", examples=["1,2,3"])]
 ReferenceRun = Annotated[
@@ -29,56 +29,27 @@ ReferenceRun = Annotated[
 CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a run and item, numbers in SI."}}
 
 
-@router.get(
-    "/compare",
-    name="compare_runs",
-    summary="Compare runs",
-    response_model=schemas.Comparison,
-    responses=refusals(404, 409),
-)
-def compare_runs(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
-    session: Reading,
-    request: Request,
-    asked: Asked,
-    reference: ReferenceRun = "",
-) -> Response:
+@router.get("/compare", summary="Compare runs", response_model=schemas.Comparison)
+def compare_runs(session: Reading, blobs: Blobs, asked: Asked, reference: ReferenceRun = "") -> Response:
     """Set runs of one camera model against one of them: parameters in sigmas of the difference, correlations, radial curves.
 
     `assumption` and each run's `shared_data` say how the sigma of a difference was made from data that runs share.
     """
-    return json_response(comparisons.document(_compared(session, request, asked, reference)))
+    return json_response(comparisons.document(_compared(session, blobs, asked, reference)))
 
 
-@router.get(
-    "/compare/data",
-    name="compare_runs_data",
-    summary="Read a comparison's table",
-    response_class=CsvFile,
-    responses={**refusals(404, 409), **CSV},
-)
-def compare_runs_data(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
-    session: Reading,
-    request: Request,
-    asked: Asked,
-    reference: ReferenceRun = "",
-) -> Response:
+@router.get("/compare/data", summary="Read a comparison's table", response_class=CsvFile, responses=CSV)
+def compare_runs_data(session: Reading, blobs: Blobs, asked: Asked, reference: ReferenceRun = "") -> Response:
     """Read the comparison of the parameters as CSV: one row a parameter and run."""
-    table = comparisons.table(_compared(session, request, asked, reference))
+    table = comparisons.table(_compared(session, blobs, asked, reference))
     return csv_response(table, f"compare-{_name(asked)}.csv")
 
 
-@router.get(
-    "/compare/figures/radial",
-    name="draw_radial_contrast",
-    summary="Draw radial differences",
-    response_model=schemas.PlotlyFigure,
-    responses=refusals(404, 409),
-)
+@router.get("/compare/figures/radial", summary="Draw radial differences", response_model=schemas.PlotlyFigure)
 def draw_radial_contrast(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
+    blobs: Blobs,
+    drawings: Drawings,
     request: Request,
     asked: Asked,
     reference: ReferenceRun = "",
@@ -88,39 +59,26 @@ def draw_radial_contrast(
     labels, sources = [label_of(session, run) for run in runs], [source_of(session, run) for run in runs]
 
     def draw() -> bytes:
-        found = _compared(session, request, asked, reference)
+        found = _compared(session, blobs, asked, reference)
         return figure_json(radial_contrast.draw(labels, found.reference, found.radial()))
 
     known = None if None in sources else ["radial contrast", reference, *labels, *map(str, sources)]
-    answer: Response = request.app.state.drawn.answer(request, known, draw)
-    return answer
+    return drawings.answer(request, known, draw)
 
 
-@router.get(
-    "/compare/figures/radial/data",
-    name="get_radial_contrast_data",
-    summary="Read radial differences",
-    response_class=CsvFile,
-    responses={**refusals(404, 409), **CSV},
-)
-def get_radial_contrast_data(
-    actor: Who,  # noqa: ARG001 - whoever is known may read
-    session: Reading,
-    request: Request,
-    asked: Asked,
-    reference: ReferenceRun = "",
-) -> Response:
+@router.get("/compare/figures/radial/data", summary="Read radial differences", response_class=CsvFile, responses=CSV)
+def get_radial_contrast_data(session: Reading, blobs: Blobs, asked: Asked, reference: ReferenceRun = "") -> Response:
     """Read the radial differences to the reference as CSV."""
-    found = _compared(session, request, asked, reference)
+    found = _compared(session, blobs, asked, reference)
     table = radial_contrast.table([one.run.id for one in found.compared], found.radial())
     return csv_response(table, f"compare-{_name(asked)}-radial.csv")
 
 
-def _compared(session: Session, request: Request, asked: str, reference: str) -> Comparison:
+def _compared(session: Session, blobs: BlobStore, asked: str, reference: str) -> Comparison:
     """Compare the runs that the address names."""
     chosen = comparisons.read_run_ids([reference]) if reference else []
     run_ids = comparisons.read_run_ids([asked])
-    return comparisons.compare(session, request.app.state.blobs, run_ids, chosen[0] if chosen else None)
+    return comparisons.compare(session, blobs, run_ids, chosen[0] if chosen else None)
 
 
 def _name(asked: str) -> str:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
-from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, etag
+from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing
 from boresight.api.numbers import Id
-from boresight.api.openapi import refusals
-from boresight.api.paging import Page
+from boresight.api.operation import Beside, operations
+from boresight.api.paging import Listing, Page
+from boresight.api.routes.approvals import with_signatures
 from boresight.services import approvals
+from boresight.store.tables import Opening, Remark
 
-router = APIRouter(prefix="/approvals/{approval_id}", tags=["approvals"])
+router = operations("/approvals/{approval_id}", tags=["approvals"])
 
 
 class Assignment(BaseModel):
@@ -38,90 +37,36 @@ class NewOpening(BaseModel):
     evidence: str = Field(examples=["gate-report"])
 
 
-@router.post(
-    ":assign",
-    name="assign_approval",
-    summary="Ask a person to decide",
-    response_model=schemas.Approval,
-    responses=refusals(404, 409, 412, 428),
-)
+@router.post(":assign", summary="Ask a person to decide", response_model=schemas.Approval)
 def assign_approval(
-    approval_id: Id,
-    assignment: Assignment,
-    actor: Who,
-    seen: SeenVersion,
-    once: Idempotent,
-    policy: Held,
-    session: Writing,
-) -> Response:
+    approval_id: Id, assignment: Assignment, actor: Who, seen: SeenVersion, policy: Held, session: Writing
+) -> Beside:
     """Ask a person who may sign it to decide on an open request."""
-
-    def act() -> Answer:
-        row = approvals.assign(session, actor, approval_id, assignment.user_id, seen, policy=policy)
-        signed = [schemas.written(schemas.Signature, found) for found in approvals.signatures_of(session, row.id)]
-        return Answer(
-            {**schemas.written(schemas.Approval, row), "signatures": signed}, 200, {"ETag": etag(row.version)}
-        )
-
-    return once.answer(session, actor, act)
+    row = approvals.assign(session, actor, approval_id, assignment.user_id, seen, policy=policy)
+    return with_signatures(session, row)
 
 
-@router.get(
-    "/remarks",
-    name="list_remarks",
-    summary="Read the discussion",
-    response_model=Page[schemas.Remark],
-    responses=refusals(404),
-)
-def list_remarks(approval_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+@router.get("/remarks", summary="Read the discussion", response_model=Page[schemas.Remark])
+def list_remarks(approval_id: Id, session: Reading) -> Listing[Remark]:
     """Read what was said about a request, in order."""
-    items = [schemas.written(schemas.Remark, row) for row in approvals.remarks_of(session, approval_id)]
-    return json_response({"items": items, "next": None})
+    return Listing(approvals.remarks_of(session, approval_id))
 
 
-@router.post(
-    "/remarks",
-    name="remark",
-    summary="Say something about it",
-    status_code=201,
-    response_model=schemas.Remark,
-    responses=refusals(404),
-)
-def remark(approval_id: Id, new: NewRemark, actor: Who, once: Idempotent, session: Writing) -> Response:
+@router.post("/remarks", summary="Say something about it", status_code=201, response_model=schemas.Remark)
+def remark(approval_id: Id, new: NewRemark, actor: Who, session: Writing) -> Remark:
     """Add a remark to a request, be it decided or not; it is never edited."""
-
-    def act() -> Answer:
-        return Answer(schemas.written(schemas.Remark, approvals.remark(session, actor, approval_id, new.text)), 201)
-
-    return once.answer(session, actor, act)
+    return approvals.remark(session, actor, approval_id, new.text)
 
 
-@router.get(
-    "/openings",
-    name="list_openings",
-    summary="Read who opened which evidence",
-    response_model=Page[schemas.Opening],
-    responses=refusals(404),
-)
-def list_openings(approval_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+@router.get("/openings", summary="Read who opened which evidence", response_model=Page[schemas.Opening])
+def list_openings(approval_id: Id, session: Reading) -> Listing[Opening]:
     """Read who opened which evidence of a request, in order."""
-    items = [schemas.written(schemas.Opening, row) for row in approvals.openings_of(session, approval_id)]
-    return json_response({"items": items, "next": None})
+    return Listing(approvals.openings_of(session, approval_id))
 
 
 @router.post(
-    "/openings",
-    name="record_opening",
-    summary="Say that you opened a piece of evidence",
-    status_code=201,
-    response_model=schemas.Opening,
-    responses=refusals(404),
+    "/openings", summary="Say that you opened a piece of evidence", status_code=201, response_model=schemas.Opening
 )
-def record_opening(approval_id: Id, new: NewOpening, actor: Who, once: Idempotent, session: Writing) -> Response:
+def record_opening(approval_id: Id, new: NewOpening, actor: Who, session: Writing) -> Opening:
     """Keep that you opened a piece of evidence; only the first time counts."""
-
-    def act() -> Answer:
-        row = approvals.record_opening(session, actor, approval_id, new.evidence)
-        return Answer(schemas.written(schemas.Opening, row), 201)
-
-    return once.answer(session, actor, act)
+    return approvals.record_opening(session, actor, approval_id, new.evidence)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import orjson
-from fastapi import APIRouter, Header, Query
+from fastapi import Header, Query
 from fastapi.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
@@ -17,10 +17,11 @@ from boresight.api.broadcast import Broadcast, Listener, Telling
 from boresight.api.credentials import still_known
 from boresight.api.dependencies import Who
 from boresight.api.feed import Event, Place, events_after
+from boresight.api.operation import operations
 from boresight.services.actors import Actor
 from boresight.store.sessions import Engine, reading
 
-router = APIRouter(prefix="/events", tags=["events"])
+router = operations("/events", tags=["events"])
 
 PING_S = 15.0
 ASK_AGAIN_S = 30.0  # what ends by the clock alone, or is noticed by no commit, ends a stream within this time
@@ -55,7 +56,7 @@ class _Wish:
         return event.wire(place, with_history=event.data.get("run_id") == self.history)
 
 
-@router.get("", name="stream_events", summary="Follow what happens", response_class=EventStream)
+@router.get("", summary="Follow what happens", response_class=EventStream)
 async def stream_events(
     actor: Who,
     request: Request,

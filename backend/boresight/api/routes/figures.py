@@ -11,18 +11,17 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import orjson
-from fastapi import APIRouter, Depends, Path, Query
+from fastapi import Depends, Path, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import json_response
 from boresight.api.comma_separated import csv_response
-from boresight.api.dependencies import Reading, Who
+from boresight.api.dependencies import Blobs, Drawings, Reading
 from boresight.api.media import CsvFile
 from boresight.api.numbers import Id
-from boresight.api.openapi import refusals
-from boresight.api.paging import Page
+from boresight.api.operation import operations
+from boresight.api.paging import Listing, Page
 from boresight.api.routes.runs import result_so_far
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
@@ -37,7 +36,7 @@ from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Session
 from boresight.store.tables import Run
 
-router = APIRouter(prefix="/runs", tags=["runs"])
+router = operations("/runs", tags=["runs"])
 
 MOST_OVERLAID = 20
 FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
@@ -87,17 +86,11 @@ class View:
 Seen = Annotated[View, Depends()]
 
 
-@router.get(
-    "/{run_id}/figures",
-    name="list_figures",
-    summary="List the figures",
-    response_model=Page[schemas.FigureEntry],
-    responses=refusals(404),
-)
-def list_figures(run_id: Id, actor: Who, session: Reading) -> Response:  # noqa: ARG001 - whoever is known may read
+@router.get("/{run_id}/figures", summary="List the figures", response_model=Page[schemas.FigureEntry])
+def list_figures(run_id: Id, session: Reading) -> Listing[dict[str, str]]:
     """List the figures of a run with how to read each."""
     runs.get_run(session, run_id)
-    items = [
+    entries = [
         {
             "name": figure.name,
             "title": figure.title,
@@ -106,28 +99,22 @@ def list_figures(run_id: Id, actor: Who, session: Reading) -> Response:  # noqa:
         }
         for name, figure in FIGURES.items()
     ]
-    return json_response({"items": items, "next": None})
+    return Listing(entries)
 
 
-@router.get(
-    "/{run_id}/figures/{name}",
-    name="get_figure",
-    summary="Read a figure",
-    response_model=schemas.PlotlyFigure,
-    responses=refusals(404, 409),
-)
+@router.get("/{run_id}/figures/{name}", summary="Read a figure", response_model=schemas.PlotlyFigure)
 def get_figure(
     run_id: Id,
     name: FigureName,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
     session: Reading,
+    blobs: Blobs,
+    drawings: Drawings,
     request: Request,
     seen: Seen,
     compare: Compare = "",
 ) -> Response:
     """Read a figure as Plotly JSON, of one run or of several over one another."""
-    figure, blobs = _figure(name), request.app.state.blobs
-    ids = [run_id, *_others(compare, run_id)]
+    figure, ids = _figure(name), [run_id, *_others(compare, run_id)]
     asked = comparisons.read_runs(session, ids)
     labels, sources = [label_of(session, run) for run in asked], [source_of(session, run) for run in asked]
 
@@ -136,8 +123,7 @@ def get_figure(
         return seen.draw(figure, [Trace(label, result) for label, result in zip(labels, results, strict=True)])
 
     known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
-    answer: Response = request.app.state.drawn.answer(request, known, draw)
-    return answer
+    return drawings.answer(request, known, draw)
 
 
 def source_of(session: Session, run: Run) -> str | None:
@@ -156,24 +142,13 @@ def _beside_baseline(session: Session, blobs: BlobStore, run: Run) -> dict[str, 
 
 @router.get(
     "/{run_id}/figures/{name}/data",
-    name="get_figure_data",
     summary="Read a figure's numbers",
     response_class=CsvFile,
-    responses={
-        **refusals(404, 409),
-        200: {"description": "The columns in SI, never thinned."},
-    },
+    responses={200: {"description": "The columns in SI, never thinned."}},
 )
-def get_figure_data(
-    run_id: Id,
-    name: FigureName,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
-    session: Reading,
-    request: Request,
-    compare: Compare = "",
-) -> Response:
+def get_figure_data(run_id: Id, name: FigureName, session: Reading, blobs: Blobs, compare: Compare = "") -> Response:
     """Read the numbers behind a figure as CSV; of several runs one after another, with the run's number first."""
-    figure, blobs, ids = _figure(name), request.app.state.blobs, [run_id, *_others(compare, run_id)]
+    figure, ids = _figure(name), [run_id, *_others(compare, run_id)]
     tables = {number: figure.table(result_so_far(session, blobs, number)) for number in ids}
     table = _stacked(tables) if len(tables) > 1 else tables[run_id]
     return csv_response(table, f"run-{'-'.join(map(str, ids))}-{name}.csv")

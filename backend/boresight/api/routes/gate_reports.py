@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query
+from fastapi import Depends, Query
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
-from starlette.requests import Request
-from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenVersion, Who, Writing, check_own
+from boresight.api.dependencies import Database, Reading, SeenVersion, Sighted, Who, Writing, own_password
 from boresight.api.numbers import Id
 from boresight.api.openapi import refusals
-from boresight.errors import NotFoundError
+from boresight.api.operation import Beside, operations
 from boresight.services import gates, waivers
 from boresight.services.actors import require_role, require_scope
 from boresight.services.gate_evidence import gather
-from boresight.services.parameter_sets import get_parameter_set
 from boresight.services.passwords import PasswordProof
 from boresight.store.sessions import Session, reading
+from boresight.store.tables import GateReport, Waiver
 
-router = APIRouter(prefix="/parameter-sets", tags=["gates"])
+router = operations("/parameter-sets", tags=["gates"])
 
 LAID_OVER = ("verdict", "words", "blocking", "waived", "gates", "held_out", "bound")
-
 
 Hash = Annotated[
     str,
@@ -53,107 +49,61 @@ class Waiving(BaseModel):
     password: SecretStr = Field(description="Your own, given again.")
 
 
-async def proven_own(waiving: Waiving, actor: Who, request: Request) -> tuple[Waiving, PasswordProof]:
-    """Check the password of who acts before any transaction begins."""
-    return waiving, await check_own(request, actor, waiving.password.get_secret_value())
+Proven = Annotated[PasswordProof, own_password(Waiving)]
 
 
-Proven = Annotated[tuple[Waiving, PasswordProof], Depends(proven_own)]
-
-
-def _examine(request: Request, actor: Who, parameter_set_id: Id) -> gates.Assessment:
+def _examine(parameter_set_id: Id, actor: Who, sight: Sighted, engine: Database) -> gates.Assessment:
     """See the held-out frames before the writing transaction: that takes seconds, and there is one writer."""
     require_role(actor, *gates.ASSESSORS)
     require_scope(actor, "parameter-sets")
-    state = request.app.state
-    with reading(state.engine) as session:
+    with reading(engine) as session:
         case = gather(session, parameter_set_id)
-    return gates.examine(case, state.blobs, state.catalogue(), state.settings.catalogue_folder)
+    return gates.examine(case, sight.blobs, sight.catalogue(), sight.catalogue_folder)
 
 
 Examined = Annotated[gates.Assessment, Depends(_examine)]
 
 
-def _shown(session: Session, row: Any) -> schemas.Document:
-    """Write a report with the waivers laid over it, and whether what it rests on is as it was."""
+def _shown(session: Session, row: GateReport) -> Beside:
+    """Return a report with the waivers laid over it, and whether what it rests on is as it was."""
     document = gates.with_waivers(session, row)
+    laid_over = {name: document[name] for name in LAID_OVER}
     given = waivers.all_waivers(session, row.parameter_set_id)
-    columns = {name: getattr(row, name) for name in schemas.GateReport.model_fields if hasattr(row, name)}
-    return {
-        **columns,
-        **{name: document[name] for name in LAID_OVER},
-        "holds": not gates.moved_since(session, row),
-        "waivers": [schemas.written(schemas.Waiver, waiver) for waiver in given],
-    }
+    return Beside(row, **laid_over, holds=not gates.moved_since(session, row), waivers=given)
 
 
 @router.post(
     "/{parameter_set_id}:assess",
-    name="assess_parameter_set",
     summary="Hold it against its gates",
     status_code=201,
     response_model=schemas.GateReport,
-    responses=refusals(404, 409, 412),
+    responses=refusals(412),
 )
 def assess_parameter_set(
-    parameter_set_id: Id, actor: Who, once: Idempotent, examined: Examined, session: Writing
-) -> Response:
+    parameter_set_id: Id,  # noqa: ARG001 - of the dependency that examines it
+    actor: Who,
+    examined: Examined,
+    session: Writing,
+) -> Beside:
     """Match the held-out frames under this set and the incumbent, judge every gate, and keep the report.
 
     The same evidence gives the same report, which is then the one that is there. Where the evidence moved while the frames
     were matched the answer is 412: assess it again. An open request that binds another report is STALE at its next signature.
     """
-
-    def act() -> Answer:
-        row = gates.record_report(session, actor, examined)
-        location = {"Location": f"/api/v1/parameter-sets/{parameter_set_id}/gate-report"}
-        return Answer(_shown(session, row), 201, location)
-
-    return once.answer(session, actor, act)
+    return _shown(session, gates.record_report(session, actor, examined))
 
 
-@router.get(
-    "/{parameter_set_id}/gate-report",
-    name="get_gate_report",
-    summary="Read what its gates found",
-    response_model=schemas.GateReport,
-    responses=refusals(404),
-)
-def get_gate_report(
-    parameter_set_id: Id,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
-    session: Reading,
-    sha256: Hash | None = None,
-) -> Response:
+@router.get("/{parameter_set_id}/gate-report", summary="Read what its gates found", response_model=schemas.GateReport)
+def get_gate_report(parameter_set_id: Id, session: Reading, sha256: Hash | None = None) -> Beside:
     """Read the newest report, or the one that a request binds, with the waivers; `holds` says whether its evidence moved since."""
-    row = get_parameter_set(session, parameter_set_id)
-    report = gates.newest_report(session, parameter_set_id, sha256)
-    if report is None and sha256 is not None:
-        raise NotFoundError(
-            f"{row.name} (parameter set {row.id}) has no gate report {sha256}; leave sha256 out for the newest."
-        )
-    if report is None:
-        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report; POST :assess.")
-    return json_response(_shown(session, report))
+    return _shown(session, gates.get_report(session, parameter_set_id, sha256))
 
 
-@router.post(
-    "/{parameter_set_id}:waive",
-    name="waive_gate",
-    summary="Waive a gate",
-    status_code=201,
-    response_model=schemas.Waiver,
-    responses=refusals(404, 409, 412, 428, 429),
-)
+@router.post("/{parameter_set_id}:waive", summary="Waive a gate", status_code=201, response_model=schemas.Waiver)
 def waive_gate(
-    parameter_set_id: Id, actor: Who, seen: SeenVersion, proven: Proven, once: Idempotent, session: Writing
-) -> Response:
+    parameter_set_id: Id, signed: Waiving, actor: Who, seen: SeenVersion, proof: Proven, session: Writing
+) -> Waiver:
     """Let this set pass in spite of a gate that blocks it, in person. The next request then needs two approvals."""
-
-    def act() -> Answer:
-        waiving, proof = proven
-        asked = (waiving.gate, waiving.code, waiving.reason, waiving.expires_utc, proof)
-        row = waivers.waive(session, actor, parameter_set_id, *asked, seen)
-        return Answer(schemas.written(schemas.Waiver, row), 201)
-
-    return once.answer(session, actor, act)
+    return waivers.waive(
+        session, actor, parameter_set_id, signed.gate, signed.code, signed.reason, signed.expires_utc, proof, seen
+    )

@@ -9,23 +9,22 @@ import hashlib
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import APIRouter, Depends
-from pydantic import BaseModel, ConfigDict, Field
+from fastapi import Depends
+from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
-from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import Answer, IdempotencyKey, Idempotent, Once, digest
 from boresight.api.credentials import who_acts
-from boresight.api.dependencies import OnlyAsked, SeenVersion, Who, Writing, check_own
+from boresight.api.dependencies import Blobs, SeenVersion, Who, Writing, own_password
 from boresight.api.numbers import Id
-from boresight.api.openapi import refusals
+from boresight.api.operation import FORM_CONTENT, operations
 from boresight.services import read_backs, uplinks
 from boresight.services.actors import Actor
 from boresight.services.passwords import PasswordProof
+from boresight.store.tables import Uplink
 
-router = APIRouter(prefix="/parameter-sets", tags=["uplinks"])
+router = operations("/parameter-sets", tags=["uplinks"])
 
 MOST_FIELDS = 10
 FORM = {
@@ -56,6 +55,10 @@ class ReadBack:
     happened: str
     dump: bytes | None
 
+    def content(self) -> bytes:
+        """Return what came, to be digested: a form's text differs from one sending to the next, this does not."""
+        return repr((self.source, self.crc, self.happened)).encode() + hashlib.sha256(self.dump or b"").digest()
+
 
 async def read_form(
     request: Request,
@@ -66,48 +69,32 @@ async def read_form(
         file = form.get("file")
         dump = await file.read() if isinstance(file, UploadFile) and file.filename else None
         texts = {name: value for name, value in form.items() if isinstance(value, str)}
-    return ReadBack(texts.get("source", ""), texts.get("crc", ""), texts.get("happened_utc", ""), dump)
-
-
-Came = Annotated[ReadBack, Depends(read_form)]
-
-
-def once_read(request: Request, came: Came, asked: OnlyAsked, idempotency_key: IdempotencyKey = None) -> Once:
-    """Read the key, and digest what came: a form's text differs from one sending to the next, its content does not."""
-    content = repr((came.source, came.crc, came.happened)).encode() + hashlib.sha256(came.dump or b"").digest()
-    return Once(idempotency_key, "" if idempotency_key is None else digest(request, content), asked)
+    came = ReadBack(texts.get("source", ""), texts.get("crc", ""), texts.get("happened_utc", ""), dump)
+    setattr(request.state, FORM_CONTENT, came.content)
+    return came
 
 
 @router.post(
     "/{parameter_set_id}:read-back",
-    name="read_back",
     summary="Compare a dump or a CRC",
     status_code=201,
     response_model=schemas.Uplink,
-    responses=refusals(400, 404, 409, 412, 413, 428),
     openapi_extra={"requestBody": FORM},
 )
 def read_back(
     parameter_set_id: Id,
     actor: Who,
     seen: SeenVersion,
-    came: Came,
-    once: Annotated[Once, Depends(once_read)],
+    came: Annotated[ReadBack, Depends(read_form)],
     session: Writing,
-    request: Request,
-) -> Response:
+    blobs: Blobs,
+) -> Uplink:
     """Hold the dump of the table, or the CRC that the spacecraft told, against what was sent.
 
     Records VERIFIED (`method` says by what), or MISMATCH with the differing bytes and fields in `evidence`.
     """
-
-    def act() -> Answer:
-        read = read_backs.dump_or_crc(came.dump, came.crc)
-        blobs = request.app.state.blobs
-        row = read_backs.read_back(session, actor, blobs, parameter_set_id, read, came.source, seen, came.happened)
-        return Answer(schemas.written(schemas.Uplink, row), 201, {"Location": f"/api/v1/uplinks/{row.id}"})
-
-    return once.answer(session, actor, act)
+    read = read_backs.dump_or_crc(came.dump, came.crc)
+    return read_backs.read_back(session, actor, blobs, parameter_set_id, read, came.source, seen, came.happened)
 
 
 class Activation(BaseModel):
@@ -116,45 +103,29 @@ class Activation(BaseModel):
     model_config = ConfigDict(extra="forbid")
     source: str = Field(description="Where it is known from.", examples=["TM page STR-2, pass 4711"])
     meaning: str = Field(description="What the signature means.", examples=["I saw this table active in telemetry."])
-    password: str = Field(description="Once more: the signature is of the person, not of the log-in.")
+    password: SecretStr = Field(description="Once more: the signature is of the person, not of the log-in.")
     happened_utc: str | None = Field(None, description="When it became active, where that is earlier.")
 
 
-async def proven_own(entry: Activation, actor: Who, request: Request) -> tuple[Activation, PasswordProof]:
-    """Check the password of who acts before any transaction begins."""
-    return entry, await check_own(request, actor, entry.password)
-
-
 @router.post(
-    "/{parameter_set_id}:activate",
-    name="activate_parameter_set",
-    summary="Sign that it is active",
-    status_code=201,
-    response_model=schemas.Uplink,
-    responses=refusals(404, 409, 412, 428, 429),
+    "/{parameter_set_id}:activate", summary="Sign that it is active", status_code=201, response_model=schemas.Uplink
 )
-def activate(
+def activate_parameter_set(
     parameter_set_id: Id,
+    signed: Activation,
     actor: Who,
     seen: SeenVersion,
-    proven: Annotated[tuple[Activation, PasswordProof], Depends(proven_own)],
-    once: Idempotent,
+    proof: Annotated[PasswordProof, own_password(Activation)],
     session: Writing,
-) -> Response:
+) -> Uplink:
     """Record a verified set as ACTIVE, signed by an operator in person; the set that was active becomes UNKNOWN."""
-    entry, proof = proven
-
-    def act() -> Answer:
-        row = uplinks.activate(
-            session,
-            actor,
-            parameter_set_id,
-            entry.source,
-            entry.meaning,
-            proof,
-            seen,
-            happened=entry.happened_utc,
-        )
-        return Answer(schemas.written(schemas.Uplink, row), 201, {"Location": f"/api/v1/uplinks/{row.id}"})
-
-    return once.answer(session, actor, act)
+    return uplinks.activate(
+        session,
+        actor,
+        parameter_set_id,
+        signed.source,
+        signed.meaning,
+        proof,
+        seen,
+        happened=signed.happened_utc,
+    )

@@ -21,16 +21,16 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import json_response
 from boresight.api.credentials import current_actor, prove
 from boresight.api.media import PrometheusText
 from boresight.api.openapi import refusals
+from boresight.api.operation import json_response
 from boresight.api.origins import is_local
 from boresight.errors import BoresightError
 from boresight.store.engines import refuse_unwritable_store
 from boresight.store.sessions import current_revision, head_revision
 
-router = APIRouter(tags=["server"])
+router = APIRouter(tags=["server"], generate_unique_id_function=lambda route: route.name)
 
 
 _thread: RunVar[CapacityLimiter] = RunVar("the thread for those who watch the server")

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query
+from fastapi import Depends, Query
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import Answer, Idempotent, json_response
 from boresight.api.dependencies import (
     LoggingIn,
+    PasswordChecks,
     Reading,
+    ServerSettings,
     Who,
     Writing,
     clear_cookie,
@@ -22,16 +24,18 @@ from boresight.api.dependencies import (
     never_tried,
 )
 from boresight.api.numbers import Id
-from boresight.api.openapi import refusals
-from boresight.api.paging import Page, Paged
-from boresight.api.passwords import Passwords
+from boresight.api.openapi import refuses
+from boresight.api.operation import Answer, Beside, operations
+from boresight.api.paging import Listing, Page, Paged
 from boresight.services import sessions, users
 from boresight.services.actors import Actor
 from boresight.services.passwords import PasswordProof
+from boresight.settings import Settings
+from boresight.store.sessions import Session
 from boresight.store.tables import LoginSession
 
-router = APIRouter(prefix="/sessions", tags=["sessions"])
-STORED = ("id", "user_id", "created_utc", "last_used_utc", "ended_utc", "ended_because", "address", "user_agent")
+router = operations("/sessions", tags=["sessions"])
+entrance = operations("/sessions", tags=["sessions"], open_to_all=True)
 NEVER_TRIED = [Depends(never_tried)]
 
 
@@ -43,14 +47,15 @@ class Credentials(BaseModel):
     password: SecretStr
 
 
-async def proven(credentials: Credentials, request: Request) -> PasswordProof:
+@refuses(429)
+async def proven(credentials: Credentials, passwords: PasswordChecks, request: Request) -> PasswordProof:
     """Check name and password before any transaction begins."""
-    checks: Passwords = request.app.state.passwords
     password = credentials.password.get_secret_value()
-    return await checks.check_log_in(credentials.name, password, client_of(request))
+    return await passwords.check_log_in(credentials.name, password, client_of(request))
 
 
-def _shown(actor: Actor, csrf_token: str | None, *, must_change_password: bool) -> Response:
+def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
+    """Say who acts."""
     body = {
         "user_id": actor.user_id,
         "name": actor.name,
@@ -58,45 +63,27 @@ def _shown(actor: Actor, csrf_token: str | None, *, must_change_password: bool) 
         "roles": sorted(actor.roles),
         "credential": actor.credential,
         "scopes": None if actor.scopes is None else sorted(actor.scopes),
-        "must_change_password": must_change_password,
+        "must_change_password": not actor.is_key and users.must_change_password(session, actor),
         "csrf_token": csrf_token,
     }
-    return json_response(body, headers={"Cache-Control": "no-store"})
+    return Answer(body, headers={"Cache-Control": "no-store"})
 
 
-@router.post(
-    "",
-    name="log_in",
-    summary="Log in",
-    status_code=201,
-    response_model=schemas.Session,
-    responses=refusals(429),
-    dependencies=NEVER_TRIED,
-)
-def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn, request: Request) -> Response:
+@entrance.post("", summary="Log in", status_code=201, response_model=schemas.Session, dependencies=NEVER_TRIED)
+def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn, request: Request) -> Answer:
     """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Failures make further tries from there wait."""
     carrier = Response()
-    actor, csrf_token = log_in_person(request, carrier, session, proof)
-    response = _shown(actor, csrf_token, must_change_password=users.must_change_password(session, actor))
-    response.status_code = 201
-    response.headers["Set-Cookie"] = carrier.headers["Set-Cookie"]
-    return response
+    answer = _who(session, *log_in_person(request, carrier, session, proof))
+    return replace(answer, headers={**answer.headers, "Set-Cookie": carrier.headers["Set-Cookie"]})
 
 
-@router.get(
-    "/current",
-    name="get_session",
-    summary="Who am I",
-    response_model=schemas.Session,
-    dependencies=NEVER_TRIED,
-)
-def get_session(actor: Who, session: Reading, request: Request) -> Response:
+@router.get("/current", summary="Who am I", response_model=schemas.Session, dependencies=NEVER_TRIED)
+def get_session(actor: Who, session: Reading, request: Request) -> Answer:
     """Say who acts, with which roles and scopes, and give the CSRF token again."""
-    due = not actor.is_key and users.must_change_password(session, actor)
-    return _shown(actor, getattr(request.state, "csrf_token", None), must_change_password=due)
+    return _who(session, actor, getattr(request.state, "csrf_token", None))
 
 
-@router.delete("/current", name="log_out", summary="Log out", status_code=204, dependencies=NEVER_TRIED)
+@router.delete("/current", summary="Log out", status_code=204, dependencies=NEVER_TRIED)
 def log_out(actor: Who, request: Request, session: LoggingIn) -> Response:
     """End this log-in, wherever its cookie was copied to; `users/{id}:end-sessions` ends every one."""
     sessions.log_out(session, actor)
@@ -105,47 +92,36 @@ def log_out(actor: Who, request: Request, session: LoggingIn) -> Response:
     return response
 
 
-@router.get("", name="list_sessions", summary="List log-ins", response_model=Page[schemas.LoginSession])
+@router.get("", summary="List log-ins", response_model=Page[schemas.LoginSession])
 def list_sessions(
     actor: Who,
     session: Reading,
-    request: Request,
+    settings: ServerSettings,
     page: Paged,
     user_id: Annotated[Id | None, Query(description="Whose; one's own when left out. Administrators only.")] = None,
     open: Annotated[bool | None, Query(description="Only those that are open, or only those that ended.")] = None,  # noqa: A002 - the name in the address
-) -> Response:
+) -> Listing[LoginSession]:
     """List one's log-ins, newest first, with where they were made and why they ended."""
     found = sessions.list_sessions(session, actor, user_id, is_open=open, before_id=page.last_id, limit=page.limit + 1)
-    return json_response(page.cut(found, lambda row: _written(request, actor, row)))
+    return page.cut(found, lambda row: _shown(row, actor, settings))
 
 
-@router.post(
-    "/current:end-others", name="end_other_sessions", summary="End all others", response_model=schemas.EndedSessions
-)
-def end_other_sessions(actor: Who, once: Idempotent, session: Writing) -> Response:
+@router.post("/current:end-others", summary="End all others", response_model=schemas.EndedSessions)
+def end_other_sessions(actor: Who, session: Writing) -> dict[str, int]:
     """End every log-in of one's own but this one."""
-    return once.answer(session, actor, lambda: Answer({"ended": sessions.end_other_sessions(session, actor)}))
+    return {"ended": sessions.end_other_sessions(session, actor)}
 
 
-@router.post(
-    "/{session_id}:end",
-    name="end_session",
-    summary="End a log-in",
-    response_model=schemas.LoginSession,
-    responses=refusals(404),
-)
-def end_session(session_id: Id, actor: Who, once: Idempotent, request: Request, session: Writing) -> Response:
+@router.post("/{session_id}:end", summary="End a log-in", response_model=schemas.LoginSession)
+def end_session(session_id: Id, actor: Who, settings: ServerSettings, session: Writing) -> Beside:
     """End one log-in: one's own, or as an administrator another's."""
-
-    def act() -> Answer:
-        return Answer(_written(request, actor, sessions.end_session(session, actor, session_id)))
-
-    return once.answer(session, actor, act)
+    return _shown(sessions.end_session(session, actor, session_id), actor, settings)
 
 
-def _written(request: Request, actor: Actor, row: LoginSession) -> dict[str, Any]:
-    """Lay out a log-in, with when it ends at the latest."""
-    limits = request.app.state.settings.session_limits
-    own = {name: getattr(row, name) for name in STORED}
-    more = {"ends_utc": limits.ends_utc(row.created_utc), "current": row.id == actor.session_id}
-    return schemas.LoginSession(**own, **more).model_dump(mode="json")
+def _shown(row: LoginSession, actor: Actor, settings: Settings) -> Beside:
+    """Return a log-in, with when it ends at the latest."""
+    ends_utc = settings.session_limits.ends_utc(row.created_utc)
+    return Beside(row, ends_utc=ends_utc, current=row.id == actor.session_id)
+
+
+router.routes.extend(entrance.routes)

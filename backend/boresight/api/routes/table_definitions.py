@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
-from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing, etag
+from boresight.api.dependencies import Held, Reading, SeenVersion, Who, Writing
 from boresight.api.numbers import Id
-from boresight.api.openapi import refusals
+from boresight.api.operation import Answer, operations
 from boresight.api.paging import Page, Paged
-from boresight.api.routes.change_proposals import PROPOSED, answer
+from boresight.api.routes.change_proposals import PROPOSED, in_force_or_proposed
 from boresight.services import second_person, table_definitions
-from boresight.store.tables import ChangeProposal
+from boresight.store.tables import GateProfile, TableDefinition
 
-router = APIRouter(prefix="/sensors", tags=["uplinks"])
+router = operations("/sensors", tags=["uplinks"])
 
 EXAMPLE = {
     "table_id": "STR_CAM",
@@ -40,52 +37,39 @@ class NewTableDefinition(BaseModel):
 
 @router.get(
     "/{sensor_id}/table-definitions",
-    name="list_table_definitions",
     summary="List the table definitions of a sensor",
     response_model=Page[schemas.TableDefinition],
-    responses=refusals(404),
 )
-def list_table_definitions(
-    sensor_id: Id,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
-    session: Reading,
-    page: Paged,
-) -> Response:
+def list_table_definitions(sensor_id: Id, session: Reading, page: Paged) -> Answer:
     """List every version, newest first; the first is in force, and the ETag is for setting another, `"v0"` for none."""
     found = table_definitions.list_definitions(session, sensor_id)
-    body = page.cut_whole(found, lambda row: schemas.written(schemas.TableDefinition, row))
-    return json_response(body, headers={"ETag": etag(found[0].number if found else 0)})
+    tag = schemas.TableDefinition.etag(found[0]) if found else '"v0"'
+    return Answer(page.cut_whole(found), headers={"ETag": tag})
 
 
 @router.post(
     "/{sensor_id}/table-definitions",
-    name="set_table_definition",
     summary="Set the table definition of a sensor",
     status_code=201,
     response_model=schemas.TableDefinition,
-    responses={**PROPOSED, **refusals(404, 409, 412, 428)},
+    responses=PROPOSED,
 )
 def set_table_definition(
-    sensor_id: Id,
-    definition: NewTableDefinition,
-    actor: Who,
-    seen: SeenVersion,
-    once: Idempotent,
-    policy: Held,
-    session: Writing,
-) -> Response:
+    sensor_id: Id, definition: NewTableDefinition, actor: Who, seen: SeenVersion, policy: Held, session: Writing
+) -> GateProfile | TableDefinition | Answer:
     """Put another layout into force. The sensor's undecided requests become STALE, for they would be other bytes.
 
     Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
     analyst or administrator confirms it.
     """
-
-    def act() -> Answer:
-        asked = ("table-definition", sensor_id, definition.document, definition.reason, seen)
-        row = second_person.change(session, actor, *asked, policy=policy)
-        if isinstance(row, ChangeProposal):
-            return answer(session, row, 202)
-        headers = {"ETag": etag(row.number), "Location": f"/api/v1/sensors/{sensor_id}/table-definitions"}
-        return Answer(schemas.written(schemas.TableDefinition, row), 201, headers)
-
-    return once.answer(session, actor, act)
+    made = second_person.change(
+        session,
+        actor,
+        "table-definition",
+        sensor_id,
+        definition.document,
+        definition.reason,
+        seen,
+        policy=policy,
+    )
+    return in_force_or_proposed(session, made)

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Query
+from fastapi import Depends, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.api import schemas
-from boresight.api.answers import Answer, Idempotent, json_response
-from boresight.api.dependencies import Reading, SeenTag, Who, Writing, require_tag, tag_of
-from boresight.api.keeping import Known, whole_tag
+from boresight.api.dependencies import Blobs, Database, Reading, SeenTag, ServerSettings, Sighted, Who, Writing
+from boresight.api.keeping import SAME_FOR_ALL, whole_tag
 from boresight.api.media import StoredFile
 from boresight.api.numbers import Id
-from boresight.api.openapi import refusals
-from boresight.api.paging import Page, Paged
+from boresight.api.operation import operations
+from boresight.api.paging import Listing, Page, Paged
 from boresight.api.ready import knows
-from boresight.api.uploads import Uploaded, UploadedOnce
+from boresight.api.uploads import Uploaded
 from boresight.services import sensors, telemetry_sets
 from boresight.services.actors import require_role
 from boresight.store.sessions import reading
+from boresight.store.tables import TelemetrySet
 
-router = APIRouter(prefix="/telemetry-sets", tags=["telemetry sets"])
+router = operations("/telemetry-sets", tags=["telemetry sets"])
 
 FORM = {
     "required": True,
@@ -43,42 +43,30 @@ FORM = {
 }
 
 
-def _prepare(request: Request, actor: Who, upload: Uploaded) -> Iterator[telemetry_sets.Prepared]:
+def _prepare(
+    actor: Who, upload: Uploaded, sight: Sighted, settings: ServerSettings, engine: Database
+) -> Iterator[telemetry_sets.Prepared]:
     """Read and check the file before the transaction: a large one takes seconds, and there is one writer."""
     require_role(actor, "analyst")
-    state = request.app.state
-    with reading(state.engine) as session:
+    with reading(engine) as session:
         document = sensors.get_sensor(session, upload.number("sensor_id")).document
-    limits = state.settings.telemetry_limits
-    with telemetry_sets.prepared(document, state.catalogue(), upload.file(), upload.file_name, limits) as ready:
-        state.blobs.send_ahead(ready.original, ready.table)
+    limits = settings.telemetry_limits
+    with telemetry_sets.prepared(document, sight.catalogue(), upload.file(), upload.file_name, limits) as ready:
+        sight.blobs.send_ahead(ready.original, ready.table)
         yield ready
 
 
 Ready = Annotated[telemetry_sets.Prepared, Depends(_prepare, scope="function")]
 
 
-def _tagged(row: Any, status: int = 200, **headers: str) -> Answer:
-    return Answer(_shown(row), status, {"ETag": _tag(row), **headers})
-
-
-def _tag(row: Any) -> str:
-    return tag_of(row.id, row.archived_utc)
-
-
-def _shown(row: Any) -> schemas.Document:
-    return schemas.written(schemas.TelemetrySet, row)
-
-
-@router.get("", name="list_telemetry_sets", summary="List telemetry sets", response_model=Page[schemas.TelemetrySet])
+@router.get("", summary="List telemetry sets", response_model=Page[schemas.TelemetrySet], dependencies=[SAME_FOR_ALL])
 def list_telemetry_sets(
-    known: Known,  # noqa: ARG001 - asked for what it refuses
     session: Reading,
     page: Paged,
     sensor_id: Id | None = None,
     purpose: Literal["calibration", "validation"] | None = None,
     archived: Annotated[bool, Query(description="Show the archived ones too.")] = False,
-) -> Response:
+) -> Listing[TelemetrySet]:
     """List telemetry sets, newest first."""
     found = telemetry_sets.list_telemetry_sets(
         session,
@@ -88,90 +76,50 @@ def list_telemetry_sets(
         before_id=page.last_id,
         limit=page.limit + 1,
     )
-    return json_response(page.cut(found, _shown))
+    return page.cut(found)
 
 
 @router.post(
     "",
-    name="upload_telemetry_set",
     summary="Upload telemetry",
     status_code=201,
     response_model=schemas.TelemetrySet,
-    responses=refusals(404, 413),
     openapi_extra={"requestBody": FORM},
 )
-def upload_telemetry_set(
-    actor: Who, upload: Uploaded, ready: Ready, once: UploadedOnce, session: Writing, request: Request
-) -> Response:
+def upload_telemetry_set(actor: Who, upload: Uploaded, ready: Ready, session: Writing, blobs: Blobs) -> TelemetrySet:
     """Store a file with its quality report; a refused one leaves nothing behind and says row and column.
 
     The same bytes again for the same sensor are the set that is there already.
     """
-
-    def act() -> Answer:
-        purpose = upload.fields.get("purpose", "calibration")
-        blobs, sensor_id = request.app.state.blobs, upload.number("sensor_id")
-        row = telemetry_sets.store_prepared(session, actor, blobs, sensor_id, ready, purpose)
-        return _tagged(row, 201, Location=f"/api/v1/telemetry-sets/{row.id}")
-
-    return once.answer(session, actor, act)
+    purpose = upload.fields.get("purpose", "calibration")
+    return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
 
 
 @router.get(
     "/{telemetry_set_id}",
-    name="get_telemetry_set",
     summary="Read a telemetry set",
     response_model=schemas.TelemetrySet,
-    responses=refusals(404),
+    dependencies=[SAME_FOR_ALL],
 )
-def get_telemetry_set(
-    telemetry_set_id: Id,
-    known: Known,  # noqa: ARG001 - asked for what it refuses
-    session: Reading,
-    request: Request,
-) -> Response:
+def get_telemetry_set(telemetry_set_id: Id, session: Reading, request: Request) -> TelemetrySet:
     """Read a telemetry set with its quality report."""
     whole_tag(request)
-    return _tagged(telemetry_sets.get_telemetry_set(session, telemetry_set_id)).response()
+    return telemetry_sets.get_telemetry_set(session, telemetry_set_id)
 
 
-@router.get(
-    "/{telemetry_set_id}/file",
-    name="get_telemetry_file",
-    summary="Download the original file",
-    response_class=StoredFile,
-    responses=refusals(404, 409),
-)
-def get_telemetry_file(
-    telemetry_set_id: Id,
-    actor: Who,  # noqa: ARG001 - whoever is known may read
-    session: Reading,
-    request: Request,
-) -> Response:
+@router.get("/{telemetry_set_id}/file", summary="Download the original file", response_class=StoredFile)
+def get_telemetry_file(telemetry_set_id: Id, session: Reading, blobs: Blobs, request: Request) -> Response:
     """Download the bytes as they were uploaded; their address is the tag, so a copy never goes out of date."""
     row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
     headers = {"ETag": f'"{row.original_sha256}"'}
     if knows(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
         return Response(status_code=304, headers=headers)
-    path = request.app.state.blobs.path(row.original_sha256)
-    return StoredFile(path, filename=row.name, headers=headers)
+    return StoredFile(blobs.path(row.original_sha256), filename=row.name, headers=headers)
 
 
-@router.post(
-    "/{telemetry_set_id}:archive",
-    name="archive_telemetry_set",
-    summary="Archive a telemetry set",
-    response_model=schemas.TelemetrySet,
-    responses=refusals(404, 412, 428),
-)
-def archive_telemetry_set(
-    telemetry_set_id: Id, actor: Who, seen: SeenTag, once: Idempotent, session: Writing
-) -> Response:
+@router.post("/{telemetry_set_id}:archive", summary="Archive a telemetry set", response_model=schemas.TelemetrySet)
+def archive_telemetry_set(telemetry_set_id: Id, actor: Who, seen: SeenTag, session: Writing) -> TelemetrySet:
     """Put a set out of sight; nothing is deleted. Uploading the same bytes brings it back."""
-
-    def act() -> Answer:
-        row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
-        require_tag(seen, _tag(row), row.name)
-        return _tagged(telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id))
-
-    return once.answer(session, actor, act)
+    row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+    seen.require(schemas.TelemetrySet, row, row.name)
+    return telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id)

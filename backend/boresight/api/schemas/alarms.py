@@ -12,6 +12,8 @@ from boresight.api.schemas.row import Document, Row
 class Alarm(Row):
     """Something that needs a person, until a person has seen it and it is over."""
 
+    versioned_by = ("version",)
+
     id: int
     source: str = Field(
         description="What it is of; one alarm of a source is open at a time.", examples=["sensors/3/DRIFT"]

@@ -30,6 +30,9 @@ class Signature(Row):
 class Approval(Row):
     """A request that a parameter set become its sensor's baseline."""
 
+    versioned_by = ("version",)
+    location = "/approvals/{row.id}"
+
     id: int
     parameter_set_id: int
     state: Literal["OPEN", "APPROVED", "REJECTED", "WITHDRAWN", "STALE", "EXPIRED"]

@@ -10,6 +10,9 @@ from boresight.api.schemas.row import Document, Row
 class Preset(Row):
     """Settings under a name."""
 
+    versioned_by = ("id", "archived_utc")
+    location = "/presets/{row.id}"
+
     key: str = Field(description="What a launch names as its `preset`.")
     id: int | None = Field(description="Of a saved version; null for those that come with Boresight.")
     name: str
@@ -23,6 +26,10 @@ class Preset(Row):
 
 class Campaign(Row):
     """One setting over many sensors."""
+
+    versioned_by = ("id", "cancelled_utc", "newest_id")
+    moves_beneath = True  # its counts move under one tag
+    location = "/campaigns/{row.id}"
 
     id: int
     label: str

@@ -12,6 +12,9 @@ from boresight.api.schemas.row import Document, Row
 class Sensor(Row):
     """A star tracker."""
 
+    versioned_by = ("version",)
+    location = "/sensors/{row.id}"
+
     id: int
     name: str
     version: int = Field(description='Counts edits; the ETag is `"v<version>"`.')
@@ -24,6 +27,9 @@ class Sensor(Row):
 
 class TelemetrySet(Row):
     """An uploaded telemetry file."""
+
+    versioned_by = ("id", "archived_utc")
+    location = "/telemetry-sets/{row.id}"
 
     id: int
     sensor_id: int

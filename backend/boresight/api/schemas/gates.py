@@ -14,6 +14,9 @@ Verdict = Literal["PASS", "MARGINAL", "NO-DATA", "FAIL"]
 class GateProfile(Row):
     """The limits that a sensor's sets are held to; each version is kept, the newest is in force."""
 
+    versioned_by = ("number",)
+    location = "/sensors/{row.sensor_id}/gate-profiles"
+
     id: int | None = Field(description="Null of the default that nobody has needed yet.")
     sensor_id: int
     number: int = Field(description='The version; the ETag is `"v<number>"` of the one in force.')
@@ -59,6 +62,8 @@ class Waiver(Row):
 
 class GateReport(Row):
     """A set held against its sensor's limits and against the incumbent, with the waivers laid over it."""
+
+    location = "/parameter-sets/{row.parameter_set_id}/gate-report"
 
     id: int
     parameter_set_id: int

@@ -12,6 +12,9 @@ from boresight.api.schemas.row import Document, Row
 class TableDefinition(Row):
     """How a sensor's camera lies in the table on board; every version is kept."""
 
+    versioned_by = ("number",)
+    location = "/sensors/{row.sensor_id}/table-definitions"
+
     id: int
     sensor_id: int
     number: int = Field(description='Counts the sensor\'s definitions; the ETag is `"v<number>"`.')
@@ -24,6 +27,8 @@ class TableDefinition(Row):
 
 class Package(Row):
     """An uplink package: the ZIP is at `/content`, and everything that its bytes follow from is in its manifest."""
+
+    location = "/packages/{row.id}"
 
     id: int
     parameter_set_id: int

@@ -10,6 +10,9 @@ from boresight.api.schemas.row import Document, Row
 class ParameterSet(Row):
     """Camera parameters with their covariance, immutable; only the two states move."""
 
+    versioned_by = ("version",)
+    location = "/parameter-sets/{row.id}"
+
     id: int
     name: str
     sensor_id: int

@@ -13,6 +13,9 @@ from boresight.store.tables import SESSION_ENDINGS
 class User(Row):
     """A person."""
 
+    versioned_by = ("id", "roles", "disabled_utc", "session_epoch", "must_change_password")
+    location = "/users/{row.id}"
+
     id: int
     name: str
     printed_name: str
@@ -24,6 +27,8 @@ class User(Row):
 
 class ApiKey(Row):
     """A key, without its secret."""
+
+    versioned_by = ("id", "revoked_utc")
 
     id: int
     user_id: int

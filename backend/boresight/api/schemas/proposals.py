@@ -22,6 +22,9 @@ class Difference(Row):
 class ProposedChange(Row):
     """A change of a sensor's gate limits or table layout that takes effect when another person confirms it."""
 
+    versioned_by = ("version",)
+    location = "/change-proposals/{row.id}"
+
     id: int
     sensor_id: int
     kind: Literal["gate-profile", "table-definition"]

@@ -23,6 +23,10 @@ class RunProgress(Row):
 class Run(Row):
     """A calibration; this is also the job resource to poll."""
 
+    versioned_by = ("id", "state", "attempt")
+    moves_beneath = True  # so does its progress
+    location = "/runs/{row.id}"
+
     id: int
     sensor_id: int
     telemetry_set_id: int

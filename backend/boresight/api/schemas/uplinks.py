@@ -14,6 +14,8 @@ from boresight.api.schemas.row import Document, Row
 class Uplink(Row):
     """What was recorded about a set on board."""
 
+    location = "/uplinks/{row.id}"
+
     id: int
     parameter_set_id: int
     onboard_state: str

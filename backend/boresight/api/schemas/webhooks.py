@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from boresight.api.schemas.row import Row
 
 
-class Webhook(BaseModel):
+class Webhook(Row):
     """An address that is told what happens, without its secret."""
+
+    location = "/webhooks/{row.id}"
 
     id: int
     label: str
