@@ -20,8 +20,8 @@ from rich.progress import track
 from rich.table import Table
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.consistency import chi_square
 from boresight.measurements.bound import cramer_rao

@@ -28,8 +28,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import Rematcher, ground_covariance
-from boresight.calibration.settings import CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky import identification

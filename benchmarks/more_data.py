@@ -23,7 +23,7 @@ from rich.progress import track
 from rich.table import Table
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.prediction import further_covariance
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor

@@ -37,7 +37,8 @@ import pyarrow.parquet as arrow_parquet
 from click.testing import CliRunner
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import METHODS, VARIANTS, CalibrationSettings
+from boresight.calibration.options import ALL as METHODS
+from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.cli import main as boresight_command
 from boresight.errors import RefusedInputError
@@ -567,7 +568,7 @@ def choices(rng: np.random.Generator, method: str, names: list[str]) -> dict[str
     """Draw the settings of a calibration by a method; some exclude one another, and are refused."""
     drawn: dict[str, Any] = {"method": method, "match": str(rng.choice(["given", "rematch"]))}
     if method != "batch":
-        drawn["variant"] = str(rng.choice(VARIANTS))
+        drawn["variant"] = str(rng.choice(list(OPTIONS["variant"].words)))
 
     def maybe(name: str, share: float, *values: Any) -> None:
         if rng.random() < share:

@@ -9,8 +9,8 @@ import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
 from boresight import kernels
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import ground_covariance, rematch
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.blocks import FRAMES

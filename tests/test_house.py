@@ -209,5 +209,5 @@ def test_types_of_arrays_and_the_smallest_exposure_are_declared_once():
 
     assert {name: names for name, names in found.items() if names} == {
         "backend/boresight/arrays.py": ["FloatArray", "IntArray", "BoolArray", "TimeArray"],
-        "backend/boresight/estimation/arcs.py": ["MINIMUM_STARS"],
+        "backend/boresight/estimation/__init__.py": ["MINIMUM_STARS"],
     }

@@ -13,7 +13,7 @@ import pytest
 import boresight
 from boresight.api.operation import PREFIX
 from boresight.api.routes import NOUNS
-from boresight.calibration.settings import MATCHES, METHODS, VARIANTS
+from boresight.calibration.options import OPTIONS, listed
 from boresight.cli import main
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import FIGURES
@@ -51,6 +51,10 @@ def test_the_readme_tells_every_setting_as_the_table_has_it(setting):
     default = f"`{setting.default}`" if setting.default else ""
 
     assert f"| `{setting.variable}` | {default} | {setting.unit} | {setting.sentence} |" in README
+
+
+def test_the_readme_lists_every_choice_of_a_calibration_as_it_is_declared():
+    assert listed() in README
 
 
 def test_the_readme_names_no_setting_that_does_not_exist():
@@ -95,7 +99,9 @@ def test_the_readme_names_every_word_of_the_contracts(word):
     assert word in README
 
 
-@pytest.mark.parametrize(("option", "words"), [("method", METHODS), ("variant", VARIANTS), ("match", MATCHES)], ids=str)
+@pytest.mark.parametrize(
+    ("option", "words"), [(name, tuple(OPTIONS[name].words)) for name in ("method", "variant", "match")], ids=str
+)
 def test_the_readme_names_every_choice_of_a_calibration(option, words):
     (row,) = re.findall(r"^\| `boresight calibrate .*", README, re.MULTILINE)
 
@@ -104,7 +110,7 @@ def test_the_readme_names_every_choice_of_a_calibration(option, words):
 
 
 def test_the_readme_gives_a_reason_for_every_dependency_and_for_no_other():
-    told = set(re.findall(r"^\| `([a-z0-9-]+)` \| .+ \|$", README, re.MULTILINE))
+    told = set(re.findall(r"^\| `([a-z][a-z0-9-]*)` \| .+ \|$", README, re.MULTILINE))
     paragraph = README.partition("For development:")[2].partition("\n\n")[0]
 
     assert told | set(re.findall(r"`([a-z-]+)`", paragraph)) == _packages()

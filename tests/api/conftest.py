@@ -22,7 +22,7 @@ import pytest
 
 from boresight.api.connections import Connections
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.server import _Server, configured, create_app
 from boresight.services import audit, users
 from boresight.services.actors import COMMAND_LINE, SYSTEM

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from boresight.calibration import result
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.trust import trust_view
 from boresight.calibration.trust.ground import Ground, stand
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG

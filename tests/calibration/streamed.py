@@ -5,7 +5,7 @@ from __future__ import annotations
 import pyarrow.parquet as arrow_parquet
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.writers import contract_table

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenarios import parse_scenario
 from boresight.simulation.scenes import simulate
 from tests.calibration.test_pinhole_radial import SENSOR, TRUTH

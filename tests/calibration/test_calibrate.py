@@ -10,7 +10,7 @@ import pytest
 
 from boresight.calibration import listening
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import METHODS, CalibrationSettings
+from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation.consistency import nees
 from boresight.telemetry.readers import read_telemetry

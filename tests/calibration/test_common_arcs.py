@@ -7,8 +7,8 @@ import pytest
 
 from boresight.calibration.common_arcs import common_arcs
 from boresight.calibration.evaluate import evaluate_sightings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import sightings
 from tests.estimation.fields import TRUTH
 

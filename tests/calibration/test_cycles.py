@@ -8,7 +8,7 @@ import pytest
 from boresight.calibration import matched
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.cycles import MOST_CYCLES, Cycle, Ended, cycles_view
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.sensors import st16_truth
 from tests.calibration.rematched import sky
 

@@ -7,7 +7,7 @@ import orjson
 import pytest
 
 from boresight.calibration.evaluate import evaluate_parameters
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate

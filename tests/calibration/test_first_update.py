@@ -5,7 +5,7 @@ import pytest
 
 from boresight.calibration import sequence
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor

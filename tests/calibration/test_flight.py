@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.flight import FLIGHT_REASONS, flight_tolerance, flight_view
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.arcs import arclength
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate

@@ -9,8 +9,8 @@ import pytest
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.forecast import MOST_FRAMES, MOST_STARS, forecast
+from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.calibration.remedies import to_hold
-from boresight.calibration.settings import METHODS, CalibrationSettings
 from boresight.estimation.observability import WEAK
 from boresight.telemetry.readers import read_telemetry, write_parquet
 from boresight.telemetry.sample import Sample, read_sample

@@ -11,8 +11,8 @@ from boresight.calibration import frame_observability as frame_view
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.frame_observability import MOST_FRAMES, MOST_SQUARES, frame_observability
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.arcs import angular_sigma
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL

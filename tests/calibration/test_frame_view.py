@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.frame_states import states_of
 from boresight.calibration.frame_view import frame_view, pointing
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import rematch
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.trust.residuals import sightings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.simulation.scenes import calibration_scenario, simulate

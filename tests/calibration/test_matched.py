@@ -7,8 +7,8 @@ import pytest
 
 from boresight.calibration.estimate import Parameters, run_batch
 from boresight.calibration.matched import Dataset
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import Rematcher
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.filters.history import start
 from tests.calibration.rematched import sky
 

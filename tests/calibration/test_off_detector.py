@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sighting import sightings
 from boresight.telemetry.schema import Telemetry
 from tests.calibration.conftest import telemetry

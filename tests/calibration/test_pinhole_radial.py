@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import rematch
-from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import FIGURES

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import random_edits as edits
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import METHODS, CalibrationSettings
+from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.readers import read_telemetry, write_csv
 from tests.stores import environment_in

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import Rematcher, ground_covariance, matched_telemetry
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.consistency import chi_square
 from boresight.simulation.scenes import calibration_scenario, simulate

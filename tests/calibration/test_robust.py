@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from boresight.calibration.estimate import Parameters, run_batch
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.calibration.robust import robust_view
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch
 from tests.estimation.fields import FREE, SCALE, TRUTH
 

@@ -8,9 +8,9 @@ import pytest
 from boresight.calibration import sequence
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.calibration.sequence import Frames, finished, pool_start, run_sequential, standing_frames
-from boresight.calibration.settings import CalibrationSettings
 from tests.calibration.rematched import sky
 
 FREE = np.arange(8)

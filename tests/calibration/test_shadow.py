@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from boresight.calibration import shadow
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.shadow import mcnemar, shadow_view, summary
 from boresight.calibration.sighting import sightings
 from tests.estimation.fields import GROUND, TRUTH

@@ -12,7 +12,7 @@ CALIBRATE = """
 import resource, sys
 from pathlib import Path
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.streaming import sample, stored_arcs
 from boresight.simulation.sensors import st16_sensor

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from boresight.calibration.settings import METHODS
+from boresight.calibration.options import METHODS
 from boresight.calibration.trust import trust_advice
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor

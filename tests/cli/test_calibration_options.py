@@ -5,7 +5,7 @@ import json
 import click
 import pytest
 
-from boresight.calibration.settings import CHOICES, CalibrationSettings
+from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.cli.calibrate import calibrate
 from boresight.cli.calibration_options import Choice
 
@@ -29,8 +29,8 @@ def test_the_help_names_every_word_and_every_default_by_group(boresight):
     assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "][-6:] == [
         "Files and output:", "Method:", "Matching:", "Of the batch:", "Of the filters:", "Of svd and angular:"
     ]  # fmt: skip
-    for name, words in CHOICES.items():
-        listed = f"Choose from {', '.join(words)}. [default: {getattr(CalibrationSettings(), name)}]"
+    for name, option in ((name, option) for name, option in OPTIONS.items() if option.kind == "word"):
+        listed = f"Choose from {', '.join(option.words)}. [default: {getattr(CalibrationSettings(), name)}]"
         assert listed.replace(" ", "") in flat.replace(" ", "")
     assert "[default: 1.345]" in text
 

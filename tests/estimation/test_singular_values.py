@@ -5,11 +5,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from boresight.calibration.options import EITHER_FORM
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import singular_values
 from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.consistency import chi_square, nees
-from boresight.estimation.filters import FILTERS, IN_EITHER_FORM, Tuning
+from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import APART, STAR_MODELS, Selection
 from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, rotation, star_field, weighed
@@ -155,7 +156,7 @@ def _last(field, method, tuning, x=TRUTH):
 
 @pytest.mark.parametrize("noise", [0.0, 0.02], ids=["no-q", "q"])
 @pytest.mark.parametrize("linearisations", [1, 6])
-@pytest.mark.parametrize("method", IN_EITHER_FORM)
+@pytest.mark.parametrize("method", EITHER_FORM)
 def test_the_gain_form_equals_the_information_form(method, linearisations, noise):
     field = weighed(star_field(np.random.default_rng(7), frames=8, mean_stars=7), GROUND)
     forms = [

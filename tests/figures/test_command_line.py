@@ -5,7 +5,7 @@ from dataclasses import asdict
 import click
 import pytest
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.cli import main
 from boresight.figures.command_line import calibrate_command
 

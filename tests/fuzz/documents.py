@@ -18,7 +18,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import requests
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.verdicts.gates.profile import DEFAULT_PROFILE
 from tests.api.conftest import House
 from tests.fuzz.judge import Asker, Tally, bare_case

@@ -20,7 +20,7 @@ from fastapi import Response
 from boresight.api.cookies import SESSION_COOKIE
 from boresight.calibration import listening
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.server import create_app
 from boresight.services import audit, parameter_sets, sessions, users

@@ -103,7 +103,7 @@ def test_differences_are_told_in_the_words_of_the_form():
 
     assert told["Method"] == ("Batch", "Singular values")
     assert told["Singular values"][1] == "σ1 and σ3: the same by another name"
-    assert told["Leave out doubles"] == ("no", "yes")
+    assert told["Leave out doubles and unreliable stars"] == ("no", "yes")
     assert differences(now, now) == []
 
 

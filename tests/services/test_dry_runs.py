@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.services import audit, runs
 from boresight.services.forecasts import Sight
 from boresight.services.run_estimates import pace_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.services import audit, presets
 from boresight.services.presets import BUILT_IN

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import ground_covariance, rematch
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.blocks import computing_on
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky import matching

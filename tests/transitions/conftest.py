@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.readers import write_csv

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
 from boresight.verdicts.gates import judge, parse_profile

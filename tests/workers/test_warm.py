@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from boresight import kernels
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import METHODS, VARIANTS, CalibrationSettings
+from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.readers import read_telemetry, write_parquet
@@ -37,7 +37,7 @@ catalogue = load_catalogue(folder)
 for name, scenario in (("fit", calibration_scenario(1)), ("held", validation_scenario(1))):
     write_parquet(simulate(replace(scenario, frames=8), np.random.default_rng(1), catalogue), folder / name)
 for method in METHODS:
-    for variant in VARIANTS:
+    for variant in OPTIONS["variant"].words:
         calibrate(
             read_telemetry(folder / "fit"),
             scenario.sensor,

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from boresight.calibration.estimate import Estimate, Parameters, claim
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.consistency import ChiSquare
 from boresight.estimation.filters.angular import MOST_PAIRS

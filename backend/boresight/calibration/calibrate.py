@@ -22,8 +22,8 @@ from boresight.calibration.listening import Listener, Progress
 from boresight.calibration.match_report import identification_advice
 from boresight.calibration.matched import Dataset
 from boresight.calibration.opening import Workplace, held_out, matchable, opened
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.streaming.sample import JUDGED_STARS
 from boresight.errors import RefusedInputError

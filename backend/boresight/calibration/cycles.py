@@ -15,8 +15,8 @@ import numpy as np
 
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, run_batch
 from boresight.calibration.matched import Dataset, Matched
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sequence import finished, run_sequential, standing_frames
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.metrics import rms
 
 MOST_CYCLES = 3

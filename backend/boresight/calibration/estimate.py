@@ -10,9 +10,9 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.comparison import compared
 from boresight.calibration.course import Course
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.robust import Robustness
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch, cosine
 
 #: Weights are taken anew at the solution so often; the second time changes sigmas by the square of the first change.

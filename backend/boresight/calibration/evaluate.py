@@ -23,9 +23,9 @@ from boresight.arrays import FloatArray
 from boresight.calibration import bootstrap
 from boresight.calibration.common_arcs import common_arcs
 from boresight.calibration.flight import FLIGHT_REASONS
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import weighed
 from boresight.calibration.rematch import Matches
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import Sighting, sightings
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel

@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.blocks import in_blocks
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.kernels.flight import agreeing_matches

@@ -28,14 +28,15 @@ from boresight.calibration.calibrate import matchable, parameters_of
 from boresight.calibration.estimate import Estimate, Parameters, covariance, run_batch
 from boresight.calibration.match_report import identification_advice
 from boresight.calibration.matched import Dataset
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.remedies import remedies
 from boresight.calibration.result import numbers
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.batch import normal_equations, sigma_in_scale
 from boresight.estimation.observability import Observability, observability
 from boresight.estimation.prediction import further_covariance
 from boresight.estimation.references import View, whitened_information
+from boresight.estimation.singular_values import Selection
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sample import Sample
 from boresight.telemetry.sensors import Sensor
@@ -124,9 +125,8 @@ def _foreseen(sample: Sample, problem: Problem, parameters: Parameters, settings
     x, at, A = _fitted(problem, parameters, settings)
     if settings.method in ("svd", "angular"):
         view = View(problem.camera, x, parameters.free, parameters.scale)
-        A = whitened_information(
-            view, problem.weighed(x).whole(), settings.selection if settings.method == "svd" else None
-        )
+        selection = Selection(settings.star_model, settings.singular_values) if settings.method == "svd" else None
+        A = whitened_information(view, problem.weighed(x).whole(), selection)
     whole = A * (sample.frames_in_set / sample.frames)
     if not settings.sequential or not np.isfinite(A).all():
         return _Foreseen(whole, covariance(whole), at)

@@ -18,8 +18,8 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.matched import Dataset, Matched
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.pixel_residuals import Freedom
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry

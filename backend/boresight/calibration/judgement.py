@@ -21,7 +21,7 @@ from boresight.calibration.frame_observability import frame_observability
 from boresight.calibration.match_report import identification_advice, names_advice
 from boresight.calibration.matched import Dataset, Matched
 from boresight.calibration.matching_view import matching_view
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.shadow import shadow_view
 from boresight.calibration.sighting import sighting_of
 from boresight.calibration.trust import trust_advice, trust_view

@@ -11,8 +11,8 @@ import numpy as np
 
 from boresight.calibration import result
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 
 #: Seconds between two progress reports with a partial result.
 REPORT_EVERY_S = 0.25

@@ -22,10 +22,10 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, build_problem, problem_from
 from boresight.calibration.rematch import Matches, Rematcher, ground_covariance, joined_matches
 from boresight.calibration.sequence import Frames
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import GivenMatches, given_matches
 from boresight.calibration.streaming import matching
 from boresight.calibration.streaming.matching import MatchedRange, Under, changed_in_range, match_range, matched_rows

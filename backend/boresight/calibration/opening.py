@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.listening import Progress
 from boresight.calibration.matched import Dataset
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.streaming.telemetry_pieces import PREPARED, copied
 from boresight.estimation.spread import InThisProcess, Spread

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import ground_covariance
-from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.formats import json_of

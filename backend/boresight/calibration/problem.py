@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray, TimeArray
+from boresight.estimation import MINIMUM_STARS
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
@@ -107,7 +108,7 @@ def weigh_part(arcs: ArcSet, camera_model: str, x: FloatArray) -> ArcSet:
 
 
 def build_problem(
-    telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, minimum_stars: int = arcsets.MINIMUM_STARS
+    telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, minimum_stars: int = MINIMUM_STARS
 ) -> Problem:
     """Choose and order the stars of a telemetry set.
 

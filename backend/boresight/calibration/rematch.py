@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration import detections as prepared
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.rotations import quaternion_of
 from boresight.sky import identification, matching

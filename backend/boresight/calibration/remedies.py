@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.batch import determined
 from boresight.estimation.observability import WEAK, Observability
 

@@ -17,9 +17,9 @@ from boresight import __version__
 from boresight.arrays import FloatArray
 from boresight.calibration.advice import advice, too_few
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.robust import robust_view
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.views import coverage_view, history_view, radial_view, trace_view
 from boresight.estimation.batch import sigma_in_scale
 from boresight.estimation.consistency import ChiSquare, chi_square

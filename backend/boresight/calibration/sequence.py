@@ -17,13 +17,14 @@ import numpy as np
 from boresight.arrays import IntArray
 from boresight.calibration.course import Course
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, claim
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, weighed
-from boresight.calibration.settings import CalibrationSettings
 from boresight.errors import CancelledError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import FilterHistory, FilterState, start
+from boresight.estimation.singular_values import Selection
 
 #: A filter's first update pools frames until it holds this many arcs a free parameter: from one thin frame ten sigmas off, the
 #: posterior has other minima (3 of 60 simulated sets fell into one at a single frame, none of 240 at 12 or more arcs).
@@ -116,7 +117,7 @@ def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
     """How the first update is made, which an iterated filter leaves time to rest, and how all others are."""
     tuning = Tuning(
         settings.linearisations, settings.process_noise, settings.forgetting_factor,
-        selection=settings.selection, gain_form=settings.gain_form,
+        selection=Selection(settings.star_model, settings.singular_values), gain_form=settings.gain_form,
     )  # fmt: skip
     most = max(settings.linearisations, START_LINEARISATIONS) if settings.linearisations > 1 else 1
     return replace(tuning, linearisations=most), tuning

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.flight import FLIGHT_REASONS, FlightView, flight_tolerance, flight_view
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import Matches, Rematcher, ground_covariance
-from boresight.calibration.settings import CalibrationSettings
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
 from boresight.sky.matching import EXPOSURE_REASONS

@@ -48,7 +48,7 @@ def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_fi
 
 def _settings(choices: dict[str, Any]) -> Any:
     """Read the choices; one that does not exist is wrong usage."""
-    from boresight.calibration.settings import CalibrationSettings
+    from boresight.calibration.options import CalibrationSettings
 
     try:
         return CalibrationSettings.parse(chosen(choices))

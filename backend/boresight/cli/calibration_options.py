@@ -1,46 +1,26 @@
-"""The choices of a calibration on the command line, by group; words and defaults are the settings' own.
-
-They are read only when help is asked for, or a run made: the settings know the filters, and so load the compiled loops.
-"""
+"""The choices of a calibration on the command line, by group: each is declared in `calibration.options`."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import click
 
-METHOD = "Method"
-MATCHING = "Matching"
-BATCH = "Of the batch"
-FILTER = "Of the filters"
-REFERENCE = "Of svd and angular"
+from boresight.calibration.options import GROUPS, OPTIONS, Option
+
 OTHERS = "Files and output"
+_TYPES = {"whole": int, "number": float}
+_METAVARS = {"names": "NAMES", "wholes": "NUMBERS"}
 
 
 class Choice(click.Option):
-    """An option whose words and default are those of a setting; absent, it leaves that setting alone."""
+    """An option that is a setting's; absent, it leaves that setting alone."""
 
-    def __init__(self, words: list[str], *, group: str, **settings: Any) -> None:
+    def __init__(self, words: list[str], *, of: Option, **settings: Any) -> None:
         super().__init__(words, **settings)
-        self.group = group
-
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        """Add the setting's words and default to the help."""
-        record = super().get_help_record(ctx)
-        return None if record is None else (record[0], f"{record[1]}{_words_and_default(str(self.name))}")
-
-
-def _words_and_default(name: str) -> str:
-    """Say which words a setting takes, and what holds without it."""
-    from boresight.calibration.settings import CHOICES, CalibrationSettings
-
-    words = f" Choose from {', '.join(CHOICES[name])}." if name in CHOICES else ""
-    default = getattr(CalibrationSettings(), name)
-    shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
-    return words if default is None or default is False else f"{words}  [default: {shown}]"
+        self.group = of.group
 
 
 class GroupedCommand(click.Command):
@@ -52,75 +32,32 @@ class GroupedCommand(click.Command):
         for option in self.get_params(ctx):
             if isinstance(option, click.Option) and (record := option.get_help_record(ctx)) is not None:
                 groups[option.group if isinstance(option, Choice) else OTHERS].append(record)
-        for group in (OTHERS, METHOD, MATCHING, BATCH, FILTER, REFERENCE):
+        for group in (OTHERS, *GROUPS):
             with formatter.section(group):
                 formatter.write_dl(groups[group])
 
 
-_choice = partial(click.option, cls=Choice)
+def _help(option: Option) -> str:
+    """The sentence, the words there are, and what holds without it."""
+    words = f" Choose from {option.range}." if option.kind == "word" else ""
+    default = "" if option.default in (None, False) else f"  [default: {_shown(option.default)}]"
+    return f"{option.sentence}{words}{default}"
 
-CHOICES_OF_A_CALIBRATION = (
-    _choice("--method", group=METHOD, help="Estimator."),
-    _choice(
-        "--variant", group=METHOD, help="Of a filter: no-q holds still, q follows drift, no-refit is q on old matches."
-    ),
-    _choice(
-        "--free",
-        group=METHOD,
-        metavar="NAMES",
-        help="Parameters to estimate, as f_m,b2_per_m2; the sensor's own list if left out.",
-    ),
-    _choice("--minimum-stars", type=int, group=METHOD, help="Exposures with fewer stars take no part."),
-    _choice("--match", group=MATCHING, help="Star identities: those in the file, or made again as parameters improve."),
-    _choice("--match-parameters", group=MATCHING, help="Which parameters a filter matches each frame with."),
-    _choice(
-        "--match-rule", group=MATCHING, help="Tolerance of a match: from its own noise, or that of the flight code."
-    ),
-    _choice(
-        "--flight-tolerance-urad",
-        type=float,
-        group=MATCHING,
-        help="Largest disagreement of an arc that the flight code accepts; five sigmas of an arc if left out.",
-    ),
-    _choice(
-        "--leave-out-doubles",
-        is_flag=True,
-        default=None,
-        group=MATCHING,
-        help="Leave out double stars and stars with unreliable astrometry.",
-    ),
-    _choice("--max-iterations", type=int, group=BATCH, help="Most iterations of a fit."),
-    _choice("--error", group=BATCH, help="What is minimised; cosine is worse, for comparison."),
-    _choice("--robust", group=BATCH, help="Loss that bounds what a false star may say."),
-    _choice("--huber-threshold", type=float, group=BATCH, help="Of huber, in whitened sigmas."),
-    _choice("--linearisations", type=int, group=FILTER, help="Most a frame; 1 is the filter as printed."),
-    _choice(
-        "--process-noise",
-        "process_noise_sigma",
-        type=float,
-        group=FILTER,
-        help="Of q and no-refit: drift a frame, in typical sigmas.",
-    ),
-    _choice("--forgetting-factor", type=float, group=FILTER, help="Share of the information kept from frame to frame."),
-    _choice("--initial-sigma-scale", type=float, group=FILTER, help="Sigma of the start, in typical sigmas."),
-    _choice(
-        "--star-model", type=int, group=REFERENCE, help="Of svd: star combinations, 1 to 4; 4 is the paper's choice."
-    ),
-    _choice(
-        "--singular-values",
-        group=REFERENCE,
-        metavar="NUMBERS",
-        help="Of svd: some of 1,2,3; the first adds nothing to the others, for their squares add up to the number of stars.",
-    ),
-    _choice(
-        "--gain-form", group=REFERENCE, help="How the update is computed; gain is as printed, slower, the same result."
-    ),
-)
+
+def _shown(default: Any) -> str:
+    return ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
 def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command every choice of a calibration."""
-    for give in reversed(CHOICES_OF_A_CALIBRATION):
+    for option in reversed(OPTIONS.values()):
+        if option.flag is None:
+            continue
+        ticked = {"is_flag": True, "default": None} if option.kind == "yes or no" else {}
+        give = click.option(
+            option.flag, option.name, cls=Choice, of=option, help=_help(option), type=_TYPES.get(option.kind),
+            metavar=_METAVARS.get(option.kind), **ticked,
+        )  # fmt: skip
         command = give(command)
     return command
 
@@ -131,10 +68,6 @@ def chosen(choices: dict[str, Any]) -> dict[str, Any]:
     if "free" in document:
         document["free"] = [name.strip() for name in document["free"].split(",") if name.strip()]
     if "singular_values" in document:
-        document["singular_values"] = [_number(text.strip()) for text in document["singular_values"].split(",")]
+        texts = [text.strip() for text in document["singular_values"].split(",")]
+        document["singular_values"] = [int(text) if text.isdecimal() else text for text in texts]
     return document
-
-
-def _number(text: str) -> int | str:
-    """Read a whole number; what is none stays as it is, for the settings to refuse."""
-    return int(text) if text.isdecimal() else text

@@ -51,7 +51,7 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
 
 def _settings(choices: dict[str, Any]) -> Any:
     """Read the choices; one that does not exist is wrong usage."""
-    from boresight.calibration.settings import CalibrationSettings
+    from boresight.calibration.options import CalibrationSettings
 
     try:
         return CalibrationSettings.parse({key: choices[key] for key in ("match", "flight_tolerance_urad")})

@@ -73,9 +73,9 @@ def _match(
 ) -> dict[str, Any]:
     """Read the files, match, and write the rows again."""
     from boresight.calibration.match_report import match_report, matched_stars
+    from boresight.calibration.options import CalibrationSettings
     from boresight.calibration.parameter_file import read_parameters
     from boresight.calibration.rematch import ground_covariance, rematch
-    from boresight.calibration.settings import CalibrationSettings
     from boresight.calibration.sighting import sighting_of
     from boresight.sky.catalogue import load_catalogue
     from boresight.telemetry.detector import check_against_sensor

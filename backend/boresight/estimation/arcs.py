@@ -44,8 +44,6 @@ from boresight.estimation.cameras import CameraModel
 
 T = TypeVar("T")
 
-#: An exposure of fewer stars determines nothing (E, section III: N_min).
-MINIMUM_STARS = 4
 #: Sine of the smallest angle of a triangle below which an exposure counts as collinear: over 1,000 px the third star is
 #: then less than 5 px off the line, where the linear error model of R ends.
 COLLINEAR = 0.005

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from shlex import quote
 from typing import Any
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 
 #: Settings whose option has another name than theirs.
 OPTIONS = {"process_noise_sigma": "--process-noise"}

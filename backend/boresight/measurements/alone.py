@@ -15,7 +15,7 @@ from typing import Any
 import orjson
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.measurements.constellation import Constellation
 from boresight.settings import Settings
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor

@@ -18,7 +18,7 @@ import numpy as np
 import orjson
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.services import api_keys, sensors, telemetry_sets, users
 from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.services.passwords import prepare_unjudged

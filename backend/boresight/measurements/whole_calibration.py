@@ -32,8 +32,8 @@ import numpy as np
 import orjson
 
 from boresight.calibration.calibrate import calibrate, parameters_of
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import problem_from
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import given_matches
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet

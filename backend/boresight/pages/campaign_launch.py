@@ -19,12 +19,12 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.calibration.options import METHODS, OPTIONS
 from boresight.errors import BoresightError, NotFoundError
 from boresight.pages.attempts import Outcome, Refusal, attempt
 from boresight.pages.launch import origin_of
 from boresight.pages.launch_data import LONGEST_NUMBER, Origin
 from boresight.pages.launch_form import Typed, typed_form
-from boresight.pages.methods import METHODS, NUMBERS, WORDS
 from boresight.pages.rendering import redirect, render
 from boresight.services import campaigns, lists, presets, sensors, telemetry_sets
 from boresight.services.actors import Actor
@@ -106,7 +106,7 @@ def campaign_form(request: Request, session: Reading, actor: Who) -> HTMLRespons
     """Show the form as the address says, else with the whole of a small fleet chosen."""
     origin, address = origin_of(request, session), request.query_params
     typed, offered = _begun(origin).amended(address), _offer(session, address)
-    typed = replace(typed, method=origin.method or typed.method)
+    typed = typed.with_settings({"method": origin.method or typed["method"]})
     offered = offered if "sensors" in address else replace(offered, ticked=set(offered.begun))
     return _page(request, session, actor, typed, origin, offered, address)
 
@@ -209,8 +209,8 @@ def _page(
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
         chosen={number: _member(given, number) for number in offered.choices.names},
         nothing=Sets(),
-        methods=METHODS,
-        words={**WORDS, **NUMBERS},
+        options=OPTIONS,
+        methods=METHODS.values(),
         typed=typed,
         origin=origin,
         begun=_beginning(origin, offered),

@@ -18,13 +18,13 @@ from fastapi.responses import HTMLResponse
 from boresight.api.credentials import who_acts
 from boresight.api.dependencies import Reading
 from boresight.api.numbers import row_number
+from boresight.calibration.options import title_of
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE, radial_contrast
 from boresight.figures.alignment import ALIGNMENTS
 from boresight.pages.compare_tables import correlation_lines, parameter_lines, together
 from boresight.pages.method_panel import method_panel
-from boresight.pages.methods import title_of
 from boresight.pages.rendering import render
 from boresight.pages.runs import Names, read_names
 from boresight.services import comparisons

@@ -20,7 +20,7 @@ from starlette.datastructures import FormData
 
 from boresight.api.dependencies import Reading, Sighted, Who, csrf
 from boresight.api.numbers import row_number
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.pages.attempts import Outcome, Refusal, attempt
 from boresight.pages.forms import texts_of
@@ -40,7 +40,6 @@ from boresight.pages.launch_data import (
 )
 from boresight.pages.launch_form import Typed, typed_form, whole
 from boresight.pages.launch_summary import Difference, differences, dry_run_of
-from boresight.pages.methods import METHODS, NUMBERS, WORDS
 from boresight.pages.rendering import redirect, render
 from boresight.services import presets, runs, sensors, telemetry_sets
 from boresight.services.actors import Actor
@@ -84,7 +83,7 @@ def origin_of(request: Request, session: Session) -> Origin:
         numbers.get("sensor"),
         numbers.get("set"),
         numbers.get("clone"),
-        method if method in {known.name for known in METHODS} else "",
+        method if method in METHODS else "",
         presets.get_offer(session, given["preset"]) if given.get("preset") else None,
         given.get("find", "").strip(),
     )
@@ -94,7 +93,7 @@ def _begun(session: Session, offered: Offered, origin: Origin) -> Typed:
     """Fill the form anew from where it begins: data first, then the preset's settings, then the method."""
     typed = first_choice(session, offered.fleet, origin.clone, offered.shown or origin.sensor, origin.set_id)
     typed = typed if origin.preset is None else typed.under(origin.preset.settings)
-    return replace(typed, method=origin.method) if origin.method else typed
+    return typed.with_settings({"method": origin.method}) if origin.method else typed
 
 
 @router.get("/runs/new", response_class=HTMLResponse)
@@ -184,8 +183,8 @@ def _page(
         offered=offered,
         parameter_names={sensor.id: names_of(sensor) for sensor in offered.fleet},
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
-        methods=METHODS,
-        words={**WORDS, **NUMBERS},
+        options=OPTIONS,
+        methods=METHODS.values(),
         typed=typed,
         origin=origin,
         begun=_begun(session, offered, origin).query,

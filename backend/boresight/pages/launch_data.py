@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 from urllib.parse import urlencode
 
 from starlette.datastructures import QueryParams
@@ -159,14 +160,14 @@ def first_choice(
         return Typed(**newest_sets(session, fleet[0].id if sensor_id is None and fleet else sensor_id), free=free)
     run = runs.get_run(session, clone)
     free[run.sensor_id] = list(run.settings.get("free") or free.get(run.sensor_id) or [])
-    data = {
+    data: dict[str, Any] = {
         "sensor_id": str(run.sensor_id),
         "telemetry_set_id": str(run.telemetry_set_id),
         "validation_set_id": str(run.validation_set_id or ""),
     }
     if sensor_id not in {None, run.sensor_id}:
         data = newest_sets(session, sensor_id)
-    return Typed(**{**typed_settings(run.settings), **data, "label": run.label}, free=free)
+    return Typed(**data, label=run.label, free=free).with_settings(typed_settings(run.settings))
 
 
 def about_its_sensor(session: Session, typed: Typed) -> Typed:
@@ -176,7 +177,7 @@ def about_its_sensor(session: Session, typed: Typed) -> Typed:
     return replace(typed, **newest_sets(session, next(iter(free), None)), free=free)
 
 
-def newest_sets(session: Session, sensor_id: int | None) -> dict[str, str]:
+def newest_sets(session: Session, sensor_id: int | None) -> dict[str, Any]:
     """Choose the newest set of either purpose for a sensor."""
     if sensor_id is None:
         return {}
@@ -188,7 +189,7 @@ def newest_sets(session: Session, sensor_id: int | None) -> dict[str, str]:
     }
 
 
-def _sets_with(session: Session, set_id: int) -> dict[str, str]:
+def _sets_with(session: Session, set_id: int) -> dict[str, Any]:
     """Choose this set for its purpose, and the newest of its sensor for the other."""
     known = telemetry_sets.get_telemetry_set(session, set_id)
     place = "telemetry_set_id" if known.purpose == "calibration" else "validation_set_id"

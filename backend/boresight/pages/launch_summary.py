@@ -6,27 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.settings import CalibrationSettings
-from boresight.pages.methods import NUMBERS, WORDS, title_of
+from boresight.calibration.options import OPTIONS, CalibrationSettings, said, title_of
 from boresight.verdicts.numbers import count, duration
-
-#: Settings whose names a person would not guess.
-NAMES: Mapping[str, str] = {
-    "free": "Free parameters",
-    "match": "Star identities",
-    "match_parameters": "Parameters matched with",
-    "match_rule": "Tolerance of a match",
-    "flight_tolerance_urad": "Flight tolerance, µrad",
-    "variant": "Process noise",
-    "error": "Error minimised",
-    "robust": "Loss",
-    "linearisations": "Linearisations a frame",
-    "process_noise_sigma": "Drift a frame, typical σ",
-    "initial_sigma_scale": "Sigma of the start, typical σ",
-    "replay_frames_per_s": "Replay pace, frames a second",
-    "star_model": "Star combinations",
-    "gain_form": "Update",
-}
 
 
 @dataclass(frozen=True)
@@ -68,7 +49,7 @@ def dry_run_of(summary: Mapping[str, Any]) -> DryRun:
         ("Calibration set", summary["telemetry_set"]),
         ("Validation set", summary["validation_set"] or "none"),
         ("Method", title_of(summary["settings"]["method"])),
-        ("Matches", WORDS["match"][summary["settings"]["match"]]),
+        ("Matches", said("match", summary["settings"]["match"])),
         ("Other choices", _other_choices(summary["settings"]) or "as usual"),
         ("Frames", count(summary["frames"])),
         ("Stars", count(summary["stars"])),
@@ -111,27 +92,9 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Diffe
     """Compare two settings documents, choice by choice; absent ones are at their defaults."""
     usual = CalibrationSettings().document()
     return [
-        Difference(title(name), _said(name, before.get(name, usual[name])), _said(name, now.get(name, usual[name])))
+        Difference(
+            OPTIONS[name].label, said(name, before.get(name, usual[name])), said(name, now.get(name, usual[name]))
+        )
         for name in usual
         if before.get(name, usual[name]) != now.get(name, usual[name])
     ]
-
-
-def title(name: str) -> str:
-    """Return what a setting is called on a page."""
-    return NAMES.get(name, name.replace("_", " ").capitalize())
-
-
-def _said(name: str, value: Any) -> str:
-    """Return what a setting's value means in words."""
-    if name == "method":
-        return title_of(value)
-    if isinstance(value, list):
-        text = ",".join(map(str, value))
-        return NUMBERS.get(name, {}).get(text, text.replace(",", ", "))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if value is None:
-        return "the sensor's own" if name == "free" else "as usual"
-    words = {**WORDS, **NUMBERS}.get(name, {})
-    return words.get(str(value), f"{value:.15g}" if isinstance(value, float) else str(value))

@@ -10,19 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from boresight.calibration.options import ALL, METHODS, OPTIONS, is_sequential, title_of
 from boresight.figures.course import SETTLED_SIGMAS
 from boresight.figures.method_scores import MethodScores, method_scores
 from boresight.pages.formats import words
-from boresight.pages.methods import METHODS, is_sequential, title_of
 from boresight.store.tables import Run
 from boresight.verdicts.numbers import MISSING, count, fixed, number
 
 #: Settings that are a method's own, and so belong to the comparison.
-OWN = frozenset({
-    "method", "variant", "star_model", "singular_values", "gain_form", "linearisations", "process_noise_sigma",
-    "forgetting_factor", "initial_sigma_scale", "max_iterations", "error", "robust", "huber_threshold",
-    "match_parameters", "replay_frames_per_s",
-})  # fmt: skip
+OWN = {"method", *(name for name, option in OPTIONS.items() if option.methods != ALL)}
 
 
 class HasResult(Protocol):
@@ -76,7 +72,7 @@ def method_panel(compared: Sequence[HasResult]) -> MethodPanel | None:
     used = {one.run.method for one in compared}
     if len(used) < 2:
         return None
-    when = [(method.title, method.when) for method in METHODS if method.name in used]
+    when = [(method.title, method.when) for method in METHODS.values() if method.name in used]
     refusal = _refusal(compared)
     if refusal is not None:
         return MethodPanel(refusal, "", (), when)

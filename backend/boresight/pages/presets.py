@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.api.dependencies import Reading, Who, csrf
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.pages.attempts import attempt
 from boresight.pages.launch_summary import differences
 from boresight.pages.rendering import redirect, redirect_refused, render

@@ -16,11 +16,11 @@ from fastapi.responses import HTMLResponse, Response
 from markupsafe import Markup
 
 from boresight.api.dependencies import Reading, Who, csrf
+from boresight.calibration.options import title_of
 from boresight.errors import NotFoundError
 from boresight.figures import WIDE
 from boresight.pages.attempts import attempt
 from boresight.pages.formats import short_hash, utc, words
-from boresight.pages.methods import title_of
 from boresight.pages.rendering import redirect, redirect_refused, render
 from boresight.pages.run_live import live_of
 from boresight.pages.run_parts import Desk, marks_of, part_of_page

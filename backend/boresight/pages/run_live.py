@@ -13,7 +13,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import Response
 
 from boresight.api.dependencies import Who, csrf
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.pages.attempts import attempt
 from boresight.pages.forms import read_texts
 from boresight.pages.rendering import redirect, redirect_refused

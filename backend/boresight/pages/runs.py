@@ -15,8 +15,8 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.api.credentials import who_acts
 from boresight.api.dependencies import Reading
 from boresight.api.keeping import same_for_roles
+from boresight.calibration.options import METHODS, title_of
 from boresight.pages.formats import instant, seconds_since
-from boresight.pages.methods import METHODS, title_of
 from boresight.pages.rendering import render
 from boresight.pages.sensor_choices import choices_of
 from boresight.pages.tables import Column, Table, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
@@ -60,7 +60,7 @@ RUNS = Table(
         "sensor": is_number,
         "sensor_name": is_text,
         "state": one_of(RUN_STATES),
-        "method": one_of(known.name for known in METHODS),
+        "method": one_of(METHODS),
         "data": is_number,
         "q": is_text,
     },
@@ -221,7 +221,7 @@ def runs_page(request: Request, session: Reading) -> HTMLResponse:
         elsewhere=[number for number in view.chosen if number not in on_page],
         choices=choices_of(session, view),
         states=RUN_STATES,
-        methods=METHODS,
+        methods=METHODS.values(),
     )
 
 

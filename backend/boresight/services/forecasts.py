@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from boresight.calibration.forecast import MOST_FRAMES, MOST_STARS, forecast
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.errors import BoresightError, CorruptFileError
 from boresight.sky.catalogue import Catalogue
 from boresight.store.blobs import BlobStore

@@ -15,7 +15,7 @@ from typing import Any
 from boresight.calibration.detections import limit_of
 from boresight.calibration.frame_states import states_of
 from boresight.calibration.frame_view import frame_view
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.services.runs import get_run, result
 from boresight.services.telemetry_sets import get_telemetry_set
 from boresight.sky.catalogue import Catalogue

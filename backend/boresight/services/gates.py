@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.errors import BoresightError, CorruptFileError, NotFoundError, StaleError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope

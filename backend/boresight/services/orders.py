@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.services.words import refuse_control_characters

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.services import audit
 from boresight.services.actors import Actor, require_role, require_scope

@@ -12,9 +12,9 @@ import numpy as np
 
 from boresight.arrays import IntArray
 from boresight.calibration import detections
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.calibration.rematch import Rematcher, ground_covariance
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.simulation.sensors import ST16_MAGNITUDE_LIMIT, st16_sensor, st16_truth

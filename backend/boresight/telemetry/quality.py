@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.estimation.arcs import MINIMUM_STARS
+from boresight.estimation import MINIMUM_STARS
 from boresight.telemetry.detector import OffDetector, detector_coverage, radial_coverage
 from boresight.telemetry.evidence import Evidence, StarNumbers
 from boresight.telemetry.findings import FINDINGS, SEVERITIES, Finding

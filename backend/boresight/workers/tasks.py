@@ -21,7 +21,7 @@ from typing import Any, TypedDict, cast
 
 import orjson
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError

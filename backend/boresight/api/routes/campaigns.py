@@ -44,7 +44,7 @@ class CampaignLaunch(BaseModel):
     )
     label: str
     preset: str | None = Field(None, description="Key of a preset; `settings` go over its own.")
-    settings: schemas.Document = Field(default_factory=dict)
+    settings: schemas.Settings = Field(default_factory=dict)
     sensors: list[CampaignMember] | None = Field(
         None, max_length=MOST_SENSORS, description="Left out, every sensor of the fleet."
     )

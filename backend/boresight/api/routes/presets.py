@@ -22,7 +22,7 @@ class NewPreset(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str = Field(examples=["Thermal season"])
     sentence: str = Field(description="When to use it.", examples=["While the radiator faces the Sun."])
-    settings: schemas.Document = Field(default_factory=dict)
+    settings: schemas.Settings = Field(default_factory=dict)
 
 
 def _own(offer: Offer) -> Beside:

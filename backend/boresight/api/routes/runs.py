@@ -38,7 +38,7 @@ class Launch(BaseModel):
     )
     sensor_id: Id
     telemetry_set_id: Id
-    settings: schemas.Document = Field(default_factory=dict, description="Method, variant, free parameters and so on.")
+    settings: schemas.Settings = Field(default_factory=dict, description="Method, variant, free parameters and so on.")
     validation_set_id: Id | None = Field(None, description="A set that is held out and only judged with.")
     label: str = ""
     validate_only: bool = Field(

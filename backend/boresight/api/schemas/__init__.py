@@ -28,7 +28,7 @@ from boresight.api.schemas.packages import Package, TableDefinition
 from boresight.api.schemas.parameter_sets import ParameterSet
 from boresight.api.schemas.people import ApiKey, EndedSessions, LoginSession, NewApiKey, Session, User
 from boresight.api.schemas.proposals import ChangeProposal, Difference, ProposedChange
-from boresight.api.schemas.row import Document, Row
+from boresight.api.schemas.row import Document, Row, Settings
 from boresight.api.schemas.runs import DryRun, Forecast, LogLine, Run, RunProgress, RunState
 from boresight.api.schemas.uplinks import AsOf, Event, OnBoard, Promotion, Uplink, Version
 from boresight.api.schemas.webhooks import NewWebhook, Webhook, WebhookDelivery
@@ -83,6 +83,7 @@ __all__ = [
     "Sensor",
     "SensorAt",
     "Session",
+    "Settings",
     "Signature",
     "Signer",
     "TableDefinition",

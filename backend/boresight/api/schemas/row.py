@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, WithJsonSchema
+
+from boresight.calibration import options
 
 Document = dict[str, Any]
+#: Choices of a calibration; `calibration.options` refuses what is none.
+Settings = Annotated[Document, WithJsonSchema(options.schema())]
 
 
 class Row(BaseModel):

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray
 from boresight.calibration.detections import limit_of
 from boresight.calibration.flight import flight_tolerance, flight_view
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.calibration.rematch import Matches, MatchingSky, Rematcher, blend_rad, matching_sky
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.streaming.ordering import OrderedPiece, read_catalogue, write_ordered
 from boresight.calibration.streaming.sample import MatchedRows
 from boresight.calibration.streaming.telemetry_pieces import FrameRange, TelemetryPiece

@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.trust.advice import trust_advice
 from boresight.calibration.trust.against import residual_against
 from boresight.calibration.trust.arc_map import arc_sigma_map

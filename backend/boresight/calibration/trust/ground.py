@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from boresight import kernels
 from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.estimate import Estimate, Parameters, covariance
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import in_blocks

@@ -15,8 +15,6 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.singular_values import CHOSEN, Selection
 
-#: How an update is computed where it can be in two ways, see `information`.
-GAIN_FORMS = ("information", "gain")
 #: Largest departure of a whitened residual from its linear prediction at which a frame is not linearised again.
 REST = 1e-3
 

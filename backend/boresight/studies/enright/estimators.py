@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 
 #: E section III-B, from Samaan et al.
 REDUCED = ("f_m", "m0_px", "n0_px")

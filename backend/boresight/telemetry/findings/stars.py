@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.estimation.arcs import MINIMUM_STARS
+from boresight.estimation import MINIMUM_STARS
 from boresight.telemetry.evidence import Evidence
 from boresight.telemetry.findings.finding import Finding, Severity, counted, row_numbers
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.parameter_file import parse_parameters
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from boresight.calibration import bootstrap
 from boresight.calibration.evaluate import evaluate_sightings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.parameter_file import parse_parameters
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.sighting import sightings
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry

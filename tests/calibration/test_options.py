@@ -4,9 +4,11 @@ import json
 
 import pytest
 
-from boresight.calibration.settings import CHOICES, CalibrationSettings
+from boresight.calibration.options import FILTERS, GROUPS, METHODS, OPTIONS, CalibrationSettings, schema
 from boresight.errors import RefusedInputError
+from boresight.estimation import filters, singular_values
 
+CHOICES = {name: tuple(option.words) for name, option in OPTIONS.items() if option.kind == "word"}
 #: A choice that only some methods have is tried with one of them.
 METHOD_WITH = {"gain_form": {"method": "angular"}}
 
@@ -68,3 +70,21 @@ def test_no_refit_is_q_with_the_matches_of_the_baseline():
     assert no_refit.process_noise == no_refit.process_noise_sigma > 0
     assert CalibrationSettings(method="sqrf", variant="q").matched_with == "latest"
     assert CalibrationSettings(method="sqrf").process_noise == 0
+
+
+def test_methods_and_bounds_are_those_of_the_estimators():
+    assert list(FILTERS) == list(filters.FILTERS)
+    assert set(OPTIONS["star_model"].words) == {str(model) for model in singular_values.STAR_MODELS}
+    assert singular_values.Selection(OPTIONS["star_model"].default, OPTIONS["singular_values"].default) == (
+        singular_values.CHOSEN
+    )
+
+
+@pytest.mark.parametrize("option", OPTIONS.values(), ids=lambda option: option.name)
+def test_an_option_is_declared_whole(option):
+    assert option.title and option.sentence.endswith(".")  # noqa: PT018 - one fact
+    assert option.group in GROUPS
+    assert set(option.methods) <= set(METHODS)
+    assert option.kind not in {"whole", "number"} or option.lowest < option.highest
+    option.check(option.default)
+    assert schema()["properties"][option.name]["description"] == option.sentence
