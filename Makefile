@@ -18,15 +18,12 @@ COMPILED := $(VENV)/kernels/compiled
 export PYTHONUNBUFFERED := 1
 
 # Debian keeps PostgreSQL's own programs off the path.
-PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10
-# What starts processes, kills them or drives a browser has the machine for itself; the rest shares it.
-PARALLEL := --numprocesses 2 --dist loadfile
-ALONE := tests/workers tests/measurements tests/browser tests/test_wheel.py tests/transitions/test_race.py tests/transitions/test_killed_server.py
+PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10 --numprocesses 2
 
 REQUESTS ?= 100000
 SEED ?= 1
 
-.PHONY: help demo test lint pytest bench postgresql search fuzz clean lock machine
+.PHONY: help demo test lint pytest full bench postgresql search fuzz clean lock machine
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
@@ -45,23 +42,20 @@ lint: $(MADE)/dev  ## style, format, types and import contracts
 pytest: $(MADE)/dev $(COMPILED)
 	@mkdir -p artefacts
 	@for part in backend tests; do echo "$$part: $$(find $$part -name '*.py' -print0 | xargs -0 cat | wc -l) lines"; done
-	failed=0; \
-	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --junit-xml=artefacts/tests.xml || failed=1; \
-	$(PYTEST) $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml || failed=1; \
-	exit $$failed
+	$(PYTEST) --junit-xml=artefacts/tests.xml
+
+full: $(MADE)/dev $(COMPILED)  ## run the tests with every slow one and all with many examples (an hour)
+	$(PYTEST) --full
 
 bench: $(MADE)/dev  ## measure everything beside its peers and write docs/benchmarks.md and docs/capacity.md anew (an hour, on an idle machine)
 	$(BIN)/python docs/measure.py
 
-postgresql: $(MADE)/dev $(COMPILED)  ## run the tests on PostgreSQL instead of SQLite (a quarter of an hour)
+postgresql: $(MADE)/dev $(COMPILED)  ## run the tests on PostgreSQL instead of SQLite
 	@.ci/machine postgresql
-	failed=0; \
-	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --store postgresql || failed=1; \
-	$(PYTEST) $(filter-out tests/test_wheel.py,$(wildcard $(ALONE))) --store postgresql || failed=1; \
-	exit $$failed
+	$(PYTEST) --ignore tests/test_wheel.py --store postgresql
 
 search: $(MADE)/dev $(COMPILED)  ## look for new counterexamples to every property (half an hour)
-	$(PYTEST) $(PARALLEL) -m hypothesis --hypothesis-profile search
+	$(PYTEST) -m hypothesis --hypothesis-profile search
 
 fuzz: $(MADE)/dev  ## send made-up requests to every operation and documents that are nearly right (REQUESTS=100000, SEED=1)
 	@mkdir -p artefacts

@@ -1,35 +1,41 @@
-"""What holds for every test: which engine the store is on, slow Monte Carlo only when asked for, no stopwatch on properties."""
+"""What holds for every test: which engine the store is on, how much is tried, cheap hashes, no stopwatch on properties."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 from boresight.store.sessions import Engine, open_engine
+from tests import effort, stores
 from tests import postgresql as postgresql_programs
-from tests import stores
 from tests.passwords import PRODUCT, use_hasher
 
 # The first example of a property may compile kernels; how long one takes says nothing about it. The suite tries the same
 # examples every time, so that a failure always is somebody's change; `make search` looks for new ones.
-hypothesis.settings.register_profile("house", hypothesis.settings(), deadline=None, derandomize=True)
+hypothesis.settings.register_profile("house", hypothesis.settings(), deadline=None, derandomize=True, max_examples=25)
+hypothesis.settings.register_profile("full", hypothesis.settings(), deadline=None, derandomize=True)
 hypothesis.settings.register_profile("search", hypothesis.settings(), deadline=None, max_examples=2000)
-hypothesis.settings.load_profile("house")
 _numbers = count(1)
+TESTS = Path(__file__).parent
+FIRST = ("browser", "workers", "transitions", "fuzz")  # what waits for processes and takes longest begins
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--full", action="store_true", help="also run the tests marked `full`: slow Monte Carlo")
+    parser.addoption("--full", action="store_true", help="run the tests marked `full` too, and all with many examples")
     words = "the engine that stores are on; PostgreSQL is started for the tests"
     parser.addoption("--store", choices=("sqlite", "postgresql"), default="sqlite", help=words)
 
 
 def pytest_configure(config: pytest.Config) -> None:
     stores.choose(config.getoption("--store"))
+    effort.choose(full=config.getoption("--full"))
+    hypothesis.settings.load_profile("full" if config.getoption("--full") else "house")
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -44,8 +50,22 @@ def product_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
     use_hasher(monkeypatch, PRODUCT)
 
 
+class ByFile(LoadScopeScheduling):
+    """A file at a time in the order of collection; the browser's are one, since what they look at is made once."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "tests/browser" if nodeid.startswith("tests/browser/") else nodeid.partition("::")[0]
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
+    config.option.loadscopereorder = False
+    return ByFile(config, log)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    slow = pytest.mark.skip(reason="slow Monte Carlo; run it with --full")
+    place = {name: number for number, name in enumerate(FIRST)}
+    items.sort(key=lambda item: place.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
+    slow = pytest.mark.skip(reason="takes its time; run it with --full")
     for item in items:
         if "full" in item.keywords and not config.getoption("--full"):
             item.add_marker(slow)

@@ -11,6 +11,7 @@ from boresight.kernels import matching as loops
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import load_catalogue
 from boresight.sky.guide_stars import guide_stars, observer_motion
+from tests.effort import effort
 from tests.exposures import SIGMA, Exposure
 
 #: Space for exposures of thirty detections, eight parameters and fifty guide stars.
@@ -19,7 +20,7 @@ WORK = loops.scratch(30, 11, 50)
 # Wahba.
 
 
-@settings(max_examples=60)
+@settings(max_examples=effort(12, 60))
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 14), noise=st.sampled_from([0.0, 1e-5, 1e-3]))
 def test_newton_steps_from_a_triad_reach_the_rotation_of_the_singular_values(seed, n, noise):
     rng = np.random.default_rng(seed)

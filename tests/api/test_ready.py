@@ -25,6 +25,7 @@ from boresight.services.actors import SYSTEM
 from boresight.services.session_limits import SessionLimits
 from boresight.store.sessions import open_engine, utc_after, writing
 from boresight.store.tables import ApiKey, Run, User
+from tests.effort import effort
 
 from .conftest import PASSWORD, House, serving
 from .test_gate import gate_of
@@ -456,7 +457,9 @@ PAGE_ACTS = st.lists(
 )
 
 
-@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture], phases=[Phase.generate])
+@settings(
+    max_examples=effort(2, 4), suppress_health_check=[HealthCheck.function_scoped_fixture], phases=[Phase.generate]
+)
 @given(acts=PAGE_ACTS)
 def test_after_any_acts_of_anybody_each_gets_the_page_that_a_server_would_make_that_keeps_nothing(
     house: House, acts: list[tuple[str, str, list[str]]]
@@ -500,7 +503,7 @@ def act_on_store(house: House, act: str, runs: list[dict[str, Any]], person: int
 ACTS = st.lists(st.sampled_from(("launch", "cancel", "end", "sensor", "read")), min_size=1, max_size=8)
 
 
-@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=effort(4, 12), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(acts=ACTS)
 def test_after_any_acts_what_stands_ready_equals_what_would_be_answered(house: House, acts: list[str]) -> None:
     people = [house.person(name) for name in ("ada", "victor", "olga")]

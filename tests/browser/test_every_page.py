@@ -1,4 +1,4 @@
-"""Every page, in every theme and width: nobody is kept out, nothing scrolls sideways, complains, or is changed by a key."""
+"""Every page, with `--full` in every theme and width: nobody is kept out, nothing complains, or is changed by a key."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(peopl
         visit(window, name, numbers)
         if name in LISTS:
             assert window.page.evaluate(CUT) == [], "what can be done with the rows is not in sight"
-        window.holds_in_every_theme_and_width(name)
+        window.holds_in_themes_and_widths(name)
         window.sends_nothing_by_keys()
         if name in REFUSED:
             window.forgive(f"status of {REFUSED[name]}")

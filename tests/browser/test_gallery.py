@@ -1,6 +1,6 @@
-"""The gallery in every theme looks as it was kept, keeps nobody out, and would not pass if it had lost something.
+"""The gallery, with `--full` in every theme, looks as it was kept, keeps nobody out, and fails if it has lost something.
 
-The looks of this run are in `artefacts/gallery.npz`. Where a figure or an element was changed on purpose, look at
+The looks of a run with `--full` are in `artefacts/gallery.npz`. Where a figure or an element was changed on purpose, look at
 `artefacts/screenshots/gallery-*.png`, and then copy that file to `tests/browser/gallery.npz`.
 """
 
@@ -15,6 +15,7 @@ from playwright.sync_api import expect
 from boresight.figures import FIGURES
 from boresight.figures.tokens import TOKENS
 from tests.browser.thumbnails import colour, ink, looks, read_looks, write_looks
+from tests.effort import effort
 
 pytestmark = pytest.mark.browser
 
@@ -26,7 +27,7 @@ UNREST_S = 30.0
 MOST_COLOUR = 0.25
 MOST_WIDTH, MOST_HEIGHT = 0.03, {"figures": 0.03, "elements": 0.4}  # of a size
 THEMES = ("dark", "light", "contrast")
-EVERY_VIEW = pytest.mark.parametrize("view", [f"{part}-{theme}" for part in PARTS for theme in THEMES])
+EVERY_VIEW = pytest.mark.parametrize("view", [f"{part}-{theme}" for part in PARTS for theme in THEMES[: effort(1, 3)]])
 
 INKS = (
     """() => [...new Set([...document.querySelectorAll(".js-plotly-plot .xtitle")].map(title => title.style.fill))]"""
@@ -112,12 +113,13 @@ def views(seat):
     found = {}
     for part in PARTS:
         seat.open(f"/gallery?part={part}")
-        for theme in THEMES:
+        for theme in THEMES[: effort(1, 3)]:
             seat.use_theme(theme)
             looked = looked_at_in_rest(seat, part, theme)
             found[f"{part}-{theme}"] = (looked, seat.barriers(), seat.page.evaluate(INKS))
             seat.keep(f"gallery-{part}-{theme}")
-    write_looks(SEEN, {view: looked for view, (looked, _, _) in found.items()})
+    if len(found) == len(PARTS) * len(THEMES):  # not a part of what is kept
+        write_looks(SEEN, {view: looked for view, (looked, _, _) in found.items()})
     return found
 
 

@@ -50,7 +50,7 @@ def test_a_part_keeps_nobody_out_and_fits_its_window(people, batch_run, part):
     with people.seat("analyst") as window:
         open_part(window, batch_run, part)
         window.figures_drawn()
-        window.holds_in_every_theme_and_width(f"run-{part.lower()}")
+        window.holds_in_themes_and_widths(f"run-{part.lower()}")
 
 
 def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):

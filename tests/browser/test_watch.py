@@ -63,7 +63,7 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
         window.page.locator("#live-mine").get_by_role("link", name=re.compile("ST16-5 drifts")).click()
         window.page.wait_for_url(re.compile(r"/alarms/\d+$"))
         address = re.sub(".*(/alarms/.*)", r"\1", window.page.url)
-        window.holds_in_every_theme_and_width("alarm")
+        window.holds_in_themes_and_widths("alarm")
         window.page.get_by_label("Take care of it").select_option(label=PRINTED_NAMES["analyst"])
         window.page.get_by_role("button", name="Assign").click()
         window.page.get_by_label("Comment").fill("Seen on the night shift; the day shift recalibrates.")

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from boresight.measurements.synthetic_file import write_synthetic
 
 #: Judges few stars, as a set far above the limit would, takes any file in pieces, and says how much was resident at most.
@@ -37,6 +39,7 @@ def peak_mb(path, method):
     return float(peak)
 
 
+@pytest.mark.full
 def test_six_times_the_frames_take_no_more_memory(tmp_path):
     peaks = {}
     for frames in (SMALL, LARGE):

@@ -17,6 +17,7 @@ from boresight.services.read_backs import read_back
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, only_try, writing
 from boresight.store.tables import ParameterSet
+from tests.effort import effort
 from tests.passwords import proved
 
 from .conftest import PASSWORD
@@ -75,7 +76,7 @@ def _board(session: Session, engine: Engine, people: People, blobs: BlobStore) -
     return Board(session, people["dee"], blobs, sent.content, sent.crc or "")
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=effort(12, 60), suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(moves=st.lists(MOVES, max_size=12), shown=st.booleans())
 def test_no_sequence_of_records_takes_back_what_a_dump_showed(
     engine: Engine, people: People, blobs: BlobStore, moves: list[str], shown: bool

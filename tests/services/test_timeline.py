@@ -16,6 +16,7 @@ from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.store.blobs import BlobStore
 from boresight.store.sessions import Engine, Session, only_try, reading, utc_after, utc_text, writing
 from boresight.store.tables import ONBOARD_STATES, GateProfile, ParameterSet, Promotion, TableDefinition, Uplink
+from tests.effort import effort
 from tests.passwords import proved
 
 from .conftest import PASSWORD
@@ -115,7 +116,7 @@ def _folded(events: Sequence[Any]) -> tuple[int | None, dict[int, str]]:
     return baseline, on_board
 
 
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=effort(12, 40), suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(steps=STEPS, until=st.integers(-1, 30), length=st.integers(1, 5))
 def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(
     engine: Engine, steps: list[Step], until: int, length: int

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from boresight.kernels import matching as loops
 from boresight.sky.guide_stars import GuideStars, ObserverMotion
 from boresight.sky.matching import ROW_REASONS, STARTS, Detections, match
+from tests.effort import effort
 from tests.exposures import SIGMA, Exposure
 
 CONE = 0.26
@@ -78,7 +79,7 @@ def beside(k, sigmas, turn=0.0):
 # One to one.
 
 
-@settings(max_examples=80)
+@settings(max_examples=effort(16, 80))
 @given(
     seed=st.integers(0, 2**32),
     n=st.integers(3, 14),
@@ -104,7 +105,7 @@ def test_no_star_is_matched_twice_and_every_match_is_a_star_of_the_sky(seed, n, 
     assert np.isfinite(answer.C).all() or not found.any()
 
 
-@settings(max_examples=40)
+@settings(max_examples=effort(12, 40))
 @given(seed=st.integers(0, 2**32), named=st.integers(4, 12), size=st.floats(0.0, 1.0))
 def test_whatever_the_parameters_are_off_by_within_their_covariance_no_star_is_taken_for_another(seed, named, size):
     y = np.r_[np.zeros(3), size * np.random.default_rng(seed).normal(size=8)]

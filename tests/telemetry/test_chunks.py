@@ -18,12 +18,15 @@ from boresight.telemetry.chunks import read_chunks, rows_in
 from boresight.telemetry.limits import Limits
 from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry, joined
+from tests.effort import effort
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD, MINIMAL, parquet_bytes
 from tests.telemetry.test_readers import assert_same
 
 EXAMPLES = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=effort(12, 60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 
@@ -80,7 +83,9 @@ FAULTS = [
 
 
 @settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=effort(60, 300),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(
     spoils=st.lists(st.tuples(st.integers(0, 71), st.integers(0, 4), st.sampled_from(FAULTS)), min_size=1, max_size=4),

@@ -15,6 +15,7 @@ from boresight.telemetry.findings import FINDINGS, SEVERITIES
 from boresight.telemetry.quality import quality_report
 from boresight.telemetry.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
+from tests.effort import effort
 from tests.strategies import sensors, telemetry_tables
 from tests.telemetry.troubles import EXPOSURES, ROWS, STARS, Stars, calm_telemetry, codes, finding, with_rows
 
@@ -294,7 +295,7 @@ def test_rows_are_counted_as_in_the_file_they_came_from(telemetry, sensor):
     assert finding(quality_report(json_lines, sensor), "OFF_DETECTOR")["rows"] == [8]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=effort(12, 60), deadline=None)
 @given(telemetry=telemetry_tables(), sensor=sensors())
 def test_any_readable_set_has_a_report_in_clean_json(telemetry, sensor):
     report = quality_report(telemetry, sensor, Stars())

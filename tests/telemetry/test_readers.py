@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from boresight.errors import RefusedInputError
 from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry
+from tests.effort import effort
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD, MINIMAL, parquet_bytes, with_columns
 
@@ -128,7 +129,9 @@ def assert_same(one: Telemetry, other: Telemetry) -> None:
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=effort(12, 60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(telemetry=telemetry_tables())
 def test_what_is_written_is_read_back(telemetry, tmp_path):
@@ -164,7 +167,7 @@ DIRT = [
 ]
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=effort(60, 300), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     name=st.sampled_from(sorted(VALID)),
     spoils=st.lists(

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from boresight.errors import RefusedInputError
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
+from tests.effort import effort
 from tests.strategies import sensors
 
 
@@ -51,7 +52,7 @@ def test_keys_of_other_names_are_let_pass(document):
     assert parse_sensor({**document, "comment": "from the clean room", "serial": 12}).name == "STK-1"
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=effort(12, 60), deadline=None)
 @given(sensor=sensors())
 def test_a_sensor_survives_its_document_and_json(sensor):
     again = parse_sensor(json.loads(json.dumps(sensor_document(sensor))))

@@ -16,12 +16,15 @@ from boresight.telemetry import parquet
 from boresight.telemetry.readers import read_telemetry, write_parquet
 from boresight.telemetry.schema import joined
 from boresight.telemetry.stretches import stretches
+from tests.effort import effort
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD
 from tests.telemetry.test_readers import assert_same
 
 EXAMPLES = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=effort(12, 60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 

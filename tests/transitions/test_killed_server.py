@@ -24,11 +24,12 @@ from boresight.services import approvals, audit, parameter_sets
 from boresight.store.sessions import Session, reading
 from boresight.store.tables import Approval, AuditRecord, ParameterSet, Promotion, Signature
 from tests.api.conftest import settings_in
+from tests.effort import effort
 from tests.stores import environment_in
 
 from .installation import WORDS, Evidence, Installation, tag
 
-TRANSITIONS, KILLS, DRIVERS = 200, 3, 4
+TRANSITIONS, KILLS, DRIVERS = effort(60, 200), effort(1, 3), 4
 SENSORS, SETS = 2, 6
 PEOPLE = {"ana": ("analyst",), "cy": ("approver",), "di": ("approver",), "olga": ("operator",)}
 REASON = {"reason": "It moved."}

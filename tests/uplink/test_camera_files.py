@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.uplink.camera_files import camera_files
+from tests.effort import effort
 
 from .tables import INITIAL, sensor_of
 
@@ -32,7 +33,7 @@ def _opencv_projection(K, distortion, x, y, z):
     return K[0] * c + K[2], K[4] * d + K[5]
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=effort(16, 80), deadline=None)
 @given(
     st.floats(0.9, 1.1),
     st.floats(0.02, 0.2),

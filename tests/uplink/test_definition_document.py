@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.uplink.table_definition import decode, encode, parse_definition
+from tests.effort import effort
 
 from .tables import INITIAL, definition_of, sensor_of
 
@@ -133,7 +134,7 @@ PLACES += [
 PLACES += [("crc", key) for key in ("name", "width", "poly", "offset_bytes", "over", "check")]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=effort(60, 300), deadline=None)
 @given(st.sampled_from(PLACES), JUNK)
 def test_whatever_stands_anywhere_is_read_or_refused_and_nothing_else(place, junk):
     document = copy.deepcopy(definition_of())

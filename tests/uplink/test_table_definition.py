@@ -18,6 +18,7 @@ from boresight.uplink.table_definition import (
     quantised,
     table_crc,
 )
+from tests.effort import effort
 
 from .tables import INITIAL, definition_of, definitions, sensor_of
 
@@ -106,7 +107,7 @@ def test_a_field_may_begin_and_end_inside_a_byte():
     assert image[:2] == (5 << 6).to_bytes(2, "big")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=effort(30, 150), deadline=None)
 @given(definitions())
 def test_what_is_encoded_is_decoded_to_within_half_a_step(made):
     model, document = made
@@ -122,7 +123,7 @@ def test_what_is_encoded_is_decoded_to_within_half_a_step(made):
         assert abs(one.value - number) <= step * (1 + 1e-9) + 1e-12 * max(abs(field.offset), abs(number))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=effort(12, 60), deadline=None)
 @given(definitions(), st.data())
 def test_a_flipped_bit_is_found_by_the_crc_and_named_by_its_field(made, data):
     model, document = made
@@ -138,7 +139,7 @@ def test_a_flipped_bit_is_found_by_the_crc_and_named_by_its_field(made, data):
     assert named == [field.name]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=effort(12, 60), deadline=None)
 @given(definitions())
 def test_what_the_table_holds_it_holds_for_ever(made):
     model, document = made

@@ -16,6 +16,7 @@ from boresight.uplink import cfe
 from boresight.uplink.parameter_service import application_data, type_code
 from boresight.uplink.table_definition import encode, parse_definition
 from boresight.uplink.table_files import table_files
+from tests.effort import effort
 
 from .tables import INITIAL, definition_of, definitions, sensor_of
 
@@ -101,7 +102,7 @@ def _rebuilt(text, length):
     return image.to_bytes(length, "big")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=effort(12, 60), deadline=None)
 @given(definitions())
 def test_openc3_s_definition_alone_makes_the_image(made):
     model, document = made

@@ -13,6 +13,7 @@ from boresight.store.documents import canonical
 from boresight.verdicts.gates import GATES, judge, measure, parse_profile
 from boresight.verdicts.gates.assessment import as_set, ground_set, started_from
 from boresight.verdicts.gates.measurements import MEASURES
+from tests.effort import effort
 
 from .evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
 
@@ -244,7 +245,7 @@ def spoiled(document, path, junk):
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=effort(30, 150), deadline=None)
 @given(st.data())
 def test_whatever_stands_in_a_document_there_is_a_report_that_can_be_stored(data):
     which = data.draw(st.sampled_from(["candidate", "incumbent", "result"]))

@@ -140,6 +140,7 @@ def test_a_run_of_the_site_that_the_page_makes_ends(launch):
     assert found["state"] == "SUCCEEDED", json.dumps(found)
 
 
+@pytest.mark.full
 def test_when_the_scheduler_is_killed_the_workers_come_back_by_themselves_and_the_run_ends(site, launch):
     runs = [launch() for _ in range(6)]
     wait_for(lambda: any(launch.client.get(run).json()["state"] == "RUNNING" for run in runs))

@@ -22,6 +22,7 @@ def brief():
 FAULTS = ("lost", "doubled", "stuck", "processes_left")
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("brief")
 def test_a_worker_and_a_server_killed_at_random_times_lose_double_and_hold_up_no_run():
     found = kills.measured("own workers", (2, 10), np.random.default_rng(1))

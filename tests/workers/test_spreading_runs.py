@@ -39,6 +39,7 @@ def test_a_run_whose_own_worker_is_killed_while_pieces_are_lent_is_computed_agai
     assert store.ends(run_id) == ["SUCCEEDED"]
 
 
+@pytest.mark.full
 def test_a_run_with_a_deadly_piece_fails_with_its_cause_after_so_many_deaths_and_no_other_is_charged(store):
     (deadly,) = store.launch("deadly")
     others = []
