@@ -41,14 +41,14 @@ lint: $(MADE)/dev  ## style, format, types and import contracts
 
 pytest: $(MADE)/dev $(COMPILED)
 	@mkdir -p artefacts
-	@for part in backend tests; do echo "$$part: $$(find $$part -name '*.py' -print0 | xargs -0 cat | wc -l) lines"; done
+	@for part in backend tests benchmarks; do echo "$$part: $$(find $$part -name '*.py' -print0 | xargs -0 cat | wc -l) lines"; done
 	$(PYTEST) --junit-xml=artefacts/tests.xml
 
 full: $(MADE)/dev $(COMPILED)  ## run the tests with every slow one and all with many examples (an hour)
 	$(PYTEST) --full
 
 bench: $(MADE)/dev  ## measure everything beside its peers and write docs/benchmarks.md and docs/capacity.md anew (an hour, on an idle machine)
-	$(BIN)/python docs/measure.py
+	$(BIN)/python -m benchmarks.pages
 
 postgresql: $(MADE)/dev $(COMPILED)  ## run the tests on PostgreSQL instead of SQLite
 	@.ci/machine postgresql

@@ -1,6 +1,6 @@
 """Good telemetry, edited at random and calibrated in every way: each ends in a result or in a sentence, or it is a defect.
 
-    python benchmarks/random_edits.py --edits 2000 [--seed 20260101] [--only 17,230] [--json FILE]
+    python -m benchmarks.random_edits --edits 2000 [--seed 20260101] [--only 17,230] [--json FILE]
 
 An edit is what happens to files on their way: another star's number, a sign, a unit, an order, a gap, a repeat, a column lost,
 swapped or constant, a value that is none, the wrong sensor. Each case makes one to three of them in a small simulated set,
@@ -725,7 +725,7 @@ def run(case: Case, catalogue: Catalogue, cache: Path | None) -> Ended:
 
 def calibrated(case: Case, catalogue: Catalogue, cache: Path | None) -> dict[str, Any]:
     """Read the files and calibrate."""
-    most = {"large_rows": 1, "chunk_frames": 7} if case.in_pieces else {}
+    most: dict[str, Any] = {"large_rows": 1, "chunk_frames": 7} if case.in_pieces else {}
     held_out = None if case.validation is None else TelemetryFile(case.validation).opened()
     return calibrate(
         TelemetryFile(case.telemetry, **most).opened(),

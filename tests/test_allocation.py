@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
+from benchmarks.stars import star_frames, synthetic
 from boresight import kernels
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import ground_covariance, rematch
@@ -21,8 +22,6 @@ from boresight.estimation.singular_values import APART, DETERMINED
 from boresight.kernels.flight import agreeing_matches
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky.catalogue import load_catalogue
-from boresight.studies.speed import synthetic
-from boresight.studies.star_frames import star_frames
 
 SENSOR = st16_sensor(1)
 X, SCALE, FREE = SENSOR.initial, SENSOR.typical_sigma, np.arange(8)

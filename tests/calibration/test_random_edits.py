@@ -6,8 +6,8 @@ import csv
 
 import numpy as np
 import pytest
-from benchmarks import random_edits as edits
 
+from benchmarks import random_edits as edits
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate

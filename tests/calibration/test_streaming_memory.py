@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from boresight.measurements.synthetic_file import write_synthetic
+from benchmarks.stars import write_synthetic
 
 #: Judges few stars, as a set far above the limit would, takes any file in pieces, and says how much was resident at most.
 CALIBRATE = """

@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.stars import star_frames
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.rematch import ground_covariance, rematch
 from boresight.estimation.blocks import computing_on
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky import matching
 from boresight.sky.catalogue import load_catalogue
-from boresight.studies.star_frames import star_frames
 
 SENSOR = st16_sensor(1)
 

@@ -1,13 +1,16 @@
-"""Kills at random times lose, double and hold up nothing: a few of those that `python -m benchmarks.kills` makes by the hundred.
+"""Kills lose, double and hold up nothing: a few of those that `python -m benchmarks.kills` makes by the hundred.
 
-It takes as long as processes take to start, which is what a kill costs.
+They take as long as processes take to start, which is what a kill costs.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks import kills
+
+from benchmarks import kills, queue
+
+FAULTS = (*kills.FAULTS, "processes_left")
 
 
 @pytest.fixture(scope="module")
@@ -17,9 +20,6 @@ def brief():
         for name, value in {"FRAMES": 12, "TRACKERS": 2, "LEASE_S": 1.0, "MEAN_S": 1.0}.items():
             patched.setattr(kills, name, value)
         yield
-
-
-FAULTS = ("lost", "doubled", "stuck", "processes_left")
 
 
 @pytest.mark.full
@@ -40,3 +40,13 @@ def test_every_kind_of_process_killed_at_random_times_loses_doubles_and_holds_up
     assert found["own workers"]["kills"] == {"worker": 1, "server": 1}
     assert found["runs"] == 20
     assert {key: found[key] for key in FAULTS} == dict.fromkeys(FAULTS, 0)
+
+
+def test_no_run_is_lost_or_doubled_by_a_killed_worker_scheduler_and_server(monkeypatch):
+    monkeypatch.setattr(queue, "LEASE_S", 1.0)
+    found = queue.one_pass(lambda *_: None, 8, 12, 4, queue.KILLS)
+
+    assert found["states"] == {"SUCCEEDED": 8}
+    assert found["not_as_promised"] == 0
+    assert found["audit"]["ok"], found["audit"]["sentence"]
+    assert found["starts"]["scheduler"] == found["starts"]["server"] == 2

@@ -12,7 +12,6 @@ import boresight
 from boresight.cli.assess import assess
 from boresight.cli.audit import audit
 from boresight.cli.backup import backup, restore
-from boresight.cli.bench import bench
 from boresight.cli.calibrate import calibrate
 from boresight.cli.certificates import certificates
 from boresight.cli.check import check
@@ -55,7 +54,6 @@ for command in (
     export,
     table,
     reproduce,
-    bench,
     serve,
     demo,
     worker,

@@ -8,7 +8,7 @@ leave,
 
     s^2 = (B - 1) / B  sum_b (ln sigma_b - mean ln sigma)^2,        sigma_b^2 = diag((A - A_b) / (n - n_b))^-1.
 
-`benchmarks/more_data.py` checks the prediction by running the frames.
+`python -m benchmarks.monte_carlo more-data` checks the prediction by running the frames.
 """
 
 from __future__ import annotations
