@@ -42,14 +42,14 @@ from benchmarks import Report, held
 from benchmarks.estimators import PEERS, Answer, Directions
 from benchmarks.stars import Views, simulated_views
 from boresight.arrays import FloatArray
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import corners
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.estimation.cameras.model import corners
-from boresight.estimation.consistency import nees
-from boresight.estimation.cramer_rao import centroid_rows
+from boresight.estimation.statistics.consistency import nees
+from boresight.estimation.statistics.cramer_rao import centroid_rows
+from boresight.papers.processes import THREADS
 from boresight.simulation.sensors import ST16_CENTROID_SIGMA_PX
 from boresight.sky.catalogue import load_catalogue
-from boresight.studies.processes import THREADS
 from boresight.telemetry.sensors import Sensor
 
 OURS = "boresight_batch"

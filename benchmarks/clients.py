@@ -36,11 +36,12 @@ import orjson
 from benchmarks import ROOT, Report, held
 from benchmarks.servers import Server, allow_open_files, serving
 from benchmarks.stores import Filled, add_sensors, fill, opened
-from boresight.services.actors import SYSTEM
-from boresight.services.audit import append
-from boresight.store import audit, run_events
-from boresight.store.audit import Sought
-from boresight.store.sessions import Engine, reading, writing
+from boresight.console.runs import run_events
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import queries as audit
+from boresight.platform.audit.log import append
+from boresight.platform.audit.queries import Sought
+from boresight.platform.db.sessions import Engine, reading, writing
 
 LIST, PAGE, FEED = "/api/v1/runs", "/runs", "/api/v1/events"
 MEDIAN_LIMIT_MS = 60.0

@@ -42,14 +42,15 @@ from benchmarks.stores import PASSWORD, analysts, opened, settings_in
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.cli.output import json_option, write_json
+from boresight.console.fleet import service as sensors
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import FIGURES, Trace, figure_json
-from boresight.figures.thinning import thinning
-from boresight.services import sensors
+from boresight.figures.style.thinning import thinning
+from boresight.platform.blobs.folder import open_blobs, register_blob
+from boresight.platform.db.sessions import migrate, utc_now, writing
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import open_blobs, register_blob
-from boresight.store.sessions import migrate, utc_now, writing
-from boresight.store.tables import Run, TelemetrySet
 from boresight.telemetry.sensors import sensor_document
 from boresight.verdicts.summary import summary_of
 

@@ -35,14 +35,17 @@ import sqlalchemy as sa
 from benchmarks import Report
 from benchmarks.servers import Installation, PostgreSQL, environment_of, wait_until
 from benchmarks.stores import analysts, key_of, uploaded
-from boresight.services import runs, sensors, telemetry_sets
+from boresight.console.fleet import service as sensors
+from boresight.console.runs import service as runs
+from boresight.console.runs.tables import TERMINAL_RUN_STATES
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, migrate, open_engine, reading, writing
 from boresight.settings import read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import open_blobs
-from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
-from boresight.store.tables import TERMINAL_RUN_STATES, Base
 from boresight.telemetry.sensors import sensor_document
 
 #: Shorter sets are a tenth of the longer ones.

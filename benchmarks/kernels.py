@@ -30,27 +30,27 @@ from benchmarks import Report, held, peers
 from benchmarks.stars import EXPOSURES_A_FRAME, STARS, TIME, star_frames, synthetic, wu_field
 from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration import detections
+from boresight.calibration.matching import detections
+from boresight.calibration.matching.rematch import Rematcher, ground_covariance
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem, weighed
-from boresight.calibration.rematch import Rematcher, ground_covariance
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import FRAMES, computing_on
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.filters.information import Frame
 from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import CHOSEN
+from boresight.papers.processes import run_on_one_thread
 from boresight.simulation.sensors import ST16_MAGNITUDE_LIMIT, WU_TRUTH, WU_TYPICAL_SIGMA, st16_sensor, st16_truth
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.studies.processes import run_on_one_thread
 from boresight.telemetry.schema import Telemetry, rows_of
 from boresight.telemetry.sensors import Sensor
 

@@ -35,9 +35,10 @@ from benchmarks.queue import Site, faults
 from benchmarks.servers import end_in_order, environment_of
 from benchmarks.stores import furnish
 from boresight.cli.output import json_option, write_json
-from boresight.services import audit, runs
+from boresight.console.runs import service as runs
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading
 from boresight.settings import read_settings
-from boresight.store.sessions import reading
 
 WORKERS, FRAMES, TRACKERS = 2, 150, 4
 SETTINGS = {"method": "sqrf"}

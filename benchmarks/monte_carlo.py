@@ -51,15 +51,15 @@ from benchmarks.accuracy import cramer_rao
 from benchmarks.stars import wu_field
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.matching.rematch import Rematcher, ground_covariance
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.rematch import Rematcher, ground_covariance
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
-from boresight.estimation.prediction import further_covariance
 from boresight.estimation.singular_values import Selection
+from boresight.estimation.statistics.consistency import chi_square, nees
+from boresight.estimation.statistics.observability import further_covariance
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import WU_TRUTH, st16_sensor, st16_truth
 from boresight.sky import identification

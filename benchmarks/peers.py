@@ -39,9 +39,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.cameras.inverted_wang import INVERTED_WANG, directions_and_jacobian
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG, directions_and_jacobian
 from boresight.estimation.filters import FilterHistory, Tuning
 from boresight.estimation.filters.history import FilterState
 from boresight.estimation.filters.square_root import padded

@@ -40,15 +40,15 @@ import httpx
 from benchmarks import Report, held
 from benchmarks.servers import Installation, environment_of
 from benchmarks.stores import Constellation, digest_of, furnish, result_of
-from boresight.services import audit
-from boresight.services import runs as run_service
-from boresight.services.campaign_places import MOST_SENSORS
-from boresight.services.telemetry_sets import get_telemetry_set
+from boresight.console.campaigns.service import MOST_SENSORS
+from boresight.console.runs import service as run_service
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.telemetry.service import get_telemetry_set
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, reading
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import SENSOR_NUMBERS
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.sessions import Session, reading
-from boresight.store.tables import TERMINAL_RUN_STATES, Run
 
 OVERHEAD_LIMIT_MS = 10.0
 SHARE_LIMIT = 0.05

@@ -40,9 +40,9 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import ALL as METHODS
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.source import TelemetryFile
+from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main as boresight_command
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import FIGURES, Trace
 from boresight.figures.report import render_report
 from boresight.simulation.scenes import calibration_scenario, simulate

@@ -31,11 +31,11 @@ import psutil
 from benchmarks import Report, held
 from benchmarks.servers import Service, certified, free_port, variables
 from benchmarks.stars import write_synthetic
+from boresight.platform.blobs.folder import BlobStore
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
-from boresight.store.blobs import BlobStore
 from boresight.telemetry.sensors import sensor_document
-from boresight.workers.connection import Connection
+from boresight.workers.cluster import Connection
 from boresight.workers.security import security_of
 from boresight.workers.tasks import Inputs, execute_group
 

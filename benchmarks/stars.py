@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.problem import build_problem, weighed
+from boresight.cameras import CAMERA_MODELS, CameraModel
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.simulation.sensors import (
     ST16_MAGNITUDE_LIMIT,
     WU_COLUMNS,

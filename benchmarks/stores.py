@@ -20,21 +20,26 @@ import orjson
 import sqlalchemy as sa
 from starlette.responses import Response
 
-from boresight.api.cookies import LogInCookie
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
-from boresight.services import api_keys, audit, sensors, sessions, telemetry_sets, users
-from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
-from boresight.services.passwords import prepare_unjudged
-from boresight.services.sessions import Client
+from boresight.console.access import api_keys, sessions, users
+from boresight.console.access.credentials import LogInCookie
+from boresight.console.access.passwords import prepare_unjudged
+from boresight.console.access.sessions import Client
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, open_blobs
+from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, utc_after, writing
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.store.blobs import BlobStore, open_blobs
-from boresight.store.sessions import Engine, Session, migrate, open_engine, utc_after, writing
-from boresight.store.tables import Run, Sensor, TelemetrySet
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
 

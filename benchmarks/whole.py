@@ -35,16 +35,16 @@ from benchmarks.kernels import fastest
 from benchmarks.peers import compiled
 from benchmarks.stars import repeated_fields
 from boresight.calibration.calibrate import calibrate, parameters_of
+from boresight.calibration.matching.sighting import given_matches
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, problem_from
-from boresight.calibration.sighting import given_matches
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import computing_on
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from boresight.telemetry.sensors import Sensor
 
 LIMIT = 12.0

@@ -11,7 +11,7 @@ import hypothesis
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
-from boresight.store.sessions import Engine, open_engine
+from boresight.platform.db.sessions import Engine, open_engine
 from tests import effort, stores
 from tests import postgresql as postgresql_programs
 from tests.passwords import PRODUCT, use_hasher

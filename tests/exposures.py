@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.kernels import matching as loops
 from tests.estimation.fields import COLUMNS, GROUND, NOISE_PX, PITCH, ROWS, SCALE
 

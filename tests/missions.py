@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from boresight.services import audit
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.candidates import _add as add_parameter_set
-from boresight.store import parameter_sets as rows
-from boresight.store.sessions import Session, utc_now, utc_text
-from boresight.store.tables import Blob, Promotion, Run, Sensor, TelemetrySet
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import queries as rows
+from boresight.console.parameter_sets.service import _add as add_parameter_set
+from boresight.console.parameter_sets.tables import Promotion
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import Session, utc_now, utc_text
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 HOURS = 2.0

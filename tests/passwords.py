@@ -7,10 +7,10 @@ from functools import cache
 import pytest
 from argon2 import PasswordHasher
 
-from boresight.services import passwords
-from boresight.services.actors import Actor
-from boresight.services.passwords import NewPassword, PasswordProof
-from boresight.store.sessions import Session
+from boresight.console.access import passwords
+from boresight.console.access.passwords import NewPassword, PasswordProof
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session
 
 # The product's hashes are slow on purpose, and thousands of tests log somebody in; argon2's own tests take the product's.
 CHEAP = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.store.sessions import migrate, open_engine
+from boresight.platform.db.sessions import migrate, open_engine
 
 PROGRAMS = os.pathsep.join([os.environ["PATH"], *map(str, Path("/usr/lib/postgresql").glob("*/bin"))])  # Debian's place
 TEMPLATE = "migrated"

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import sqlalchemy as sa
 
-from boresight.store.sessions import Engine, migrate, open_engine
-from boresight.store.tables import Base
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, migrate, open_engine
 from tests.postgresql import server
 
 FILE = "boresight.sqlite3"  # the name that an installation gives it

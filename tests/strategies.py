@@ -7,7 +7,7 @@ import pyarrow as pa
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Telemetry
 from boresight.telemetry.sensors import Sensor
 

@@ -10,8 +10,8 @@ from numba.core.runtime import _nrt_python, rtsys
 
 from benchmarks.stars import star_frames, synthetic
 from boresight import kernels
+from boresight.calibration.matching.rematch import ground_covariance, rematch
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.rematch import ground_covariance, rematch
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.blocks import FRAMES

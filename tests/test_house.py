@@ -136,7 +136,7 @@ def test_only_the_store_commits():
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "commit"
     ]
 
-    assert set(committing) == {"backend/boresight/store/sessions.py"}
+    assert set(committing) == {"backend/boresight/platform/db/sessions.py"}
 
 
 def test_no_path_of_one_machine_stands_in_the_project():

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight import kernels
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.batch import normal_equations
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.metrics import arc_errors, tail_rms
 from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, star_field, weighed
 

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from boresight.estimation.attitude import attitudes
-from boresight.estimation.rotations import rotation_vector
+from boresight.estimation.attitude import attitudes, rotation_vector
 from boresight.kernels import matching as loops
 from tests.exposures import GATE, SIGMA, Exposure
 

@@ -11,14 +11,14 @@ import click
 import pytest
 
 import boresight
-from boresight.api.operation import PREFIX
-from boresight.api.routes import NOUNS
 from boresight.calibration.options import OPTIONS, listed
+from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.console.access.tables import ROLES
+from boresight.console.operation import PREFIX
+from boresight.console.routes import NOUNS
 from boresight.figures import FIGURES
 from boresight.settings import SETTINGS
-from boresight.store.tables import ROLES
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 
 ROOT = Path(__file__).resolve().parents[1]

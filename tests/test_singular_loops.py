@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight import kernels
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import angular, singular_values
 from boresight.estimation.arcs import angular_sigma
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters.angular import AllPairs
 from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import STAR_MODELS, Selection

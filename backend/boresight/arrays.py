@@ -1,5 +1,7 @@
 """The types of the arrays: what each holds; the docstrings name their dimensions and units."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import NDArray
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight import integrity
+from boresight import disks as integrity
 from boresight.errors import CorruptFileError
 
 #: Every array begins at a multiple of this, for the processor's widest loads.

@@ -20,20 +20,21 @@ import numpy as np
 import orjson
 import pytest
 
-from boresight.api.connections import Connections
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
+from boresight.console.access import users
+from boresight.console.runs.run_events import Line, write_event
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import COMMAND_LINE, SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import writing
+from boresight.platform.web.connections import Connections
 from boresight.server import _Server, configured, create_app
-from boresight.services import audit, users
-from boresight.services.actors import COMMAND_LINE, SYSTEM
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.store.blobs import register_blob
-from boresight.store.run_events import Line, write_event
-from boresight.store.sessions import writing
-from boresight.store.tables import Run
-from boresight.telemetry.readers import write_csv
+from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
 from tests.passwords import new_password
 from tests.stores import environment_in, open_migrated

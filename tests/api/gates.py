@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from boresight.store.sessions import utc_after
+from boresight.platform.db.sessions import utc_after
 
 from .conftest import PASSWORD, House
 

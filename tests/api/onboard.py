@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-from boresight.services import table_definitions
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import writing
+from boresight.console.uplinks import table_definitions
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import writing
 
 from .conftest import PASSWORD, House
 

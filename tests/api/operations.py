@@ -13,8 +13,7 @@ from typing import Any
 
 import httpx
 
-from boresight.api import schemas
-from boresight.api.paging import Page
+from boresight.platform.web.paging import Page
 from boresight.server import create_app
 
 from . import alarms, campaigns, gates, onboard, proposals

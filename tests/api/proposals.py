@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from boresight.services import second_person, users
-from boresight.services.actors import Policy
-from boresight.store.sessions import reading, writing
+from boresight.console.access import users
+from boresight.console.change_proposals import service as second_person
+from boresight.platform.actors import Policy
+from boresight.platform.db.sessions import reading, writing
 
 from .conftest import House
 

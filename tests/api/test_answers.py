@@ -6,8 +6,8 @@ import uuid
 
 import pytest
 
-from boresight.store.sessions import reading, utc_after, writing
-from boresight.store.tables import IdempotentResponse
+from boresight.platform.audit.tables import IdempotentResponse
+from boresight.platform.db.sessions import reading, utc_after, writing
 
 from .conftest import House
 

@@ -8,8 +8,8 @@ from typing import Any
 import orjson
 import pytest
 
-from boresight.store.idempotent_responses import response_under
-from boresight.store.sessions import reading
+from boresight.console.idempotent_responses import response_under
+from boresight.platform.db.sessions import reading
 
 from .conftest import PASSWORD, House
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.api.codings import takes_gzip
+from boresight.platform.web.middleware import takes_gzip
 
 from .conftest import House
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from boresight.store.tables import Run, TelemetrySet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
 
 from .conftest import House
 

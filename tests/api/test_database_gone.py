@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import sqlalchemy as sa
 
-from boresight.store.sessions import Engine
+from boresight.platform.db.sessions import Engine
 from tests.postgresql import server
 
 from .conftest import PASSWORD, add_people, serving, settings_in

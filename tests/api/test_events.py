@@ -16,11 +16,10 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.api.broadcast import QUEUE_LENGTH, Broadcast, Telling
-from boresight.api.feed import Place, events_after
-from boresight.services import audit
-from boresight.services.actors import SYSTEM
-from boresight.store.sessions import open_engine, reading, writing
+from boresight.console.jobs.broadcast import QUEUE_LENGTH, Broadcast, Place, Telling, events_after
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import open_engine, reading, writing
 from tests.stores import open_migrated, url_in
 
 from .conftest import House, add_people, serving, settings_in
@@ -156,7 +155,7 @@ def test_a_key_may_listen_and_nobody_unknown(house: House) -> None:
 
 
 def test_silence_is_filled_with_comments(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("boresight.api.routes.events.PING_S", 0.2)
+    monkeypatch.setattr("boresight.console.jobs.routes.PING_S", 0.2)
     with following(house.person("victor"), run=10**9) as events:
         next(events)
         assert "ping" in next(events)["comment"]
@@ -222,7 +221,7 @@ def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path: Path) -> No
 def test_pages_of_missed_records_follow_one_another_without_a_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("boresight.api.feed.PAGE", 7)
+    monkeypatch.setattr("boresight.console.jobs.broadcast.PAGE", 7)
     engine = open_migrated(url_in(tmp_path))
     with writing(engine) as session:
         records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(20)]

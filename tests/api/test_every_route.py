@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.api.openapi import ProblemDocument
-from boresight.api.routes import NOUNS
-from boresight.store.sessions import reading
-from boresight.store.tables import Base
+from boresight.console.routes import NOUNS
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import reading
+from boresight.platform.web.openapi import ProblemDocument
 
 from . import alarms
 from .conftest import PASSWORD, House

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from boresight.api.feed import Place, events_after
-from boresight.services import audit
-from boresight.services.actors import SYSTEM
-from boresight.store import audit as audit_rows
-from boresight.store.sessions import reading, writing
+from boresight.console.jobs.broadcast import Place, events_after
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.audit import queries as audit_rows
+from boresight.platform.db.sessions import reading, writing
 from tests.stores import open_migrated, url_in
 
 

@@ -7,7 +7,7 @@ import io
 
 import pytest
 
-from boresight.api.routes.figures import _stacked
+from boresight.console.runs.figure_routes import _stacked
 from boresight.figures import FIGURES
 
 from .conftest import House

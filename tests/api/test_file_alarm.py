@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from boresight.api.upkeep import Upkeep
+from boresight.console.access.sessions import SessionLimits
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms.tables import Alarm
+from boresight.console.jobs.upkeep import Upkeep
 from boresight.errors import CorruptFileError
-from boresight.services import alarms, audit
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.sessions import SessionLimits
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Alarm
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Engine, reading, writing
 from tests.stores import open_migrated, url_in
 
 CONTENT = b'{"f_m":0.016}'

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.api.gate import COME_BACK_S, Gate
+from boresight.platform.web.gate import COME_BACK_S, Gate
 
 from .conftest import House
 
@@ -56,7 +56,7 @@ def test_what_stands_ready_is_given_though_too_many_are_under_way(
 
 def test_health_is_told_while_every_thread_is_taken(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     free = threading.Event()
-    monkeypatch.setattr("boresight.services.presets.list_presets", lambda *_, **__: free.wait(20) and [])
+    monkeypatch.setattr("boresight.console.runs.presets.list_presets", lambda *_, **__: free.wait(20) and [])
     client = house.person("ada")
     with ThreadPoolExecutor(30) as pool:
         waiting = [pool.submit(client.get, "/api/v1/presets") for _ in range(30)]

@@ -17,10 +17,10 @@ import httpx
 import pytest
 from starlette.exceptions import HTTPException
 
-from boresight.api import connections as connections_module
-from boresight.api.bodies import Body, Pace
-from boresight.api.connections import MOST_OPEN, OTHER_FILES, Connections, Deadlines, open_file_limit
-from boresight.api.gate import Limits, Places
+from boresight.platform.web import connections as connections_module
+from boresight.platform.web.bodies import Body, Pace
+from boresight.platform.web.connections import MOST_OPEN, OTHER_FILES, Connections, Deadlines, open_file_limit
+from boresight.platform.web.gate import Limits, Places
 
 from .conftest import PASSWORD, add_people, serving, settings_in
 from .test_gate import gate_of

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from boresight.api import watched
 from boresight.errors import StorageError
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.marks import Marks
+from boresight.platform.db.sessions import open_engine, reading, writing
+from boresight.platform.web import watched
 from boresight.sky.catalogue import Catalogue
-from boresight.store.blobs import BlobStore
-from boresight.store.marks import Marks
-from boresight.store.sessions import open_engine, reading, writing
 
 from .conftest import House, house_in
 

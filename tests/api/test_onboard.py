@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.store.sessions import utc_after
+from boresight.platform.db.sessions import utc_after
 
 from . import onboard
 from .conftest import PASSWORD, House

@@ -9,7 +9,7 @@ import pytest
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
 from boresight.calibration.options import OPTIONS
-from boresight.services.actors import SCOPES
+from boresight.platform.actors import SCOPES
 
 from .conftest import House
 from .operations import GOOD, OPEN, OPENAPI, OPERATIONS, ask

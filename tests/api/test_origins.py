@@ -9,8 +9,8 @@ import httpx
 import pytest
 from starlette.datastructures import Headers
 
-from boresight.api.origins import is_foreign
 from boresight.errors import RefusedInputError
+from boresight.platform.web.origins import is_foreign
 
 from .conftest import PASSWORD, House, add_people, serving, settings_in
 

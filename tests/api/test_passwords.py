@@ -11,15 +11,17 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.api import passwords as checks
+from boresight.console.access import password_checks as checks
+from boresight.console.access import passwords
+from boresight.console.access.log_in_attempts import MOST_RECORDS, REFUSED
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.access.sessions import Client
+from boresight.console.access.tables import User
+from boresight.console.approvals import service as approvals
 from boresight.errors import OverloadedError, TooManyAttemptsError
-from boresight.services import approvals, audit, passwords
-from boresight.services.actors import SYSTEM, Actor
-from boresight.services.failed_log_ins import MOST_RECORDS, REFUSED
-from boresight.services.passwords import PasswordProof
-from boresight.services.sessions import Client
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import User
+from boresight.platform.actors import SYSTEM, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
 from tests.passwords import new_password
 
 from .conftest import PASSWORD, PEOPLE, add_people, serving, settings_in

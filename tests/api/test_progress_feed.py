@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.api.feed import Place, Ring
-from boresight.store.run_events import Line, write_event
-from boresight.store.sessions import writing
+from boresight.console.jobs.broadcast import Place, Ring
+from boresight.console.runs.run_events import Line, write_event
+from boresight.platform.db.sessions import writing
 
 from .conftest import House
 from .test_events import following

@@ -18,13 +18,14 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from starlette.types import Scope
 
-from boresight.api import ready as standing
-from boresight.pages import sensors as pages_of_sensors
-from boresight.services import audit, runs
-from boresight.services.actors import SYSTEM
-from boresight.services.session_limits import SessionLimits
-from boresight.store.sessions import open_engine, utc_after, writing
-from boresight.store.tables import ApiKey, Run, User
+from boresight.console.access.tables import ApiKey, User
+from boresight.console.fleet.pages import sensors as pages_of_sensors
+from boresight.console.runs import service as runs
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import SYSTEM, SessionLimits
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import open_engine, utc_after, writing
+from boresight.platform.web import ready as standing
 from tests.effort import effort
 
 from .conftest import PASSWORD, House, serving
@@ -67,7 +68,9 @@ def test_the_second_of_two_questions_is_answered_without_the_endpoint(
 ) -> None:
     asked: list[Any] = []
     original = runs.list_runs
-    monkeypatch.setattr("boresight.services.runs.list_runs", lambda *g, **w: (asked.append(g), original(*g, **w))[1])
+    monkeypatch.setattr(
+        "boresight.console.runs.service.list_runs", lambda *g, **w: (asked.append(g), original(*g, **w))[1]
+    )
 
     def twice() -> tuple[httpx.Response, httpx.Response, int]:
         first, before = house.person("ada").get(RUNS), len(asked)
@@ -251,7 +254,7 @@ def test_a_log_in_that_expires_by_the_clock_is_refused_without_any_commit(
     client = house.log_in("victor")
     assert client.get(RUNS).status_code == 200
     now_s = time.time()
-    monkeypatch.setattr("boresight.api.ready.time.time", lambda: now_s + 12 * 3600 + 5)
+    monkeypatch.setattr("boresight.platform.web.ready.time.time", lambda: now_s + 12 * 3600 + 5)
     monkeypatch.setattr("itsdangerous.timed.time.time", lambda: now_s + 12 * 3600 + 5)
     assert client.get(RUNS).status_code == 401
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.store.sessions import writing
-from boresight.store.tables import Run
+from boresight.console.runs.tables import Run
+from boresight.platform.db.sessions import writing
 
 from .conftest import House
 

@@ -14,10 +14,10 @@ import pytest
 import uvicorn
 from playwright.sync_api import sync_playwright
 
-from boresight.api.middleware import SECURITY_HEADERS, SECURITY_POLICY
-from boresight.api.watched import Watched
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY
+from boresight.platform.web.watched import Watched
 from boresight.server import _Server, create_app
-from boresight.store.blobs import BlobStore
 
 from .conftest import House, serving, settings_in
 
@@ -111,7 +111,7 @@ def test_files_are_looked_at_once_in_some_seconds(monkeypatch: pytest.MonkeyPatc
     watched = Watched(lambda: looks.append(None))
     assert [watched.fault() for _ in range(5)] == [""] * 5
     assert len(looks) == 1
-    monkeypatch.setattr("boresight.api.watched.LOOK_AGAIN_S", -1.0)
+    monkeypatch.setattr("boresight.platform.web.watched.LOOK_AGAIN_S", -1.0)
     watched.fault()
     assert len(looks) == 2
 

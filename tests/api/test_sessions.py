@@ -16,15 +16,15 @@ import sqlalchemy as sa
 from fastapi import Response
 from itsdangerous import URLSafeTimedSerializer
 
-from boresight.api.cookies import SESSION_COOKIE, LogInCookie, read_secret
-from boresight.api.upkeep import Upkeep
+from boresight.console.access import sessions
+from boresight.console.access.credentials import SESSION_COOKIE, LogInCookie, read_secret
+from boresight.console.access.tables import LoginSession
+from boresight.console.jobs.upkeep import Upkeep
 from boresight.errors import SessionEndedError, UnauthenticatedError
-from boresight.services import sessions
+from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.db.marks import Marks
+from boresight.platform.db.sessions import open_engine, reading, utc_after, utc_text, writing
 from boresight.settings import Settings
-from boresight.store.blobs import open_blobs
-from boresight.store.marks import Marks
-from boresight.store.sessions import open_engine, reading, utc_after, utc_text, writing
-from boresight.store.tables import LoginSession
 
 from .conftest import PASSWORD, House, add_people, serving, settings_in
 

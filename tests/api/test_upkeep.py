@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from boresight.api import upkeep as upkeep_module
-from boresight.api.upkeep import Upkeep
-from boresight.services import alarms, api_keys, audit, users
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.session_limits import SessionLimits
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, writing
+from boresight.console.access import api_keys, users
+from boresight.console.alarms import service as alarms
+from boresight.console.jobs import upkeep as upkeep_module
+from boresight.console.jobs.upkeep import Upkeep
+from boresight.platform.actors import COMMAND_LINE, SessionLimits
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, writing
 from tests.passwords import new_password
 from tests.stores import open_migrated, url_in
 

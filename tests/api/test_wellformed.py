@@ -10,13 +10,13 @@ from urllib.parse import quote
 import orjson
 import pytest
 
-from boresight.api.gate import SMALL_BODY_BYTES
+from boresight.console.runs.tables import Preset, Run
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.services import audit
-from boresight.services.actors import SYSTEM
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Preset, Run
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.web.gate import SMALL_BODY_BYTES
 
 from .conftest import House
 

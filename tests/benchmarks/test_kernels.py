@@ -6,9 +6,9 @@ import pytest
 from benchmarks import kernels, peers
 from benchmarks.stars import STARS, TIME, star_frames, synthetic, wu_field
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch
 from boresight.estimation.blocks import FRAMES
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.simulation.sensors import ST16_MAGNITUDE_LIMIT, st16_sensor, st16_truth

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import growth, whole
 from benchmarks.stars import CHUNK, write_synthetic
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 
 
 def test_every_step_of_a_whole_calibration_is_told_and_its_limit_is_judged_at_full_size_only():

@@ -5,8 +5,10 @@ import pytest
 from benchmarks import clients, footprint, queue
 from benchmarks.servers import PostgreSQL
 from benchmarks.stores import add_sensors, fill, opened
-from boresight.services import audit, fleet, runs
-from boresight.store.sessions import reading
+from boresight.console.fleet import status as fleet
+from boresight.console.runs import service as runs
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading
 
 
 def test_everybody_in_a_crowd_is_answered_and_every_listener_hears_every_event_once_and_in_order():

@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import expect
 
 from boresight.figures import FIGURES
-from boresight.figures.tokens import TOKENS
+from boresight.figures.style.theme import TOKENS
 from tests.browser.thumbnails import colour, ink, looks, read_looks, write_looks
 from tests.effort import effort
 

@@ -8,9 +8,9 @@ import re
 import pytest
 from playwright.sync_api import expect
 
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import open_engine, writing
 from boresight.simulation.sensors import st16_sensor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import open_engine, writing
 from boresight.telemetry.sensors import sensor_document
 from tests.browser.installation import Installation
 from tests.browser.people import PRINTED_NAMES, People, password_of

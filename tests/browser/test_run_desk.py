@@ -7,8 +7,8 @@ import re
 import pytest
 from playwright.sync_api import expect
 
+from boresight.console.runs.pages.run import TITLES
 from boresight.figures import CHAPTERS
-from boresight.pages.run_tabs import TITLES
 
 pytestmark = pytest.mark.browser
 

@@ -10,7 +10,7 @@ import zipfile
 import pytest
 from playwright.sync_api import expect
 
-from boresight.pages.sensors import EXAMPLE
+from boresight.console.fleet.pages.sensors import EXAMPLE
 from tests.browser.people import password_of
 
 pytestmark = pytest.mark.browser

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from boresight.services import sensors, watch
-from boresight.services.actors import COMMAND_LINE
+from boresight.console.alarms import watch
+from boresight.console.fleet import service as sensors
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import open_engine, writing
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
-from boresight.store.sessions import open_engine, writing
-from boresight.store.tables import Run
 from boresight.telemetry.sensors import sensor_document
 from tests.browser.people import PRINTED_NAMES
 from tests.missions import add_run, add_set, make_baseline

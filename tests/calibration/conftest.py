@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor

@@ -15,7 +15,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust import trust_view
 from boresight.calibration.trust.ground import Ground, stand
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue

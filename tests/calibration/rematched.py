@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from boresight.calibration.matching.rematch import Matches, Rematcher, ground_covariance
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.rematch import Matches, Rematcher, ground_covariance
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.telemetry.schema import Telemetry

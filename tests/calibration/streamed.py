@@ -7,7 +7,7 @@ import pyarrow.parquet as arrow_parquet
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.writers import contract_table
 
 #: Of the document, what depends on the clock.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from boresight.calibration.alignment import (
+from boresight.calibration.evaluation.alignment import (
     ARCSEC_PER_RAD,
     Alignment,
     align,
@@ -16,11 +16,17 @@ from boresight.calibration.alignment import (
     sentence,
 )
 from boresight.calibration.problem import Problem
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch
 from boresight.estimation.arcs import angular_sigma
-from boresight.estimation.attitude import attitudes, mean_rotation, turns_from
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.rotations import matrix_of, quaternion_of, quaternion_of_vector
+from boresight.estimation.attitude import (
+    attitudes,
+    matrix_of,
+    mean_rotation,
+    quaternion_of,
+    quaternion_of_vector,
+    turns_from,
+)
 from tests.effort import effort
 from tests.estimation.fields import FREE, GROUND, NOISE_PX, PITCH, SCALE, TRUTH, star_field
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtri
 
-from boresight.calibration import bootstrap
+from boresight.calibration.evaluation import bootstrap
 
 
 def frames_that_fail(rng, n, correlation, share):

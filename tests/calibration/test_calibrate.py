@@ -12,8 +12,8 @@ from boresight.calibration import listening
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.errors import CancelledError, RefusedInputError
-from boresight.estimation.consistency import nees
-from boresight.telemetry.readers import read_telemetry
+from boresight.estimation.statistics.consistency import nees
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.estimation.fields import SCALE, TRUTH
 

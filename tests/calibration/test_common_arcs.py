@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from boresight.calibration.common_arcs import common_arcs
-from boresight.calibration.evaluate import evaluate_sightings
+from boresight.calibration.evaluation.evaluate import evaluate_sightings
+from boresight.calibration.matching.sighting import common_arcs, sightings
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.sighting import sightings
 from tests.estimation.fields import TRUTH
 
 GIVEN = CalibrationSettings(match="given")

@@ -9,9 +9,9 @@ import pytest
 
 from boresight.columns import write_columns
 from boresight.errors import CorruptFileError
-from boresight.telemetry.limits import LIMITS
-from boresight.telemetry.parquet import Layout
-from boresight.telemetry.stretches import Stretch
+from boresight.telemetry.read.limits import LIMITS
+from boresight.telemetry.read.parquet import Layout
+from boresight.telemetry.read.readers import Stretch
 
 
 def test_a_flipped_bit_in_a_working_copy_is_refused(tmp_path: Path) -> None:

@@ -5,9 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from boresight.calibration import matched
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.cycles import MOST_CYCLES, Cycle, Ended, cycles_view
+from boresight.calibration.matching import matched
+from boresight.calibration.matching.cycles import MOST_CYCLES, Cycle, Ended, cycles_view
 from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.sensors import st16_truth
 from tests.calibration.rematched import sky

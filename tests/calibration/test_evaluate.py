@@ -6,10 +6,10 @@ import numpy as np
 import orjson
 import pytest
 
-from boresight.calibration.evaluate import evaluate_parameters
+from boresight.calibration.evaluation.evaluate import evaluate_parameters
 from boresight.calibration.options import CalibrationSettings
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate
 from tests.estimation.fields import GROUND, NOISE_PX, PITCH, TRUTH
 

@@ -6,7 +6,7 @@ import pytest
 from boresight.calibration import sequence
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 from tests.estimation.fields import rotation

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from boresight.calibration.flight import FLIGHT_REASONS, flight_tolerance, flight_view
+from boresight.calibration.matching.flight import FLIGHT_REASONS, flight_tolerance, flight_view
 from boresight.calibration.options import CalibrationSettings
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.arcs import arclength
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.directions import star_directions
-from boresight.telemetry.exposures import exposures_of
+from boresight.telemetry.schema import exposures_of
 from tests.estimation.fields import GROUND, PITCH, TRUTH
 
 SETTINGS = CalibrationSettings()

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight.calibration.advice import to_hold
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.forecast import MOST_FRAMES, MOST_STARS, forecast
+from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, forecast
 from boresight.calibration.options import METHODS, CalibrationSettings
-from boresight.calibration.remedies import to_hold
-from boresight.estimation.observability import WEAK
-from boresight.telemetry.readers import read_telemetry, write_parquet
-from boresight.telemetry.sample import Sample, read_sample
+from boresight.estimation.statistics.observability import WEAK
+from boresight.telemetry.read.frames import Sample, read_sample
+from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.judged import case, field, simulated
 

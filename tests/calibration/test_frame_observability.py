@@ -7,15 +7,15 @@ import orjson
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calibration import frame_observability as frame_view
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters
-from boresight.calibration.frame_observability import MOST_FRAMES, MOST_SQUARES, frame_observability
+from boresight.calibration.frames import frame_observability as frame_view
+from boresight.calibration.frames.frame_observability import MOST_FRAMES, MOST_SQUARES, frame_observability
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.arcs import angular_sigma
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.filters.information import Frame
 from boresight.estimation.singular_values import Selection, exposure, stacked
 from boresight.telemetry.schema import Telemetry

@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.frame_states import states_of
-from boresight.calibration.frame_view import frame_view, pointing
+from boresight.calibration.frames.frame_states import states_of
+from boresight.calibration.frames.frame_view import frame_view, pointing
+from boresight.calibration.matching.rematch import rematch
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.rematch import rematch
 from boresight.calibration.trust.residuals import sightings
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.telemetry.schema import rows_of

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from boresight.calibration.estimate import Parameters, run_batch
-from boresight.calibration.matched import Dataset
+from boresight.calibration.matching.matched import Dataset
+from boresight.calibration.matching.rematch import Rematcher
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.rematch import Rematcher
 from boresight.estimation.filters.history import start
 from tests.calibration.rematched import sky
 

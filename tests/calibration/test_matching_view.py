@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calibration.cycles import Ended
-from boresight.calibration.matched import Matched
-from boresight.calibration.matching_view import counted, matching_view
-from boresight.calibration.sighting import given_matches
+from boresight.calibration.matching.cycles import Ended
+from boresight.calibration.matching.match_report import counted, matching_view
+from boresight.calibration.matching.matched import Matched
+from boresight.calibration.matching.sighting import given_matches
 from boresight.calibration.streaming.matching import MatchedRange
 from boresight.calibration.streaming.sample import MatchedRows
-from boresight.sky.doubles import DOUBLE, UNRELIABLE
+from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
 from boresight.sky.matching import EXPOSURE_REASONS, ROW_REASONS, STARTS
 from tests.calibration.rematched import sky
 

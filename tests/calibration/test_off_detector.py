@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from boresight.calibration.matching.sighting import sightings
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.sighting import sightings
 from boresight.telemetry.schema import Telemetry
 from tests.calibration.conftest import telemetry
 from tests.calibration.rematched import sky

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.matching.rematch import rematch
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.rematch import rematch
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import FIGURES
 from boresight.figures.chart import Trace
 from boresight.figures.report import render_report

@@ -11,7 +11,7 @@ from benchmarks import random_edits as edits
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.telemetry.readers import read_telemetry, write_csv
+from boresight.telemetry.read.readers import read_telemetry, write_csv
 from tests.stores import environment_in
 
 ALL, THROUGH_THE_DOOR = 2000, 8

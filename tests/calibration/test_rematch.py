@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calibration.rematch import matched_telemetry
+from boresight.calibration.matching.rematch import matched_telemetry
 from boresight.sky.matching import LEFT_OUT, STARTS
 from tests.calibration.rematched import SENSORS, Score, sky
 

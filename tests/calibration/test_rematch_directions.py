@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.calibration.matching.rematch import Rematcher, ground_covariance, matched_telemetry
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.rematch import Rematcher, ground_covariance, matched_telemetry
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.consistency import chi_square
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation.statistics.consistency import chi_square
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.rematched import Sky, sky
 

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calibration.estimate import Parameters, run_batch
+from boresight.calibration.estimate import Parameters, robust_view, run_batch
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.robust import robust_view
 from boresight.estimation import batch
 from tests.estimation.fields import FREE, SCALE, TRUTH
 

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from boresight.calibration import shadow
+from boresight.calibration.evaluation import shadow
+from boresight.calibration.evaluation.shadow import mcnemar, shadow_view, summary
+from boresight.calibration.matching.sighting import sightings
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.shadow import mcnemar, shadow_view, summary
-from boresight.calibration.sighting import sightings
 from tests.estimation.fields import GROUND, TRUTH
 
 GIVEN = CalibrationSettings(match="given")

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.calibration import calibrate as calibration
-from boresight.calibration import matched
+from boresight.calibration.matching import matched
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.streaming import sample
 from boresight.calibration.streaming.telemetry_pieces import copy_stretch
@@ -20,7 +20,7 @@ from boresight.estimation.blocks import FRAMES
 from boresight.estimation.spread import InThisProcess
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
-from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.read.readers import write_parquet
 from tests.calibration.conftest import telemetry
 from tests.calibration.rematched import sky
 from tests.calibration.streamed import differences, in_memory, streamed, written

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from tests.calibration.conftest import telemetry
 from tests.calibration.streamed import in_memory, streamed, write_in_groups, written
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from boresight.calibration.trend import trend_entry
+from boresight.calibration.result import trend_entry
 
 RESULT: dict[str, Any] = {
     "camera_model": "inverted_wang",

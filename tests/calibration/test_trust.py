@@ -11,7 +11,7 @@ import pytest
 
 from boresight.calibration.options import METHODS
 from boresight.calibration.trust import trust_advice
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.judged import Case, case, field, simulated
 

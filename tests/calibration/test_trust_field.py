@@ -8,8 +8,8 @@ from scipy import stats
 
 from boresight.calibration.trust.distribution import residual_distribution, residual_outliers, two_sided
 from boresight.calibration.trust.field import cell_edges, residual_field
+from boresight.calibration.trust.innovations import deviates, worst_frames
 from boresight.calibration.trust.residuals import sightings
-from boresight.calibration.trust.worst_frames import deviates, worst_frames
 from tests.calibration.judged import case, field, simulated
 
 

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calibration.trust.residuals import sightings
 from boresight.calibration.trust.stars import StarTable, _merged, star_table, stars
-from boresight.estimation.consistency import chi_square
-from boresight.sky.doubles import phrases, star_flags
+from boresight.estimation.statistics.consistency import chi_square
+from boresight.sky.guide_stars import phrases, star_flags
 from tests.calibration.judged import case, field, simulated
 
 PIXEL_RAD = 2.2e-6 / 0.016

@@ -5,10 +5,12 @@ from contextlib import nullcontext
 
 import pytest
 
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.chain import append_own
-from boresight.store.sessions import open_engine, writing
-from boresight.store.tables import Blob, Sensor, TelemetrySet
+from boresight.console.fleet.tables import Sensor
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit.chain import append_own
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import open_engine, writing
 from tests.stores import drop_triggers, triggers_aside, url_in
 
 NOW = "2026-11-21T00:00:00.000000Z"

@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
-from boresight import integrity
+from boresight import disks as integrity
+from boresight.console.webhooks.tables import Webhook
 from boresight.errors import RefusedInputError
+from boresight.platform.audit import chain
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db import backup as backups
+from boresight.platform.db.sessions import opened, writing
 from boresight.settings import read_settings
-from boresight.store import backup as backups
-from boresight.store import chain
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import opened, writing
-from boresight.store.tables import Webhook
 from tests.stores import environment_in, on_postgresql
 
 PASSWORD = "correct horse battery"

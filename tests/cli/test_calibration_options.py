@@ -6,8 +6,7 @@ import click
 import pytest
 
 from boresight.calibration.options import OPTIONS, CalibrationSettings
-from boresight.cli.calibrate import calibrate
-from boresight.cli.calibration_options import Choice
+from boresight.cli.calibrate import Choice, calibrate
 
 OF_PAGES_ONLY = {"replay_frames_per_s"}  # a pace to watch at
 

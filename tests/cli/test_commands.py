@@ -11,7 +11,7 @@ import time
 import pytest
 
 from boresight.cli import main
-from boresight.cli.progress import progress
+from boresight.cli.output import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
 
 COMMANDS = (
@@ -80,7 +80,7 @@ def test_the_report_of_a_stored_run_says_where_one_person_works_alone(
     store, calibration_result, tmp_path, monkeypatch, setting, said
 ):
     monkeypatch.setenv("BORESIGHT_FOUR_EYES", setting)
-    monkeypatch.setattr("boresight.services.runs.final_result", lambda *_: calibration_result)
+    monkeypatch.setattr("boresight.console.runs.service.final_result", lambda *_: calibration_result)
     done = store("report", "1", "--out", tmp_path / "report.html")
     assert done.exit_code == 0, done.stderr
     assert ("FOUR EYES ARE OFF" in (tmp_path / "report.html").read_text(encoding="utf-8")) is said
@@ -174,7 +174,7 @@ def test_debug_shows_the_traceback(boresight, monkeypatch):
 
 
 def test_without_a_terminal_long_work_is_one_plain_line_and_short_work_none(capsys, monkeypatch):
-    monkeypatch.setattr("boresight.cli.progress.PATIENCE_S", 0.05)
+    monkeypatch.setattr("boresight.cli.output.PATIENCE_S", 0.05)
     with progress("counting stars"):
         pass
     assert capsys.readouterr().err == ""
@@ -186,7 +186,7 @@ def test_without_a_terminal_long_work_is_one_plain_line_and_short_work_none(caps
 
 def test_in_a_terminal_long_work_shows_a_bar():
     code = (
-        "import time; from boresight.cli.progress import progress\n"
+        "import time; from boresight.cli.output import progress\n"
         "with progress('counting') as report:\n"
         "    for step in range(16):\n"
         "        report('counting', step / 16); time.sleep(0.1)\n"

@@ -7,9 +7,9 @@ import zipfile
 
 import pytest
 
-from boresight.services import sensors
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import writing
+from boresight.console.fleet import service as sensors
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import writing
 from tests.stores import open_migrated, url_in
 
 INITIAL = {"s": 1.0, "f_m": 0.05, "u0_px": 512.3, "v0_px": 511.2, "k1": 0.01, "k2": -0.02}

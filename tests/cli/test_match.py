@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 
 
 def blanked(source, target, share, rng):

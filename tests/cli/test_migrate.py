@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.store.sessions import current_revision, head_revision, open_engine
+from boresight.platform.db.sessions import current_revision, head_revision, open_engine
 from tests.stores import url_in
 
 ADD = ("--role", "analyst", "--password-stdin")

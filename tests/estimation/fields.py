@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 
 PITCH = 2.2e-6
 ROWS, COLUMNS = 1944, 2592

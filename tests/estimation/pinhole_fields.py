@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from tests.estimation.fields import arranged, rotation
 
 WU_PITCH = 2.9e-6

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import angular
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, star_field, weighed

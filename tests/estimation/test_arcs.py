@@ -5,8 +5,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from tests.effort import effort
 from tests.estimation.fields import GROUND, NOISE_PX, PITCH, star_field, weighed
 

@@ -8,17 +8,15 @@ from scipy.stats import chi2
 
 from boresight.estimation.attitude import (
     attitudes,
+    matrix_of,
     mean_rotation,
     mean_rotation_covariance,
-    triad,
-    wahba,
-)
-from boresight.estimation.rotations import (
-    matrix_of,
     product,
     quaternion_of,
     quaternion_of_vector,
     rotation_vector,
+    triad,
+    wahba,
 )
 from tests.strategies import rotations
 

@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 
 from boresight.errors import CancelledError
 from boresight.estimation import batch
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.metrics import arc_errors
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from benchmarks.stars import synthetic
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.batch import NormalEquations
 from boresight.estimation.blocks import FRAMES, computing_on, in_blocks
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.sensors import st16_sensor
 
 SENSOR = st16_sensor(1)

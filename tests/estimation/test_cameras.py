@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
+from boresight.cameras import CAMERA_MODELS, CameraModel
 from tests.estimation.fields import GROUND, PITCH, SCALE
 from tests.estimation.pinhole_fields import PINHOLE_GROUND, PINHOLE_SCALE
 

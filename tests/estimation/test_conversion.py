@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.conversion import convert
 from tests.estimation.pinhole_fields import WU_COLUMNS, WU_PITCH, WU_ROWS, WU_TRUTH
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch, cosine
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.consistency import chi_square
 from boresight.estimation.metrics import arc_errors
+from boresight.estimation.statistics.consistency import chi_square
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
 SETS = 60

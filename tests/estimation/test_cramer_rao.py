@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.cramer_rao import centroid_rows
+from boresight.estimation.statistics.cramer_rao import centroid_rows
 from tests.estimation.fields import FREE, PITCH, SCALE, TRUTH, star_field, weighed
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.estimation.drift import Epoch, baseline_test, fit_line, mahalanobis, power, slope_test
+from boresight.estimation.statistics.drift import Epoch, baseline_test, fit_line, mahalanobis, power, slope_test
 
 K = 5
 SCALE = np.array([5e-5, 50.0, 1e6, 50.0, 1e-3])  # as unlike as a camera's parameters are

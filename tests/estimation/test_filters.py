@@ -5,9 +5,9 @@ import pytest
 
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import batch
-from boresight.estimation.consistency import nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
+from boresight.estimation.statistics.consistency import nees
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
 

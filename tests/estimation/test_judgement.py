@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.consistency import chi_square
 from boresight.estimation.metrics import aggregate_rms, rms, tail_rms
-from boresight.estimation.observability import observability
-from boresight.estimation.uncertainty import radial_difference
+from boresight.estimation.statistics.consistency import chi_square
+from boresight.estimation.statistics.observability import observability
+from boresight.estimation.statistics.uncertainty import radial_difference
 from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, star_field, weighed
 
 NAMES, SYMBOLS = INVERTED_WANG.parameter_names, INVERTED_WANG.symbols

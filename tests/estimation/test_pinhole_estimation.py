@@ -7,10 +7,10 @@ from boresight import kernels
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.metrics import arc_errors
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.pinhole_fields import PINHOLE, WU_TRUTH, wu_field
 
 FREE = np.arange(6)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight import kernels
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL, turning_radius
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL, turning_radius
 from tests.estimation.pinhole_fields import WU_COLUMNS, WU_PITCH, WU_ROWS, WU_TRUTH
 
 COEFFICIENTS = st.tuples(st.floats(-3, 3), st.floats(-30, 30))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.estimation.prediction import further_covariance
+from boresight.estimation.statistics.observability import further_covariance
 
 
 def _problem(seed, n=4):

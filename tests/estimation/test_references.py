@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from boresight.estimation import references, singular_values
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.references import (
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation import singular_values
+from boresight.estimation.singular_values import Selection
+from boresight.estimation.statistics import references
+from boresight.estimation.statistics.references import (
     View,
     information_content,
     judged,
@@ -14,7 +16,6 @@ from boresight.estimation.references import (
     relative,
     seen,
 )
-from boresight.estimation.singular_values import Selection
 from tests.estimation.fields import FREE, SCALE, TRUTH, star_field, weighed
 
 VIEW = View(INVERTED_WANG, TRUTH, FREE, SCALE)

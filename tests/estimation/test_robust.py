@@ -7,8 +7,8 @@ import pytest
 
 from boresight import kernels
 from boresight.estimation import batch
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.robust import insurance
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
 HUBER = 1.345

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
-from boresight.estimation.rotations import (
+from boresight.estimation.attitude import (
     conjugate,
     matrix_of,
     product,

@@ -6,9 +6,9 @@ import pytest
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs
 from boresight.estimation.arcs import arclength
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.pinhole_fields import PINHOLE, WU_COLUMNS, WU_PITCH, WU_ROWS, WU_TRUTH, wu_field
 
 SIX = np.arange(6)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from boresight.estimation import arcs, singular_values
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.pinhole_fields import PINHOLE, WU_TRUTH, wu_field
 
 SCALE = np.array([1e-3, 5e-4, 10.0, 10.0, 0.5, 1.0])

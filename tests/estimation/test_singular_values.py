@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from boresight.calibration.options import EITHER_FORM
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import singular_values
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import APART, STAR_MODELS, Selection
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, rotation, star_field, weighed
 
 SIGMA = 1e-4

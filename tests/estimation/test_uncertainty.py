@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch
 from boresight.estimation.arcs import arclength
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.uncertainty import (
+from boresight.estimation.statistics.uncertainty import (
     AZIMUTHS,
     _arcs_from,
     arc_sigma,

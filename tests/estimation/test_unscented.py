@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.metrics import arc_errors
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
 SINGLE = Tuning(linearisations=1)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from boresight.estimation.consistency import ljung_box, runs_p_value, share_bounds
+from boresight.estimation.statistics.consistency import ljung_box, runs_p_value, share_bounds
 
 
 @given(st.integers(0, 10_000), st.integers(12, 60))

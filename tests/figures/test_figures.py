@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 import pytest
 
 from boresight.figures import FIGURES, Trace, figure_json
-from boresight.figures.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, UI_REVISION
+from boresight.figures.style.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, UI_REVISION
 from tests.figures.examined import frame_observability, trust
 from tests.figures.flown import matching, shadow
 

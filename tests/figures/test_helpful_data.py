@@ -2,8 +2,8 @@
 
 import pytest
 
-from boresight.estimation.observability import WEAK
-from boresight.figures.helpful_data import helpful_data, weakest_words
+from boresight.estimation.statistics.observability import WEAK
+from boresight.figures.charts.helpful_data import helpful_data, weakest_words
 
 
 def seen(direction, sigma, frames=200, **rest):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from boresight.figures import FIGURES, Trace
-from boresight.figures.method_scores import method_scores
+from boresight.figures.charts.methods import method_scores
 from boresight.figures.trust_parts import column
 
 

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.figures import FIGURES, Trace
-from boresight.figures.residual_distribution import shares
-from boresight.figures.residual_outliers import reasons
-from boresight.figures.residual_quiver import CIRCLE, Cells, cells_of, scale_of
+from boresight.figures.charts.trust.residual_distribution import shares
+from boresight.figures.charts.trust.residual_outliers import reasons
+from boresight.figures.charts.trust.residual_quiver import CIRCLE, Cells, cells_of, scale_of
 
 
 def draw(name, result):

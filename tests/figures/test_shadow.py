@@ -5,7 +5,7 @@ import orjson
 import pytest
 
 from boresight.figures import Trace, figure_json
-from boresight.figures.shadow import SHADOW
+from boresight.figures.charts.shadow import SHADOW
 
 
 def side(valid, matched):

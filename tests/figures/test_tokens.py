@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.figures import theme
-from boresight.figures.tokens import PANELS, THEMES, TOKENS, contrast, read_themes
+from boresight.figures.style import theme
+from boresight.figures.style.theme import PANELS, THEMES, TOKENS, contrast, read_themes
 from boresight.resources import folder
 
 STATIC = folder("frontend") / "static"

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from boresight.figures import figure_json, trend
+from boresight.figures import figure_json
+from boresight.figures.charts import trend
 
 NAMES = ["f_m", "b2_per_m2"]
 

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, Trace, figure_json
-from boresight.figures.alignment import ALIGNMENTS, aligned, name_axis
-from boresight.figures.envelope import as_band, span_of
+from boresight.figures.charts.alignment import ALIGNMENTS, aligned, name_axis
 from boresight.figures.focus import POINT_BUDGET, focus
-from boresight.figures.theme import run_styles
-from boresight.figures.thinning import keep_extremes, thinning
+from boresight.figures.style.envelope import as_band, span_of
+from boresight.figures.style.theme import run_styles
+from boresight.figures.style.thinning import keep_extremes, thinning
 from tests.figures.conftest import batch, sequential
 
 LONG = 30_000

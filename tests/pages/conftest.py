@@ -17,21 +17,26 @@ import orjson
 import pytest
 from fastapi import Response
 
-from boresight.api.cookies import SESSION_COOKIE
 from boresight.calibration import listening
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.access import sessions, users
+from boresight.console.access.credentials import SESSION_COOKIE
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import migrate, open_engine, utc_now, writing
 from boresight.server import create_app
-from boresight.services import audit, parameter_sets, sessions, users
-from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import open_blobs
-from boresight.store.sessions import migrate, open_engine, utc_now, writing
-from boresight.store.tables import Blob, Run, Sensor, TelemetrySet
 from boresight.telemetry.sensors import sensor_document
 from boresight.verdicts.summary import summary_of
 from tests.passwords import new_password

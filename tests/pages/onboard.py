@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from boresight.services import read_backs, table_definitions, uplinks
-from boresight.store.sessions import Session, reading, writing
-from boresight.store.tables import ParameterSet
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import read_backs, table_definitions
+from boresight.console.uplinks import service as uplinks
+from boresight.platform.db.sessions import Session, reading, writing
 from tests.passwords import proved
 
 from .conftest import PASSWORD

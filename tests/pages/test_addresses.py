@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.pages.addresses import GREATEST_NUMBER
+from boresight.console.pages.rendering import GREATEST_NUMBER
 
 HUGE = "99999999999999999999999"
 

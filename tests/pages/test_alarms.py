@@ -8,9 +8,10 @@ import io
 import numpy as np
 import pytest
 
-from boresight.services import alarms, watch
-from boresight.services.conditions import chain_condition
-from boresight.store.sessions import reading, writing
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms import watch
+from boresight.console.alarms.watch import chain_condition
+from boresight.platform.db.sessions import reading, writing
 from tests.missions import add_run, add_set, make_baseline
 
 

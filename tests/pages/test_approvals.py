@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.figures.parameter_table import parameter_rows
-from boresight.pages.approval import warnings_of
+from boresight.console.approvals.pages.approval import warnings_of
+from boresight.figures.tables.parameter_table import parameter_rows
 
 PASSWORD = "correct horse battery"
 WORDS = {"decision": "APPROVE", "meaning": "I approve this set for baseline.", "comment": "Read all of it."}

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.pages.audit import line_of
-from boresight.pages.audit_changes import changes
-from boresight.services import audit
-from boresight.store.sessions import reading, writing
+from boresight.console.audit.pages import changes, line_of
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
 from tests.stores import drop_triggers
 
 
@@ -23,7 +22,7 @@ def test_the_light_says_whether_the_chain_holds(house, read):
 
 
 def test_a_long_chain_is_verified_when_asked(house, read, monkeypatch):
-    monkeypatch.setattr("boresight.pages.audit.VERIFIED_AT_EVERY_VISIT", 1)
+    monkeypatch.setattr("boresight.console.audit.pages.VERIFIED_AT_EVERY_VISIT", 1)
     visitor = house.visitor("victor")
     assert "NOT VERIFIED" in read(visitor.get("/audit"))
     assert "CHAIN HOLDS" in read(visitor.get("/audit?verify=1"))

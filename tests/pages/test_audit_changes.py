@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.pages.audit_changes import changes, title_of, unit_of
+from boresight.console.audit.pages import changes, title_of, unit_of
 
 
 @pytest.mark.parametrize(

@@ -7,23 +7,25 @@ import re
 import pytest
 import sqlalchemy as sa
 
-from boresight.pages.run import parameter_set_of
-from boresight.services import alarms, approvals, audit, gate_profiles, lists, packages, parameter_sets, runs
-from boresight.services.actors import COMMAND_LINE, POLICY
-from boresight.store.sessions import reading, utc_now, writing
-from boresight.store.tables import (
-    Alarm,
-    Approval,
-    Campaign,
-    CampaignRun,
-    Package,
-    ParameterSet,
-    Run,
-    RunEvent,
-    Sensor,
-    Signature,
-    TelemetrySet,
-)
+from boresight.console import lists
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals import gate_profiles
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import service as runs
+from boresight.console.runs.pages.run import parameter_set_of
+from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.uplinks import packages
+from boresight.console.uplinks.tables import Package
+from boresight.platform.actors import COMMAND_LINE, POLICY
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, utc_now, writing
 
 from .statements import counted
 

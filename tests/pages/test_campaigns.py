@@ -8,12 +8,15 @@ import re
 
 import pytest
 
-from boresight.pages.campaigns import _cell
-from boresight.services import audit, campaigns, presets, sensors
-from boresight.services.actors import COMMAND_LINE
+from boresight.console.campaigns import service as campaigns
+from boresight.console.campaigns.pages import _cell
+from boresight.console.fleet import service as sensors
+from boresight.console.runs import presets
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
 from boresight.simulation.sensors import st16_sensor
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import Run
 from boresight.telemetry.sensors import sensor_document
 
 FORM = {

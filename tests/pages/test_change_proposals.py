@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from boresight.services import gate_profiles, users
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import reading, writing
+from boresight.console.access import users
+from boresight.console.approvals import gate_profiles
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import reading, writing
 from tests.passwords import new_password
 
 from .conftest import PASSWORD, PEOPLE

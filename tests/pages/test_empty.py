@@ -6,9 +6,9 @@ import dataclasses
 
 import pytest
 
-from boresight.services import users
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import migrate, writing
+from boresight.console.access import users
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import migrate, writing
 from tests.passwords import new_password
 from tests.stores import url_in
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.pages import formats
+from boresight.console.pages import formats
 from boresight.verdicts import numbers
 from boresight.verdicts.numbers import MINUS
 

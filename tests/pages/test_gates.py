@@ -6,8 +6,10 @@ import re
 
 import pytest
 
-from boresight.services import gate_profiles, parameter_sets, waivers
-from boresight.store.sessions import reading, writing
+from boresight.console.approvals import gate_profiles
+from boresight.console.approvals import gates as waivers
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.sessions import reading, writing
 
 from .conftest import PASSWORD
 

@@ -10,10 +10,16 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import audit, campaigns, runs
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import reading, utc_now, writing
-from boresight.store.tables import Alarm, Blob, ParameterSet, Sensor, TelemetrySet
+from boresight.console.alarms.tables import Alarm
+from boresight.console.campaigns import service as campaigns
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import service as runs
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import reading, utc_now, writing
 from tests.pages.conftest import House, _settings
 from tests.stores import copied
 
@@ -82,7 +88,7 @@ def fleets(furnished: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 @pytest.fixture(autouse=True)
 def one_look(monkeypatch):
     """Let the top bar's look at the fleet hold for as long as any: what is counted here is what pages ask."""
-    monkeypatch.setattr("boresight.pages.fleet.REST", 1e9)
+    monkeypatch.setattr("boresight.console.pages.frame.REST", 1e9)
 
 
 @pytest.fixture

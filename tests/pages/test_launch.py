@@ -7,9 +7,11 @@ import re
 import pytest
 
 from boresight.calibration.options import OPTIONS
-from boresight.services import audit, runs
-from boresight.store.sessions import reading, utc_now, writing
-from boresight.store.tables import Blob, TelemetrySet
+from boresight.console.runs import service as runs
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import reading, utc_now, writing
 
 FORM = {
     "sensor_id": "1",

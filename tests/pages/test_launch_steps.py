@@ -6,12 +6,11 @@ import re
 
 import pytest
 
-from boresight.pages.launch_form import DEFAULTS
-from boresight.pages.launch_summary import differences
-from boresight.services import presets
-from boresight.services.presets import BUILT_IN
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import TelemetrySet
+from boresight.console.runs import presets
+from boresight.console.runs.pages.launch import DEFAULTS, differences
+from boresight.console.runs.presets import BUILT_IN
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.db.sessions import reading, writing
 from tests.pages.test_launch import FORM
 
 KEPT = {"preset_name": "Mondays", "preset_sentence": "On Mondays.", "intent": "save"}

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.pages.login import local_path
+from boresight.console.access.pages import local_path
 
 PASSWORD = "correct horse battery"
 
@@ -41,7 +41,7 @@ def test_a_wrong_name_and_a_wrong_password_sound_the_same_and_the_name_stays(str
 
 
 def test_too_many_failures_are_slowed_down_and_then_told_to_wait(stranger, read, monkeypatch):
-    monkeypatch.setattr("boresight.services.login_limiter.HELD_S", 0.01)
+    monkeypatch.setattr("boresight.console.access.log_in_attempts.HELD_S", 0.01)
     for _ in range(6):
         answer = log_in(stranger, password="wrong")
     answer = log_in(stranger)

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from boresight.calibration.options import METHODS
-from boresight.figures.method_scores import method_scores
-from boresight.pages.method_panel import method_panel
+from boresight.console.runs.pages.compare import method_panel
+from boresight.figures.charts.methods import method_scores
 
 
 def one(run_id=1, method="batch", set_id=1, result=None, **settings):

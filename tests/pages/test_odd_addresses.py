@@ -12,7 +12,7 @@ from fastapi import APIRouter
 from fastapi.routing import APIRoute
 from hypothesis import strategies as st
 
-from boresight import pages
+from boresight.console import pages
 from tests.api.conftest import House, catalogue, house
 
 __all__ = ["catalogue", "house"]

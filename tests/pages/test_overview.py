@@ -8,10 +8,11 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
-from boresight.pages import overview
+from boresight.console.approvals import submissions
+from boresight.console.fleet.pages import overview
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.sessions import writing
 from boresight.resources import folder
-from boresight.services import parameter_sets
-from boresight.store.sessions import writing
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def submitted(house):
     """Submit the set of run 1 as the analyst."""
     with writing(house.engine) as session:
         row = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
-        parameter_sets.submit(
+        submissions.submit(
             session, house.actor("ada"), house.blobs, row.id, "Focus moved with temperature.", row.version
         )
         return row.name
@@ -111,11 +112,11 @@ def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(
 def test_what_the_page_counts_and_what_it_draws_are_one_look_and_it_says_what_is_not_judged_yet(
     house, read, monkeypatch
 ):
-    monkeypatch.setattr("boresight.services.judgements._known", WeakKeyDictionary())
-    monkeypatch.setattr("boresight.services.fleet.MOST_JUDGED", 0)
+    monkeypatch.setattr("boresight.console.fleet.status._known", WeakKeyDictionary())
+    monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 0)
     page = house.visitor("ada").get("/")
     assert "of 1 it is not known yet whether the ground calibration holds" in read(page)
     assert '<a href="/sensors?status=normal">1</a>' in page
     assert '<li class="tile tile-normal">' in page
-    monkeypatch.setattr("boresight.services.fleet.MOST_JUDGED", 1)
+    monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 1)
     assert "not known yet" not in read(house.visitor("victor").get("/?again=1"))

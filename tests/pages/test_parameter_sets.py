@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.services import parameter_sets
-from boresight.store.sessions import reading
+from boresight.console import transitions
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.sessions import reading
 
 
 @pytest.fixture
@@ -113,7 +114,7 @@ def test_an_approved_set_becomes_the_baseline_and_supersedes_the_old_one(house, 
     assert "This set is the baseline; it replaced PS-ST16-1-0." in text
     with reading(house.engine) as session:
         assert parameter_sets.baseline_of(session, 1).name == "PS-ST16-1-1"
-        assert parameter_sets.get_parameter_set(session, 1).ground_state == "SUPERSEDED"
+        assert transitions.get_parameter_set(session, 1).ground_state == "SUPERSEDED"
 
 
 def test_a_set_that_does_not_exist_is_not_found(house):

@@ -6,7 +6,7 @@ import pytest
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
-from boresight.api.problems import KINDS
+from boresight.console.pages.problem import problem_page
 from boresight.errors import (
     OverloadedError,
     PasswordDueError,
@@ -14,7 +14,7 @@ from boresight.errors import (
     TooManyAttemptsError,
     UnauthenticatedError,
 )
-from boresight.pages.problem import problem_page
+from boresight.platform.web.problems import KINDS
 
 SENTENCE = "This is what happened."
 LOG_IN = {PasswordDueError, SessionEndedError, UnauthenticatedError}  # they lead to a page where something can be done

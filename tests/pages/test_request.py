@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.services import approvals
-from boresight.store.sessions import reading
+from boresight.console.approvals import service as approvals
+from boresight.platform.db.sessions import reading
 
 PASSWORD = "correct horse battery"
 WORDS = {"decision": "APPROVE", "meaning": "", "comment": "Seen."}

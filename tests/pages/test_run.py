@@ -6,9 +6,9 @@ import re
 
 import pytest
 
-from boresight.figures.parameter_table import parameter_rows
-from boresight.store.sessions import utc_now, writing
-from boresight.store.tables import RunEvent
+from boresight.console.runs.tables import RunEvent
+from boresight.figures.tables.parameter_table import parameter_rows
+from boresight.platform.db.sessions import utc_now, writing
 from boresight.verdicts.verdict import marks
 
 

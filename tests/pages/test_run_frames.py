@@ -6,15 +6,14 @@ import re
 import numpy as np
 import pytest
 
-from boresight.pages.frame_drawing import SCALES, round_down, usual_scale
-from boresight.pages.run_frames import FramePage
-from boresight.services import audit
-from boresight.services.actors import COMMAND_LINE
+from boresight.console.runs.pages.frames import SCALES, FramePage, round_down, usual_scale
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import writing
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import writing
-from boresight.store.tables import TelemetrySet
 from boresight.telemetry.writers import write_parquet
 
 

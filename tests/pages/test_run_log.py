@@ -6,9 +6,9 @@ import re
 
 import pytest
 
-from boresight.store.run_events import Line, write_event
-from boresight.store.sessions import writing
-from boresight.store.tables import RUN_STATES
+from boresight.console.runs.run_events import Line, write_event
+from boresight.console.runs.tables import RUN_STATES
+from boresight.platform.db.sessions import writing
 
 LINES = [
     (Line.moved("QUEUED"), "QUEUED", "info"),

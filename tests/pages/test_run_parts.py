@@ -6,9 +6,9 @@ import re
 
 import pytest
 
+from boresight.console.runs.pages.run import TITLES
 from boresight.figures import CHAPTERS, FIGURES
-from boresight.pages.run_tabs import TITLES
-from boresight.store.sessions import utc_now
+from boresight.platform.db.sessions import utc_now
 from tests.figures.examined import trust
 from tests.figures.flown import matching, shadow
 

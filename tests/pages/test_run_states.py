@@ -7,9 +7,9 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from boresight.store.run_events import Line
-from boresight.store.sessions import utc_after, utc_now, writing
-from boresight.store.tables import RunEvent
+from boresight.console.runs.run_events import Line
+from boresight.console.runs.tables import RunEvent
+from boresight.platform.db.sessions import utc_after, utc_now, writing
 
 FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}
 HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8.6}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from starlette.datastructures import QueryParams
 
-from boresight.pages.run_views import course_facts, sight_facts, tail_facts, view_of
+from boresight.console.runs.pages.run import course_facts, sight_facts, tail_facts, view_of
 from boresight.verdicts.verdict import marks
 
 

@@ -8,11 +8,12 @@ import re
 
 import pytest
 
-from boresight.pages.sensor import baseline_values, optics_of
-from boresight.pages.sensors import EXAMPLE, FIELDS, read_document
-from boresight.services import parameter_sets, sensors
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import ParameterSet
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.pages.sensor import baseline_values, optics_of
+from boresight.console.fleet.pages.sensors import EXAMPLE, FIELDS, read_document
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.platform.db.sessions import reading, writing
 from boresight.telemetry.sensors import parse_sensor
 
 

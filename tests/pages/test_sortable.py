@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from boresight.pages import sensors
-from boresight.pages.sensors import EXAMPLE
+from boresight.console.fleet.pages import sensors
+from boresight.console.fleet.pages.sensors import EXAMPLE
 
 STATIC = Path(__file__).parents[2] / "frontend" / "static"
 

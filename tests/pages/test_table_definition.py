@@ -6,10 +6,10 @@ import re
 
 import pytest
 
-from boresight.pages.table_definition import written_as_text
-from boresight.services import table_definitions
-from boresight.store.sessions import reading
-from boresight.uplink.plain_table import plain_definition
+from boresight.console.uplinks import table_definitions
+from boresight.console.uplinks.pages.table_definition import written_as_text
+from boresight.platform.db.sessions import reading
+from boresight.uplink.table_definition import plain_definition
 
 ADDRESS = "/sensors/1/table-definition"
 EXAMPLE = plain_definition("inverted_wang")

@@ -9,11 +9,11 @@ import io
 import numpy as np
 import pytest
 
-from boresight.services import telemetry_sets
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.platform.db.sessions import reading
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.sessions import reading
-from boresight.telemetry.readers import write_csv
+from boresight.telemetry.read.readers import write_csv
 
 
 @pytest.fixture(scope="module")

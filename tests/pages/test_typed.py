@@ -6,8 +6,8 @@ from html import unescape
 
 import pytest
 
-from boresight.services import parameter_sets
-from boresight.store.sessions import writing
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.sessions import writing
 
 WORDS = 'Words of a tired operator, "quoted" & <kept>.'
 ODD = '{"name": "half of a document'

@@ -8,15 +8,19 @@ from html import unescape
 import pytest
 from sqlalchemy import select
 
-from boresight.pages import uplink
-from boresight.pages.climb import LADDER, exported_of, members_of, steps_of
-from boresight.pages.runs import Names
-from boresight.pages.sensors import EXAMPLE
-from boresight.pages.uplink import line_of, standing_of
-from boresight.services import packages, parameter_sets, timeline, uplinks
-from boresight.services.onboard import add_entry
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import Package, ParameterSet, Uplink
+from boresight.console.fleet import timeline
+from boresight.console.fleet.pages.sensors import EXAMPLE
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.pages.list import Names
+from boresight.console.uplinks import packages
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.pages import board as uplink
+from boresight.console.uplinks.pages.board import line_of, standing_of
+from boresight.console.uplinks.pages.steps import LADDER, exported_of, members_of, steps_of
+from boresight.console.uplinks.service import add_entry
+from boresight.console.uplinks.tables import Package, Uplink
+from boresight.platform.db.sessions import reading, writing
 
 from .conftest import PASSWORD
 from .onboard import climb, define, send_dump, table, version

@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from boresight.services import api_keys, users
-from boresight.store.sessions import reading
+from boresight.console.access import api_keys, users
+from boresight.platform.db.sessions import reading
 
 PASSWORD = "correct horse battery"
 

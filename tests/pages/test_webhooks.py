@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from boresight.services import webhooks
-from boresight.store.sessions import writing
+from boresight.console.webhooks import service as webhooks
+from boresight.platform.db.sessions import writing
 
 FORM = {
     "label": "Mission chat",

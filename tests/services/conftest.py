@@ -9,11 +9,20 @@ from typing import Any
 import orjson
 import pytest
 
-from boresight.services import approvals, audit, parameter_sets, sensors, users
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Engine, Session, open_engine, reading, utc_now, writing
-from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
+from boresight.console import transitions
+from boresight.console.access import users
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals import submissions
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Engine, Session, open_engine, reading, utc_now, writing
 from tests.passwords import new_password, proved
 from tests.stores import copied, open_migrated, url_in
 
@@ -154,8 +163,8 @@ def submitted(
     def make() -> ParameterSet:
         row = candidate()
         with writing(engine) as session:
-            parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
-            return parameter_sets.get_parameter_set(session, row.id)
+            submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+            return transitions.get_parameter_set(session, row.id)
 
     return make
 
@@ -180,7 +189,7 @@ def approved(
                 proved(session, people["cy"], PASSWORD),
                 approval.version,
             )
-            return parameter_sets.get_parameter_set(session, row.id)
+            return transitions.get_parameter_set(session, row.id)
 
     return make
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from boresight.services import audit
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Session, utc_now
-from boresight.store.tables import Sensor, TelemetrySet
+from boresight.console.fleet.tables import Sensor
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Session, utc_now
 
 PURPOSES = ("calibration", "validation")
 

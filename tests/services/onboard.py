@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from boresight.services import audit, table_definitions, uplinks
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.read_backs import Reference, read_back, reference_of
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import ParameterSet, Promotion, TableDefinition, Uplink
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks import table_definitions
+from boresight.console.uplinks.read_backs import Reference, read_back, reference_of
+from boresight.console.uplinks.tables import TableDefinition, Uplink
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, reading, writing
 from tests.passwords import proved
 
 from .conftest import PASSWORD

@@ -8,6 +8,11 @@ from typing import Any
 
 import pytest
 
+from boresight.console.access import users
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.service import add_entry
+from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import (
     BoresightError,
     ConflictError,
@@ -17,11 +22,9 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import audit, uplinks, users
-from boresight.services.actors import Actor
-from boresight.services.onboard import add_entry
-from boresight.store.sessions import Engine, reading, utc_now, writing
-from boresight.store.tables import Package, ParameterSet, Uplink
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, reading, utc_now, writing
 from tests.passwords import new_password, proved
 
 from .conftest import PASSWORD

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from boresight.errors import ForbiddenError
-from boresight.services.actors import (
+from boresight.platform.actors import (
     COMMAND_LINE,
     SYSTEM,
     Actor,

@@ -9,6 +9,13 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms import watch
+from boresight.console.alarms.tables import Alarm
+from boresight.console.alarms.watch import chain_condition
+from boresight.console.fleet.drift import GROUND_SHIFTED
+from boresight.console.fleet.status import fleet_overview
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import (
     ConflictError,
     ForbiddenError,
@@ -17,13 +24,10 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import alarms, audit, watch
-from boresight.services.actors import Actor
-from boresight.services.conditions import chain_condition
-from boresight.services.drift import GROUND_SHIFTED
-from boresight.services.fleet import fleet_overview
-from boresight.store.sessions import Session, utc_after
-from boresight.store.tables import Alarm, AuditRecord, ParameterSet
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import Session, utc_after
 from tests.missions import add_run, add_set, make_baseline
 
 BROKEN = chain_condition("broken", "Record 7 is not as it was written.")

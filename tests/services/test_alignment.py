@@ -2,9 +2,9 @@
 
 import pytest
 
-from boresight.services import parameter_sets
-from boresight.store.documents import sha256_of
-from boresight.store.sessions import writing
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import writing
 
 ALIGNMENT = {
     "quaternion": [0.0, 1e-5, 0.0, 1.0],

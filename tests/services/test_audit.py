@@ -7,10 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import audit
-from boresight.services.actors import SYSTEM
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import AuditRecord
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import Engine, Session, reading, writing
 from tests.stores import triggers_aside
 
 

@@ -17,12 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.services import audit
-from boresight.services.actors import SYSTEM, Policy
-from boresight.services.audit_export import verifier, write_export
-from boresight.services.audit_verifier import canonical, hash_of, verify
-from boresight.store import chain
-from boresight.store.sessions import Engine, reading, writing
+from boresight.platform.actors import SYSTEM, Policy
+from boresight.platform.audit import chain
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.audit_verifier import canonical, hash_of, verify
+from boresight.platform.audit.export import verifier, write_export
+from boresight.platform.db.sessions import Engine, reading, writing
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=20),

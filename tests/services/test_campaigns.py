@@ -7,12 +7,16 @@ import time
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.campaigns import service as campaigns
+from boresight.console.campaigns.service import Member, result_of
+from boresight.console.campaigns.tables import CampaignRun
+from boresight.console.runs import service as runs
+from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.telemetry import service as telemetry_sets
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, campaigns, runs, telemetry_sets
-from boresight.services.campaign_places import Member
-from boresight.services.campaign_views import result_of
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import AuditRecord, CampaignRun, Run, RunEvent
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import reading, writing
 
 from .conftest import SENSOR
 from .fleets import add_fleet, add_sets

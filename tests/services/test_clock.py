@@ -7,12 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from boresight.api.heartbeat import Heartbeat
-from boresight.services import alarms, approvals, clock, lists, parameter_sets
-from boresight.services.actors import Actor, Policy
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Alarm, Approval, ParameterSet
+from boresight.console import lists
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms import watch as clock
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals import submissions
+from boresight.console.approvals.tables import Approval
+from boresight.console.jobs.heartbeat import Heartbeat
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.platform.actors import Actor, Policy
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, writing
 from tests.passwords import proved
 
 AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
@@ -45,7 +51,7 @@ def due(
     """A request whose time is over."""
     row = candidate()
     with writing(engine) as session:
-        return parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)
+        return submissions.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)
 
 
 def _state(engine: Engine, approval: Approval) -> str:

@@ -9,12 +9,13 @@ import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 import pytest
 
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.runs import comparisons
+from boresight.console.runs.comparisons import UnlikeModelsError, compare, document, read_run_ids, table
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.services import comparisons, parameter_sets
-from boresight.services.comparisons import UnlikeModelsError, compare, document, read_run_ids, table
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import utc_now
-from boresight.store.tables import TelemetrySet
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import utc_now
 
 NAMES = ["f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y"]
 

@@ -4,15 +4,20 @@ import time
 
 import pytest
 
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.services import audit, runs, sensors, table_definitions, telemetry_sets, users
-from boresight.services.demonstration import LOG_INS, create_demonstration
-from boresight.services.telemetry_sets import load_telemetry
+from boresight.cameras import CAMERA_MODELS
+from boresight.cli.demonstration import LOG_INS, create_demonstration
+from boresight.console.access import users
+from boresight.console.access.tables import ROLES
+from boresight.console.fleet import service as sensors
+from boresight.console.runs import service as runs
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.service import load_telemetry
+from boresight.console.uplinks import table_definitions
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import migrate, open_engine, reading, writing
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import migrate, open_engine, reading, writing
-from boresight.store.tables import ROLES
 from tests.passwords import proved
 from tests.stores import url_in
 

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from boresight.services import drift
-from boresight.services.advice import advise
-from boresight.services.trend import Trend, _periods, trend_of
-from boresight.services.trend_views import trend_document
-from boresight.store.sessions import Session
+from boresight.console.fleet import drift
+from boresight.console.fleet.trend import Trend, _periods, trend_of
+from boresight.console.fleet.trend_document import advise, trend_document
+from boresight.platform.db.sessions import Session
 from tests.missions import add_run, add_set, make_baseline
 
 FIRST = np.eye(8)[0]  # a1: the store keeps keys sorted

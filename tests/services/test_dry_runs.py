@@ -7,14 +7,16 @@ from pathlib import Path
 import pytest
 
 from boresight.calibration.options import CalibrationSettings
-from boresight.services import audit, runs
-from boresight.services.forecasts import Sight
-from boresight.services.run_estimates import pace_of
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs import service as runs
+from boresight.console.runs.dry_runs import Sight, pace_of
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import utc_now, writing
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import utc_now, writing
-from boresight.store.tables import Run, Sensor, TelemetrySet
-from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 from tests.calibration.conftest import telemetry
 from tests.calibration.judged import st16_sensor
@@ -78,7 +80,7 @@ def test_a_forecast_is_kept_until_a_setting_or_the_sensor_changes(session, peopl
 
 
 def test_only_the_latest_forecasts_are_kept(blobs, catalogue, monkeypatch):
-    monkeypatch.setattr("boresight.services.forecasts.KEPT", 3)
+    monkeypatch.setattr("boresight.console.runs.dry_runs.KEPT", 3)
     sight = Sight(blobs, lambda: catalogue, Path("nowhere"))
     for number in range(5):
         sight.forecast(f"{number:064}", {}, CalibrationSettings())

@@ -6,10 +6,13 @@ from typing import Any
 
 import pytest
 
+from boresight.console import transitions
+from boresight.console.approvals import gate_profiles, gates
+from boresight.console.approvals import service as approvals
 from boresight.errors import ForbiddenError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
-from boresight.services import approvals, audit, gate_profiles, gates, parameter_sets
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.sessions import reading, writing
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
 from boresight.verdicts.gates import DEFAULT_PROFILE
 
 SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]}
@@ -95,7 +98,7 @@ def test_other_limits_make_undecided_requests_stale(set_profile, submitted, engi
     with reading(engine) as session:
         request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
         assert request.state == "STALE"
-        assert parameter_sets.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
+        assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
 
 
 def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_stores_nothing(

@@ -7,10 +7,12 @@ from typing import Any
 
 import pytest
 
+from boresight.console.approvals import gate_profiles, gates
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, NotFoundError, StaleError
-from boresight.services import audit, gate_profiles, gates, parameter_sets
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import ParameterSet
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
 from boresight.verdicts.gates import DEFAULT_PROFILE
 
 

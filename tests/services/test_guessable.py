@@ -7,9 +7,9 @@ import time
 import pytest
 from zxcvbn.matching import RANKED_DICTIONARIES
 
+from boresight.console.access import passwords
+from boresight.console.access.passwords import guessable
 from boresight.errors import RefusedInputError
-from boresight.services import passwords
-from boresight.services.guessable import guessable
 
 NAMES = ("j.doe", "Jane Q. Doesmith")
 COMMONEST = sorted(RANKED_DICTIONARIES["passwords"], key=RANKED_DICTIONARIES["passwords"].get)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginLimiter, Tried, place_of_address
 from boresight.errors import TooManyAttemptsError
-from boresight.services.login_limiter import FORGET_S, HELD_S, LoginLimiter, Tried, place_of_address
 
 
 class Clock:
@@ -104,7 +104,7 @@ def test_many_names_from_a_place_keep_nobody_waiting_who_logged_in_from_there(
 def test_what_is_refused_pushes_out_no_count(
     limiter: LoginLimiter, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("boresight.services.login_limiter.MOST_COUNTS", 200)
+    monkeypatch.setattr("boresight.console.access.log_in_attempts.MOST_COUNTS", 200)
     for number in range(34):
         _fail(limiter, clock, Tried(f"name-{number}", "6.6.6.6"))
     for number in range(1000):
@@ -162,7 +162,7 @@ def test_after_a_while_failures_are_forgotten(limiter: LoginLimiter, clock: Cloc
 
 
 def test_the_counts_do_not_grow_without_bound(limiter: LoginLimiter, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("boresight.services.login_limiter.MOST_COUNTS", 100)
+    monkeypatch.setattr("boresight.console.access.log_in_attempts.MOST_COUNTS", 100)
     for number in range(1000):
         limiter.admit(Tried(f"name-{number}", f"place-{number}"))
         limiter.ended(Tried(f"name-{number}", f"place-{number}"), failed=True)

@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.read_backs import READABLE, read_back
+from boresight.console.uplinks.tables import Uplink
 from boresight.errors import BoresightError, ConflictError, ForbiddenError
-from boresight.services import audit, uplinks
-from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
-from boresight.services.read_backs import READABLE, read_back
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, only_try, reading, utc_now, writing
-from boresight.store.tables import ONBOARD_STATES, ParameterSet, Uplink
+from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, only_try, reading, utc_now, writing
 from tests.passwords import proved
 
 from .conftest import PASSWORD

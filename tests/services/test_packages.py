@@ -8,11 +8,16 @@ import zipfile
 
 import pytest
 
+from boresight.console import transitions
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import packages, table_definitions
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
-from boresight.services import approvals, audit, packages, parameter_sets, table_definitions
-from boresight.services.actors import Policy
-from boresight.store.sessions import writing
-from boresight.store.tables import ParameterSet
+from boresight.platform.actors import Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import writing
 from tests.passwords import proved
 
 from .conftest import PASSWORD, SENSOR
@@ -58,7 +63,7 @@ def promoted(engine, people, approved):
     def make():
         row = approved()
         with writing(engine) as session:
-            return parameter_sets.promote(session, people["dee"], row.id, row.version)
+            return promotions.promote(session, people["dee"], row.id, row.version)
 
     return make
 
@@ -115,7 +120,7 @@ def test_the_way_back_of_the_baseline_is_the_baseline_before(build, promoted):
 
 def test_the_first_baseline_is_its_own_way_back(engine, build):
     with writing(engine) as session:
-        row = parameter_sets.get_parameter_set(session, 1)
+        row = transitions.get_parameter_set(session, 1)
     files = build(row)[1]
 
     assert files["backout/parameters.json"] == files["parameters.json"]
@@ -179,7 +184,7 @@ def test_another_definition_makes_the_request_stale(engine, define, approved):
     row = approved()
     define()
     with writing(engine) as session:
-        assert parameter_sets.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
+        assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
 
 
 def test_a_definition_needs_what_was_seen_a_reason_and_a_change(define):
@@ -212,7 +217,7 @@ def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replace
     with writing(engine) as session:
         run = finished_run(session, people["ana"].user_id, alignment=found)
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
-        request = parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        request = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approvals.sign(
             session,
             people["cy"],
@@ -233,7 +238,7 @@ def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build,
     alone = Policy(four_eyes=False)
     row = candidate("bo")
     with writing(engine) as session:
-        request = parameter_sets.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
+        request = submissions.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
         words = (request.id, "APPROVE", "I approve", "", proved(session, people["bo"], PASSWORD), request.version)
         approvals.sign(session, people["bo"], *words, policy=alone)
     four_eyes = json.loads(build(row)[1]["MANIFEST.json"])["four_eyes"]

@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console.access import users
+from boresight.console.access.passwords import password_by
+from boresight.console.approvals import service as approvals
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, PasswordDueError
-from boresight.services import approvals, audit, users
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.passwords import password_by
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import ParameterSet
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, Session, reading, writing
 from tests.passwords import new_password, proved
 
 from .conftest import PASSWORD
@@ -103,7 +105,7 @@ def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events:
     """Have a new person's password given and changed at times, and return what a signature would keep of it."""
 
     def at(time: str) -> None:
-        monkeypatch.setattr("boresight.store.chain.utc_now", lambda: f"{time}.000000Z")
+        monkeypatch.setattr("boresight.platform.audit.chain.utc_now", lambda: f"{time}.000000Z")
 
     at("2026-11-20T12:00:00")
     with writing(engine) as session:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from boresight.calibration.options import CalibrationSettings
+from boresight.console.runs import presets
+from boresight.console.runs.presets import BUILT_IN
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, presets
-from boresight.services.presets import BUILT_IN
-from boresight.store.sessions import writing
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import writing
 
 WHEN = "On Mondays."
 

@@ -8,6 +8,11 @@ from typing import Any
 
 import pytest
 
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import packages
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.read_backs import MOST_DUMP_BYTES, dump_or_crc, read_back, reference_of
+from boresight.console.uplinks.tables import Uplink
 from boresight.errors import (
     BoresightError,
     ConflictError,
@@ -16,12 +21,10 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import audit, packages, uplinks
-from boresight.services.actors import Actor
-from boresight.services.read_backs import MOST_DUMP_BYTES, dump_or_crc, read_back, reference_of
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, utc_after, writing
-from boresight.store.tables import ParameterSet, Uplink
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, utc_after, writing
 
 from .onboard import DOCUMENT, climb, define, newest, onboard, promote_by_hand, sent_table
 

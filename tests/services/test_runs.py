@@ -7,14 +7,18 @@ from dataclasses import replace
 import orjson
 import pytest
 
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs import queries as rows
+from boresight.console.runs import service as runs
+from boresight.console.runs.dry_runs import predicted_s, seconds_per_star
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, runs, sensors
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.run_estimates import predicted_s, seconds_per_star
-from boresight.store import runs as rows
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import utc_now, writing
-from boresight.store.tables import Run, Sensor, TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import utc_now, writing
 
 from .conftest import _result
 

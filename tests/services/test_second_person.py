@@ -9,25 +9,22 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.access import api_keys, users
+from boresight.console.access.tables import User
+from boresight.console.alarms import watch as clock
+from boresight.console.approvals import gate_profiles, proposals, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.change_proposals import service as second_person
+from boresight.console.fleet import service as sensors
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import table_definitions
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError, StaleError
-from boresight.services import (
-    api_keys,
-    approvals,
-    audit,
-    clock,
-    gate_profiles,
-    parameter_sets,
-    proposals,
-    second_person,
-    sensors,
-    table_definitions,
-    users,
-)
-from boresight.services.actors import COMMAND_LINE, Actor, Policy
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, utc_after, writing
-from boresight.store.tables import ChangeProposal, GateProfile, ParameterSet, User
-from boresight.uplink.plain_table import plain_definition
+from boresight.platform.actors import COMMAND_LINE, Actor, Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, utc_after, writing
+from boresight.uplink.table_definition import plain_definition
 from tests.passwords import new_password
 
 from .conftest import PASSWORD, SENSOR
@@ -205,7 +202,7 @@ def test_requests_stay_open_while_a_change_is_proposed_and_become_stale_with_its
 ) -> None:
     made = candidate()
     with writing(engine) as session:
-        approval = parameter_sets.submit(session, two["ana"], blobs, made.id, "better", made.version)
+        approval = submissions.submit(session, two["ana"], blobs, made.id, "better", made.version)
     row = propose("ana", plain_definition("inverted_wang"), "table-definition")
     with reading(engine) as session:
         assert approvals.why_not_sign(session, two["cy"], approval.id) is None

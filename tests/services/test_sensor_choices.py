@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.service import MOST_CHOICES
+from boresight.console.fleet.tables import Sensor
 from boresight.errors import RefusedInputError
-from boresight.services import audit, sensors
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.sensors import MOST_CHOICES
-from boresight.store.sessions import Engine, Session, reading, utc_now, writing
-from boresight.store.tables import Sensor
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, Session, reading, utc_now, writing
 from tests.stores import open_migrated, url_in
 
 FLEET = [f"{orbit}_{plane}.{number:03d}" for orbit in ("GEO", "leo") for plane in "ab" for number in range(130)]

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from boresight.console.fleet import service as sensors
+from boresight.console.parameter_sets import service as parameter_sets
 from boresight.errors import (
     ConflictError,
     ForbiddenError,
@@ -16,10 +18,10 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import audit, parameter_sets, sensors
-from boresight.services.actors import Actor
-from boresight.store.documents import sha256_of
-from boresight.store.sessions import Engine, Session, writing
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Engine, Session, writing
 
 People = Mapping[str, Actor]
 

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.read_backs import read_back
+from boresight.console.uplinks.service import shown_mismatch
 from boresight.errors import ConflictError
-from boresight.services import uplinks
-from boresight.services.actors import Actor
-from boresight.services.onboard import shown_mismatch
-from boresight.services.read_backs import read_back
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, only_try, writing
-from boresight.store.tables import ParameterSet
+from boresight.platform.actors import Actor
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, only_try, writing
 from tests.effort import effort
 from tests.passwords import proved
 

@@ -16,36 +16,25 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import (
-    api_keys,
-    approvals,
-    audit,
-    discussions,
-    notes,
-    parameter_sets,
-    uplinks,
-    users,
-    watch,
-    webhooks,
-)
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.conditions import chain_condition
-from boresight.store import seals
-from boresight.store.secret_box import SecretBox
-from boresight.store.sessions import Engine, Session, open_engine, reading, utc_now, writing
-from boresight.store.tables import (
-    Base,
-    Campaign,
-    CampaignRun,
-    ChangeProposal,
-    GateProfile,
-    GateReport,
-    Package,
-    ParameterSet,
-    Preset,
-    TableDefinition,
-    Waiver,
-)
+from boresight.console.access import api_keys, users
+from boresight.console.alarms import watch
+from boresight.console.alarms.watch import chain_condition
+from boresight.console.approvals import discussions, promotions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
+from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.notes import service as notes
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Preset
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.tables import Package, TableDefinition
+from boresight.console.webhooks import service as webhooks
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.audit import seals
+from boresight.platform.db.declared import Base
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.db.sessions import Engine, Session, open_engine, reading, utc_now, writing
 
 pytestmark = pytest.mark.sqlite("its owner edits the file; tests/store/test_verification.py has both engines edited")
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -78,7 +67,7 @@ def store(kept: Path, request: pytest.FixtureRequest) -> Iterator[Engine]:
 def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: ParameterSet) -> None:
     """Promote an approved set, record it on board, talk about a request, make keys, hooks and people."""
     with writing(engine) as session:
-        parameter_sets.promote(session, people["dee"], row.id, row.version)
+        promotions.promote(session, people["dee"], row.id, row.version)
         for state in ("SENT", "LOADED"):
             uplinks.record(session, people["dee"], row.id, state, "pass 4711")
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, telemetry_sets
-from boresight.services.actors import Actor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import AuditRecord, Blob, TelemetrySet
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import Engine, reading, writing
 
 People = Mapping[str, Actor]
 HEADER = "frame,exposure,row_px,col_px,star_id,ra_deg,dec_deg,note\n"

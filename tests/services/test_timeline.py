@@ -10,12 +10,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.fleet import timeline
+from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.services import approvals, audit, promotions, submissions, timeline, uplinks
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, only_try, reading, utc_after, utc_text, writing
-from boresight.store.tables import ONBOARD_STATES, GateProfile, ParameterSet, Promotion, TableDefinition, Uplink
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, only_try, reading, utc_after, utc_text, writing
 from tests.effort import effort
 from tests.passwords import proved
 

@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.webhooks import service as webhooks
+from boresight.console.webhooks.secrets import encrypt_all, encrypt_anew, key_of, state_of
+from boresight.console.webhooks.tables import Webhook
 from boresight.errors import RefusedInputError
-from boresight.services import audit, webhooks
-from boresight.services.actors import Actor
-from boresight.services.webhook_secrets import encrypt_all, encrypt_anew, key_of, state_of
-from boresight.store.secret_box import SecretBox
-from boresight.store.sessions import Engine, reading, utc_now, writing
-from boresight.store.tables import Webhook
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.db.sessions import Engine, reading, utc_now, writing
 
 URL = "https://mission.example/hooks"
 OLD = "whsec_-_" + "A" * 41  # 32 bytes as older versions wrote them: in the alphabet for addresses, unpadded

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.services.words import LONGEST_NAME, is_hidden, normal_name
+from boresight.platform.web.words import LONGEST_NAME, is_hidden, normal_name
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.simulation.fields import GALACTIC_POLE_DEG, _attitudes, _unit_vectors, random_fields
 from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH, wu_sensor
 

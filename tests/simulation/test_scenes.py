@@ -11,8 +11,8 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from boresight.calibration.problem import build_problem
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.metrics import rms
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS

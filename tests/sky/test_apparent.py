@@ -13,9 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.sky.apparent import aberrated, apparent_directions
+from boresight.sky.apparent import aberrated, apparent_directions, days_since_j2000, earth_state
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.earth import days_since_j2000, earth_state
 from tests.strategies import unit_vectors
 
 ARCSEC = np.pi / 180 / 3600

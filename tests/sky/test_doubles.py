@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.sky.catalogue import SINGLE_STAR, Catalogue
-from boresight.sky.doubles import DOUBLE, FAINTER_MAG, UNRELIABLE, phrases, star_flags
+from boresight.sky.guide_stars import DOUBLE, FAINTER_MAG, UNRELIABLE, phrases, star_flags
 
 ARCSEC = np.pi / 180 / 3600
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from boresight.sky.apparent import days_since_j2000, earth_state
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.earth import days_since_j2000, earth_state
 from boresight.sky.guide_stars import guide_stars, observer_motion
 
 NOON = np.array(["2026-03-01T12:00", "2026-03-01T12:00", "NaT", "2026-09-01T00:00"], "datetime64[us]")

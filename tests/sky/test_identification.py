@@ -8,16 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.attitude import wahba
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.estimation.rotations import conjugate, matrix_of, product, rotation_vector
+from boresight.estimation.attitude import conjugate, matrix_of, product, rotation_vector, wahba
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky import identification
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.identification import field_of_view_deg, identify
-from boresight.telemetry.exposures import exposures_of
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.schema import exposures_of
 from boresight.telemetry.sensors import read_sensor
 
 pytest.importorskip("tetra3rs", reason="the lost-in-space extra is not installed")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.stars import star_frames
+from boresight.calibration.matching.rematch import ground_covariance, rematch
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.rematch import ground_covariance, rematch
 from boresight.estimation.blocks import computing_on
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky import matching

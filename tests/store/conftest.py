@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from boresight.store.sessions import Engine
+from boresight.platform.db.sessions import Engine
 from tests.stores import open_migrated, url_in
 
 

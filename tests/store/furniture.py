@@ -4,26 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from boresight.store.tables import (
-    Alarm,
-    AlarmEvent,
-    Approval,
-    AuditRecord,
-    Campaign,
-    CampaignRun,
-    ChangeProposal,
-    Note,
-    ParameterSet,
-    Preset,
-    Promotion,
-    Run,
-    Sensor,
-    Signature,
-    Uplink,
-    User,
-)
-from boresight.store.tables import Blob as BlobRow
-from boresight.store.tables import TelemetrySet as TelemetrySetRow
+from boresight.console.access.tables import User
+from boresight.console.alarms.tables import Alarm, AlarmEvent
+from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
+from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.fleet.tables import Sensor
+from boresight.console.notes.tables import Note
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.runs.tables import Preset, Run
+from boresight.console.telemetry.tables import TelemetrySet as TelemetrySetRow
+from boresight.console.uplinks.tables import Uplink
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.blobs.tables import Blob as BlobRow
 
 NOW = "2026-11-21T00:00:00.000000Z"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import sqlalchemy as sa
 
-from boresight.store.documents import MOST_NUMBER, among
-from boresight.store.sessions import Engine, reading
+from boresight.platform.db.documents import MOST_NUMBER, among
+from boresight.platform.db.sessions import Engine, reading
 
 KEYS = (1, 2, 3, 70_000, MOST_NUMBER - 1)
 MANY = """

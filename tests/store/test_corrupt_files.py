@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from boresight import integrity
+from boresight import disks as integrity
 from boresight.errors import CorruptFileError
-from boresight.store.blobs import BlobStore
+from boresight.platform.blobs.folder import BlobStore
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.store.documents import canonical, read, sha256_of
+from boresight.platform.db.documents import canonical, read, sha256_of
 
 NUMBERS = (
     st.integers(-(2**63), 2**63)

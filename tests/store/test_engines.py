@@ -12,10 +12,20 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.runs import queries as runs
 from boresight.errors import UnavailableError
-from boresight.store import chain, engines, runs
-from boresight.store.sessions import Engine, Session, current_revision, head_revision, open_engine, reading, writing
-from boresight.store.tables import AuditRecord
+from boresight.platform.audit import chain
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db import engines
+from boresight.platform.db.sessions import (
+    Engine,
+    Session,
+    current_revision,
+    head_revision,
+    open_engine,
+    reading,
+    writing,
+)
 from tests.postgresql import TEMPLATE, Server, server
 
 from .furniture import rows_of_tables

@@ -5,12 +5,16 @@ from __future__ import annotations
 import pytest
 import sqlalchemy as sa
 
-from boresight.store import chain, journals, verification
-from boresight.store.run_events import Line, write_event, write_events
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Blob as BlobRow
-from boresight.store.tables import Run, RunEvent, Sensor, TelemetrySet, Webhook, WebhookDelivery
-from boresight.store.verification import Findings, Misfit
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs.run_events import Line, write_event, write_events
+from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
+from boresight.platform.audit import chain, verification
+from boresight.platform.audit import seals as journals
+from boresight.platform.audit.verification import Findings, Misfit
+from boresight.platform.blobs.tables import Blob as BlobRow
+from boresight.platform.db.sessions import Engine, reading, writing
 from tests.stores import triggers_aside
 
 NOW = "2026-11-21T00:00:00.000000Z"

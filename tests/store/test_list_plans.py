@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.store import lists
-from boresight.store.lists import LISTS, Asked
-from boresight.store.sessions import reading
+from boresight.console import list_queries as lists
+from boresight.console.list_queries import LISTS, Asked
+from boresight.platform.db.sessions import reading
 from tests.stores import open_migrated
 
 FIRST = {

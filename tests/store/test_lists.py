@@ -10,11 +10,17 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from boresight.store import lists
-from boresight.store.chain import append_own
-from boresight.store.lists import LISTS, Asked
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import Approval, Blob, ParameterSet, Run, Sensor, TelemetrySet, User
+from boresight.console import list_queries as lists
+from boresight.console.access.tables import User
+from boresight.console.approvals.tables import Approval
+from boresight.console.fleet.tables import Sensor
+from boresight.console.list_queries import LISTS, Asked
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit.chain import append_own
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import reading, writing
 
 NOW = "2026-11-21T00:00:00.000000Z"
 MANY = 50_000

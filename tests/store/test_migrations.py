@@ -8,29 +8,17 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy.orm import Session as UnsealedSession
 
+from boresight.console.approvals.tables import Approval
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.runs.tables import Run, RunEvent
 from boresight.errors import ConflictError, RefusedInputError
-from boresight.store.chain import append_own
-from boresight.store.journals import FIRST_HASH, JOURNALS, rows_of
-from boresight.store.sessions import (
-    Engine,
-    current_revision,
-    downgrade,
-    head_revision,
-    migrate,
-    reading,
-    writing,
-)
-from boresight.store.tables import (
-    Approval,
-    Base,
-    IdempotentResponse,
-    ParameterSet,
-    Promotion,
-    Run,
-    RunEvent,
-    Sensor,
-)
-from boresight.store.tables import Blob as BlobRow
+from boresight.platform.audit.chain import append_own
+from boresight.platform.audit.seals import FIRST_HASH, JOURNALS, rows_of
+from boresight.platform.audit.tables import IdempotentResponse
+from boresight.platform.blobs.tables import Blob as BlobRow
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, current_revision, downgrade, head_revision, migrate, reading, writing
 
 from .furniture import NOW, alarm, parameter_set, rows_of_tables
 

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from obstore.store import MemoryStore, from_url
 
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, UnavailableError
+from boresight.platform.blobs.bucket import KEPT_S, ObjectBlobStore
+from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.places import BlobPlace
 from boresight.settings import read_settings
-from boresight.store.blob_places import BlobPlace
-from boresight.store.blobs import open_blobs
-from boresight.store.object_blobs import KEPT_S, ObjectBlobStore
 from tests.object_store import SECRET, serving_s3
 
 PLENTY = 10**9

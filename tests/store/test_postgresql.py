@@ -10,25 +10,26 @@ from typing import Any
 import numpy as np
 import pytest
 
+from boresight.console import transitions
+from boresight.console.access import users
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet import timeline
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks import table_definitions
+from boresight.console.uplinks.read_backs import read_back, reference_of
 from boresight.errors import StaleError
-from boresight.services import (
-    approvals,
-    audit,
-    parameter_sets,
-    sensors,
-    table_definitions,
-    telemetry_sets,
-    timeline,
-    uplinks,
-    users,
-)
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.read_backs import read_back, reference_of
-from boresight.store.blobs import BlobStore
-from boresight.store.documents import canonical
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import ParameterSet, Run
-from boresight.uplink.plain_table import plain_definition
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.documents import canonical
+from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.uplink.table_definition import plain_definition
 from tests.passwords import new_password, proved
 
 PASSWORD = "correct horse battery"
@@ -104,7 +105,7 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
 def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blobs: BlobStore) -> int:
     """Have a candidate submitted and signed, and return its version."""
     with writing(engine) as session:
-        approval = parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        approval = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approvals.sign(
             session,
             people["cy"],
@@ -115,7 +116,7 @@ def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blo
             proved(session, people["cy"], PASSWORD),
             approval.version,
         )
-        return parameter_sets.get_parameter_set(session, row.id).version
+        return transitions.get_parameter_set(session, row.id).version
 
 
 def test_promotions_at_once_leave_one_baseline_and_one_chain(
@@ -128,7 +129,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
     def promote(number: int) -> str:
         try:
             with writing(postgresql) as session:
-                return parameter_sets.promote(session, people["dee"], rows[number].id, versions[number]).name
+                return promotions.promote(session, people["dee"], rows[number].id, versions[number]).name
         except StaleError:
             return "stale"
 

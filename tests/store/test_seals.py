@@ -5,10 +5,14 @@ from __future__ import annotations
 import pytest
 import sqlalchemy as sa
 
-from boresight.store import chain, seals, verification
-from boresight.store.runs import finish
-from boresight.store.sessions import Engine, downgrade, migrate, only_try, reading, utc_now, writing
-from boresight.store.tables import ApiKey, AuditRecord, Base, Run, Sensor, User
+from boresight.console.access.tables import ApiKey, User
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs.queries import finish
+from boresight.console.runs.tables import Run
+from boresight.platform.audit import chain, seals, verification
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, downgrade, migrate, only_try, reading, utc_now, writing
 
 NOW = "2026-11-21T00:00:00.000000Z"
 

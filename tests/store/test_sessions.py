@@ -10,7 +10,8 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.errors import BoresightError, RefusedInputError, UnauthenticatedError
-from boresight.store.sessions import (
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import (
     Engine,
     Session,
     keep_despite_refusal,
@@ -21,7 +22,6 @@ from boresight.store.sessions import (
     utc_text,
     writing,
 )
-from boresight.store.tables import Blob
 
 
 def _count(session: Session) -> int:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import accumulate
 from typing import Any
 
-from boresight.store.sessions import Engine, open_engine
-from boresight.store.tables import Base
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, open_engine
 
 
 def test_every_table_and_index_is_spelled_as_the_models_spell_it(sqlite: Engine, tmp_path: Any) -> None:

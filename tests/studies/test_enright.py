@@ -10,13 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
+from boresight.papers import enright
+from boresight.papers.documents import CAUSES, VERDICTS, Cell, Conclusion, judge
+from boresight.papers.enright import printed, report
+from boresight.papers.enright.estimators import ESTIMATORS, _thinned, estimators_for
+from boresight.papers.enright.pooled import Pooled
 from boresight.simulation.sensors import CHANGES, NOMINAL, TYPICAL_SIGMA
-from boresight.studies import enright
-from boresight.studies.enright import printed, report
-from boresight.studies.enright.estimators import ESTIMATORS, estimators_for
-from boresight.studies.enright.pooled import Pooled
-from boresight.studies.enright.trials import _thinned
-from boresight.studies.verdicts import CAUSES, VERDICTS, Cell, Conclusion, judge
 from boresight.telemetry.schema import Telemetry
 
 HOLDS, FAILS = Conclusion(True, "it does."), Conclusion(False, "it does not.", "erratum", "the text is wrong")

@@ -7,20 +7,29 @@ import re
 import numpy as np
 import pytest
 
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
-from boresight.figures import wu_criteria
+from boresight.figures.charts import wu as wu_criteria
+from boresight.papers import wu
+from boresight.papers.documents import CAUSES, VERDICTS
+from boresight.papers.reports import number, printed_digits
+from boresight.papers.wu import printed, report
+from boresight.papers.wu.criteria import ARCSEC_PER_RAD, Judges
+from boresight.papers.wu.estimators import (
+    FREE,
+    START_SIGMA,
+    Estimator,
+    Trial,
+    estimators,
+    fields_of,
+    gain_filter,
+    noisy,
+    run_trial,
+)
+from boresight.papers.wu.timing import Ratio
 from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH
-from boresight.studies import wu
-from boresight.studies.reports import number, printed_digits
-from boresight.studies.verdicts import CAUSES, VERDICTS
-from boresight.studies.wu import printed, report
-from boresight.studies.wu.criteria import ARCSEC_PER_RAD, Judges
-from boresight.studies.wu.estimators import FREE, START_SIGMA, Estimator, estimators, gain_filter
-from boresight.studies.wu.timing import Ratio
-from boresight.studies.wu.trials import Trial, fields_of, noisy, run_trial
 
 # The printed numbers.
 

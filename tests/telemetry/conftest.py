@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor
 
 

@@ -14,8 +14,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from boresight.console.telemetry.service import prepared
 from boresight.errors import RefusedInputError
-from boresight.services.telemetry_sets import prepared
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.sensors import sensor_document

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry import chunks, parquet, text_pieces
-from boresight.telemetry.chunks import read_chunks, rows_in
-from boresight.telemetry.limits import Limits
-from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
+from boresight.telemetry.read import chunks, parquet, text_pieces
+from boresight.telemetry.read.chunks import read_chunks, rows_in
+from boresight.telemetry.read.limits import Limits
+from boresight.telemetry.read.readers import read_telemetry, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry, joined
 from tests.effort import effort
 from tests.strategies import telemetry_tables

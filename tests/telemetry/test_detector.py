@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.detector import OffDetector, check_against_sensor
+from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import rows_of
 from tests.telemetry.troubles import calm_telemetry
 

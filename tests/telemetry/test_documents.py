@@ -9,7 +9,7 @@ import pytest
 
 from boresight.calibration.parameter_file import read_document
 from boresight.errors import RefusedInputError
-from boresight.telemetry.formats import parse_json
+from boresight.telemetry.read.formats import parse_json
 from boresight.telemetry.sensors import read_sensor
 
 HOSTILE = {

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.telemetry import writers
-from boresight.telemetry.frames import frame_index
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.read.frames import frame_index
+from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from boresight.telemetry.schema import Telemetry, rows_of
 
 FRAMES, ROWS = 60, 7

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from tests.telemetry import hostile_files
 from tests.telemetry.files import GOOD
 

@@ -12,12 +12,10 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
-from boresight.telemetry.chunks import read_chunks
-from boresight.telemetry.limits import LIMITS, STORED, Limits
-from boresight.telemetry.parquet import layout_of
-from boresight.telemetry.parquet_pages import DamagedPageError, pages_of
-from boresight.telemetry.readers import read_table, read_telemetry
-from boresight.telemetry.stretches import stretches
+from boresight.telemetry.read.chunks import read_chunks
+from boresight.telemetry.read.limits import LIMITS, STORED, Limits
+from boresight.telemetry.read.parquet import DamagedPageError, layout_of, pages_of
+from boresight.telemetry.read.readers import read_table, read_telemetry, stretches
 
 FORMS = ["csv", "jsonl", "parquet"]
 

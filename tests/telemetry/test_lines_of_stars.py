@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from boresight.telemetry.quality import quality_report
+from boresight.telemetry.quality.report import quality_report
 from tests.telemetry.troubles import ROWS, STARS, Stars, calm_telemetry, codes, finding
 
 

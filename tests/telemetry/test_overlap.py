@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.overlap import exposure_marks, shared_exposures
+from boresight.telemetry.sampling import exposure_marks, shared_exposures
 
 STARS = 5
 

@@ -11,9 +11,9 @@ import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 
-from boresight.telemetry.findings import FINDINGS, SEVERITIES
-from boresight.telemetry.quality import quality_report
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.quality.findings import FINDINGS, SEVERITIES
+from boresight.telemetry.quality.report import quality_report
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.effort import effort
 from tests.strategies import sensors, telemetry_tables

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.telemetry import quality_parts
-from boresight.telemetry.quality import quality_report
-from boresight.telemetry.quality_parts import QualityParts
+from boresight.telemetry.quality import report as quality_parts
+from boresight.telemetry.quality.report import QualityParts, quality_report
 from boresight.telemetry.schema import rows_of
 from tests.telemetry.troubles import STARS, Stars, calm_telemetry, codes, finding, with_rows
 

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
+from boresight.telemetry.read.readers import read_telemetry, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry
 from tests.effort import effort
 from tests.strategies import telemetry_tables

@@ -8,7 +8,7 @@ import pyarrow.parquet as arrow_parquet
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from tests.telemetry.files import GOOD, HEADER, MINIMAL, assert_single_fault, parquet_bytes, refused
 
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry, write_parquet
-from boresight.telemetry.sample import evenly, read_sample
+from boresight.telemetry.read.frames import evenly, read_sample
+from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from tests.calibration.conftest import telemetry
 
 

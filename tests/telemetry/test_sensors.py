@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
 from tests.effort import effort
 from tests.strategies import sensors

@@ -16,7 +16,7 @@ import pytest
 from pyarrow import feather
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.formats import text_of
+from boresight.telemetry.read.formats import text_of
 from boresight.telemetry.sensors import read_sensor
 from tests.telemetry.files import GOOD, refused
 

@@ -12,10 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry import parquet
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.read import parquet
+from boresight.telemetry.read.readers import read_telemetry, stretches, write_parquet
 from boresight.telemetry.schema import joined
-from boresight.telemetry.stretches import stretches
 from tests.effort import effort
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD

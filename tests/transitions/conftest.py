@@ -12,7 +12,7 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.telemetry.readers import write_csv
+from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
 
 from .installation import Evidence

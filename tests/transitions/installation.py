@@ -17,12 +17,19 @@ import httpx
 import orjson
 from argon2 import PasswordHasher
 
-from boresight.services import api_keys, audit, parameter_sets, sensors, telemetry_sets, users
-from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.console import transitions
+from boresight.console.access import api_keys, users
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, open_blobs, register_blob
+from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.settings import Settings
-from boresight.store.blobs import BlobStore, open_blobs, register_blob
-from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
-from boresight.store.tables import ParameterSet, Run, Sensor
 from tests.passwords import new_password
 
 PASSWORD = "correct horse battery"
@@ -117,7 +124,7 @@ class Installation:
     def set_of(self, set_id: int) -> ParameterSet:
         """Return a set as it is now."""
         with reading(self.engine) as session:
-            return parameter_sets.get_parameter_set(session, set_id)
+            return transitions.get_parameter_set(session, set_id)
 
     def client(self, name: str) -> httpx.Client:
         """Return a new client of a person, who logs in once."""

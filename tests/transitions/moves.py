@@ -8,7 +8,8 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
-from boresight.store.tables import GROUND_STATES, ROLES
+from boresight.console.access.tables import ROLES
+from boresight.console.parameter_sets.tables import GROUND_STATES
 
 ACTORS = (
     *ROLES,  # a person with one role each, who has no part in the request

@@ -12,12 +12,19 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.services import approvals, audit, parameter_sets, users
-from boresight.services.actors import COMMAND_LINE, POLICY, Actor, Policy
-from boresight.services.staleness import make_stale_of_set
+from boresight.console.access import users
+from boresight.console.access.tables import ROLES, User
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.staleness import make_stale_of_set
+from boresight.console.approvals.tables import Approval
+from boresight.console.parameter_sets.tables import GROUND_STATES, ParameterSet
+from boresight.console.uplinks.tables import TableDefinition
+from boresight.platform.actors import COMMAND_LINE, POLICY, Actor, Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import reading, utc_now, writing
 from boresight.sky.catalogue import Catalogue
-from boresight.store.sessions import reading, utc_now, writing
-from boresight.store.tables import GROUND_STATES, ROLES, Approval, Base, ParameterSet, TableDefinition, User
 from tests.api.conftest import serving, settings_in
 from tests.api.operations import OPENAPI
 from tests.passwords import new_password, proved
@@ -127,7 +134,7 @@ def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | No
     board.sets[place] = row.id
     with writing(house.engine) as session:
         asked = (house.blobs, row.id, "It moved.", row.version)
-        parameter_sets.submit(session, board.actor("submitter"), *asked, policy=policy)
+        submissions.submit(session, board.actor("submitter"), *asked, policy=policy)
     return house.set_of(row.id)
 
 
@@ -146,7 +153,7 @@ def _promote(board: Board, place: str) -> None:
     _sign(board, place)
     row = board.installation.set_of(board.sets[place])
     with writing(board.installation.engine) as session:
-        parameter_sets.promote(session, board.actor("promoter"), row.id, row.version)
+        promotions.promote(session, board.actor("promoter"), row.id, row.version)
 
 
 POLICIES = {"EXPIRED": Policy(approval_days=0.0), "HALF": Policy(approvals=2)}
@@ -168,7 +175,7 @@ def _place(board: Board, place: str) -> None:
         _promote(board, "successor")
     with writing(house.engine) as session:
         if place == "WITHDRAWN":
-            parameter_sets.withdraw(session, board.actor("submitter"), row.id, row.version)
+            submissions.withdraw(session, board.actor("submitter"), row.id, row.version)
         if place == "EXPIRED":
             approvals.expire_due(session)
         if place == "STALE":

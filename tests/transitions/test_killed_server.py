@@ -20,9 +20,13 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import approvals, audit, parameter_sets
-from boresight.store.sessions import Session, reading
-from boresight.store.tables import Approval, AuditRecord, ParameterSet, Promotion, Signature
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import Session, reading
 from tests.api.conftest import settings_in
 from tests.effort import effort
 from tests.stores import environment_in

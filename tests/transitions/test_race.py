@@ -14,10 +14,17 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import approvals, audit, parameter_sets
+from boresight.console import transitions
+from boresight.console.approvals import promotions as promotions_module
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals import submissions
+from boresight.console.approvals.tables import Signature
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import reading, writing
 from boresight.sky.catalogue import Catalogue
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import AuditRecord, ParameterSet, Promotion, Signature
 from tests.api.conftest import serving, settings_in
 from tests.passwords import proved
 
@@ -58,14 +65,14 @@ def _filled(house: Installation) -> int:
         _submit(house, row)
         _sign(house, row)
         with writing(house.engine) as session:
-            version = parameter_sets.get_parameter_set(session, row.id).version
-            parameter_sets.promote(session, house.actor("olga"), row.id, version)
+            version = transitions.get_parameter_set(session, row.id).version
+            promotions_module.promote(session, house.actor("olga"), row.id, version)
     return sensor_id
 
 
 def _submit(house: Installation, row: ParameterSet) -> None:
     with writing(house.engine) as session:
-        parameter_sets.submit(session, house.actor("ana"), house.blobs, row.id, "It moved.", row.version)
+        submissions.submit(session, house.actor("ana"), house.blobs, row.id, "It moved.", row.version)
 
 
 def _sign(house: Installation, row: ParameterSet) -> None:

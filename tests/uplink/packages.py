@@ -7,8 +7,8 @@ import json
 import sys
 
 from boresight.telemetry.sensors import sensor_document
+from boresight.uplink.archive import canonical_bytes
 from boresight.uplink.package import build_package
-from boresight.uplink.spelling import canonical_bytes
 
 from .tables import INITIAL, definition_of, sensor_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import parse_sensor
 
 INITIAL = {

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.uplink.camera_files import camera_files
 from tests.effort import effort
 

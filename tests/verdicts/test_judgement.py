@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.estimation.consistency import chi_square
+from boresight.estimation.statistics.consistency import chi_square
 from boresight.verdicts.gates import GATES, Measurement, judge, measurements_of, parse_profile, summarised, words
 from boresight.verdicts.gates.judgement import STATUSES, worst
 

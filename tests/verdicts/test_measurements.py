@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.store.documents import canonical
+from boresight.platform.db.documents import canonical
 from boresight.verdicts.gates import GATES, judge, measure, parse_profile
 from boresight.verdicts.gates.assessment import as_set, ground_set, started_from
 from boresight.verdicts.gates.measurements import MEASURES

@@ -9,15 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs import queries as runs
+from boresight.console.runs.run_events import events_of_run
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit import chain
+from boresight.platform.blobs.folder import open_blobs, register_blob
+from boresight.platform.db.sessions import migrate, open_engine, reading, utc_now, writing
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
-from boresight.store import chain, runs
-from boresight.store.blobs import open_blobs, register_blob
-from boresight.store.run_events import events_of_run
-from boresight.store.sessions import migrate, open_engine, reading, utc_now, writing
-from boresight.store.tables import TERMINAL_RUN_STATES, Run, Sensor, TelemetrySet
-from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
 from boresight.workers import cluster

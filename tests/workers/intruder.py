@@ -16,7 +16,7 @@ from distributed import Client, Security
 from distributed.core import rpc
 from distributed.protocol.pickle import dumps
 
-from boresight.workers.certificates import issue
+from boresight.workers.security import issue
 
 PATIENCE_S = 4.0
 

@@ -3,8 +3,8 @@
 import signal
 import threading
 
+from boresight.platform.db.sessions import open_engine
 from boresight.settings import read_settings, use_kernel_folder
-from boresight.store.sessions import open_engine
 
 
 def main() -> None:

@@ -8,8 +8,7 @@ import pytest
 from cryptography import x509
 from distributed import Client, get_worker
 
-from boresight.workers.cluster import Cluster
-from boresight.workers.nodes import Nanny
+from boresight.workers.cluster import Cluster, Nanny
 
 SELDOM_MS = {"tick": 1000.0, "monitor": 5000.0}  # at the least between two
 

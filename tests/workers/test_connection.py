@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from boresight.workers.connection import Connection
+from boresight.workers.cluster import Connection
 from services import Services, free_port, listens, loops, wait_for
 
 

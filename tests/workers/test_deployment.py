@@ -17,7 +17,7 @@ import pytest
 
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 from services import free_port, wait_for
 from tests.postgresql import server

@@ -7,8 +7,8 @@ import socket
 import pytest
 
 import boresight
-from boresight.workers.connection import Connection
-from boresight.workers.fitness import UNFIT_TOPIC, Fitness, fault_of
+from boresight.workers.cluster import Connection
+from boresight.workers.flight import UNFIT_TOPIC, Fitness, fault_of
 from services import Services, free_port, wait_for
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from boresight.store.tables import TERMINAL_RUN_STATES
+from boresight.console.runs.tables import TERMINAL_RUN_STATES
 from tests.effort import effort
 
 SERVER = Path(__file__).parent / "server.py"

@@ -2,9 +2,9 @@
 
 import pytest
 
-from boresight.store.runs import End
-from boresight.workers import lookout
-from boresight.workers.lookout import RUNS, Lookout
+from boresight.console.runs.queries import End
+from boresight.workers import reconcile as lookout
+from boresight.workers.reconcile import RUNS, Lookout
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import obstore
 import pytest
 from obstore.store import from_url
 
-from boresight.store.blob_places import BlobPlace
-from boresight.store.blobs import open_blobs
+from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.places import BlobPlace
 from tests.object_store import SECRET, serving_s3
 
 BUCKET = "s3://flight/blobs"

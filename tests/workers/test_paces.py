@@ -2,10 +2,10 @@
 
 import pytest
 
-from boresight.services.run_estimates import Timed
-from boresight.store.queued_runs import Waiting
-from boresight.workers import paces
-from boresight.workers.paces import FRESH_S, Paces
+from boresight.console.runs.dry_runs import Timed
+from boresight.console.runs.queries import Waiting
+from boresight.workers import reconcile as paces
+from boresight.workers.reconcile import FRESH_S, Paces
 
 SMALL, LARGE = Timed(stars=5_000, seconds=0.4), Timed(stars=300_000, seconds=3.0)
 

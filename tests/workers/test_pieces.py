@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.workers.pieces import GROUP_S, Broken, Pieces
+from boresight.workers.spread import GROUP_S, Broken, Pieces
 
 
 @given(

@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.store.queued_runs import Waiting
-from boresight.workers.planning import GROUP_RUNS, GROUP_S, LONG_GROUP_S, planned
+from boresight.console.runs.queries import Waiting
+from boresight.workers.reconcile import GROUP_RUNS, GROUP_S, LONG_GROUP_S, planned
 
 
 def waiting(stars, attempts=None):

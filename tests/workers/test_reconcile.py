@@ -5,12 +5,12 @@ from itertools import count
 
 import pytest
 
-from boresight.store import runs
-from boresight.store.run_events import Line
-from boresight.store.runs import End
-from boresight.store.sessions import writing
+from boresight.console.runs import queries as runs
+from boresight.console.runs.queries import End
+from boresight.console.runs.run_events import Line
+from boresight.platform.db.sessions import writing
+from boresight.workers.link import Report
 from boresight.workers.reconcile import Reconciler
-from boresight.workers.reports import Report
 
 NUMBERS = count()
 

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.workers.link import thinned
-from boresight.workers.reports import LINE_EVERY_S, POINTS_AN_EVENT, Report, Reports, points_after
+from boresight.workers.link import LINE_EVERY_S, POINTS_AN_EVENT, Report, Reports, points_after, thinned
 
 HELD = (7, 1)
 
@@ -80,7 +79,7 @@ def test_nothing_new_and_no_course_are_told_as_nothing() -> None:
 
 def test_a_report_is_read_from_its_bytes_once(monkeypatch: pytest.MonkeyPatch) -> None:
     read, loads = [], orjson.loads
-    monkeypatch.setattr("boresight.workers.reports.orjson.loads", lambda text: read.append(text) or loads(text))
+    monkeypatch.setattr("boresight.workers.link.orjson.loads", lambda text: read.append(text) or loads(text))
     heard = report([1, 2])
     assert Reports().news(HELD, heard)["history"]["frame"] == [1, 2]
     assert heard.progress("2026")["partial"]["status"] == "running"

@@ -15,9 +15,8 @@ from distributed import Security
 
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
-from boresight.workers.certificates import issue
-from boresight.workers.connection import Connection
-from boresight.workers.security import security_of
+from boresight.workers.cluster import Connection
+from boresight.workers.security import issue, security_of
 from services import Services, free_port, loops
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "deployment.md").read_text()

@@ -11,7 +11,7 @@ import piecework
 import pytest
 
 from boresight.errors import CancelledError, RefusedInputError
-from boresight.workers.connection import Connection
+from boresight.workers.cluster import Connection
 from services import Services, free_port, listens, wait_for
 
 EXPECTED = [number * number for number in range(piecework.COUNT)]

@@ -18,7 +18,7 @@ import pytest
 
 from boresight.simulation.scenes import simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.readers import write_csv
+from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
 from tests.api.conftest import PASSWORD, SCENARIO, add_people, serving, settings_in
 

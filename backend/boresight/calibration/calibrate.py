@@ -15,19 +15,19 @@ from typing import Any
 import numpy as np
 
 from boresight.calibration import result
-from boresight.calibration.cycles import Ended, filter_set, fit_in_cycles
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.judgement import judge, validate
+from boresight.calibration.evaluation.judgement import judge, validate
 from boresight.calibration.listening import Listener, Progress
-from boresight.calibration.match_report import identification_advice
-from boresight.calibration.matched import Dataset
+from boresight.calibration.matching.cycles import Ended, filter_set, fit_in_cycles
+from boresight.calibration.matching.match_report import identification_advice
+from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.opening import Workplace, held_out, matchable, opened
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.streaming.sample import JUDGED_STARS
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.spread import Spread
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry

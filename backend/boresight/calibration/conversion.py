@@ -18,8 +18,8 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.result import numbers
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.conversion import REASON, Conversion, convert
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
 

@@ -10,13 +10,13 @@ from tempfile import TemporaryDirectory
 
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.listening import Progress
-from boresight.calibration.matched import Dataset
+from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.streaming.telemetry_pieces import PREPARED, copied
 from boresight.estimation.spread import InThisProcess, Spread
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.detector import OffDetector, check_against_sensor
+from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
 

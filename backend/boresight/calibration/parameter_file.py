@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.matching.rematch import ground_covariance
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.rematch import ground_covariance
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.telemetry.formats import json_of
-from boresight.telemetry.refusals import Faults
+from boresight.telemetry.read.checks import Faults
+from boresight.telemetry.read.formats import json_of
 from boresight.telemetry.sensors import Sensor, check_geometry
 
 #: Statuses under which a calibration's numbers are no calibration.

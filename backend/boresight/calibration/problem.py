@@ -13,14 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray, TimeArray
+from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.estimation import MINIMUM_STARS
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
 from boresight.estimation.stored_arcs import Arcs
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
-from boresight.telemetry.detector import matched_rows, on_detector
+from boresight.telemetry.quality.detector import matched_rows, on_detector
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 

@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from boresight.telemetry.chunks import CHUNK_FRAMES, read_chunks, rows_in
-from boresight.telemetry.limits import LIMITS, Limits
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.chunks import CHUNK_FRAMES, read_chunks, rows_in
+from boresight.telemetry.read.limits import LIMITS, Limits
+from boresight.telemetry.read.readers import Stretch, read_telemetry, stretches
 from boresight.telemetry.schema import Telemetry
-from boresight.telemetry.stretches import Stretch, stretches
 
 #: Detections from which a file is calibrated piece by piece. In memory such a set and its arcs take about 400 MB.
 LARGE_ROWS = 500_000
@@ -59,7 +58,7 @@ class TelemetryFile:
         return self if self.large() else self.read()
 
     def read(self) -> Telemetry:
-        """Read all of it; refuses as `telemetry.readers.read_telemetry`."""
+        """Read all of it; refuses as `telemetry.read.readers.read_telemetry`."""
         return read_telemetry(self.path, self.name, self.limits)
 
     def stretches(self) -> list[Stretch]:
@@ -67,5 +66,5 @@ class TelemetryFile:
         return stretches(self.path, self.name or self.path.name, self.chunk_frames, self.sha256, self.limits)
 
     def chunks(self) -> Iterator[Telemetry]:
-        """Read it piece by piece; refuses as `telemetry.chunks.read_chunks`, at the end."""
+        """Read it piece by piece; refuses as `telemetry.read.chunks.read_chunks`, at the end."""
         return read_chunks(self.path, self.name, frames=self.chunk_frames, limits=self.limits)

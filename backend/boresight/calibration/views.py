@@ -15,8 +15,8 @@ from boresight.calibration.streaming.sample import spread_blocks
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.metrics import sums_of_squares, tail_rms
+from boresight.estimation.statistics.uncertainty import displacement_px, radial_difference
 from boresight.estimation.stored_arcs import Arcs
-from boresight.estimation.uncertainty import displacement_px, radial_difference
 
 #: Tail RMS costs one pass over the set a point; a history keeps as many points as this many frame passes allow.
 TAIL_BUDGET = 4_000_000

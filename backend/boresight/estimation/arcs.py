@@ -39,8 +39,8 @@ from numpy.typing import NDArray
 
 from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
+from boresight.cameras import CameraModel
 from boresight.estimation.blocks import in_blocks
-from boresight.estimation.cameras import CameraModel
 
 T = TypeVar("T")
 

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.estimation.cameras.model import CameraModel
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import CameraModel
 
 #: What counts as rounding, pixels.
 EXACT_PX = 1e-6

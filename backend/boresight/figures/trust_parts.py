@@ -13,9 +13,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.figures import theme
 from boresight.figures.chart import Trace
-from boresight.figures.theme import RunStyle
+from boresight.figures.style import theme
+from boresight.figures.style.theme import RunStyle
 from boresight.verdicts.verdict import part_of, why_absent
 
 Part = tuple[Trace, RunStyle, Any]

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.estimation.cameras.model import corners
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import corners
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import Sensor
 

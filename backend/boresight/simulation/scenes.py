@@ -29,8 +29,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.simulation.orbits import attitude, state, usable
 from boresight.simulation.scenarios import (
     Scenario,

@@ -40,8 +40,8 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import NotFoundError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import Sensor
 
 ST16_ROWS, ST16_COLUMNS = 1944, 2592

@@ -15,7 +15,7 @@ import pyarrow.parquet as arrow_parquet
 from boresight.arrays import FloatArray, IntArray
 from boresight.telemetry.schema import UNMATCHED, Telemetry
 
-#: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.frames`).
+#: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.read.frames`).
 ROW_GROUP = 65_536
 
 

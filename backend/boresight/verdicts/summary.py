@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.trend import trend_entry
-from boresight.estimation.observability import WEAK
+from boresight.calibration.result import trend_entry
+from boresight.estimation.statistics.observability import WEAK
 from boresight.verdicts.verdict import verdict
 
 

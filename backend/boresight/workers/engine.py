@@ -20,16 +20,13 @@ from typing import Any
 
 from distributed.comm import CommClosedError
 
+from boresight.console.runs.queries import Claimed, Held
+from boresight.platform.db.sessions import Engine as Database
 from boresight.settings import Settings
-from boresight.store.queued_runs import Claimed
-from boresight.store.runs import Held
-from boresight.store.sessions import Engine as Database
 from boresight.workers.cluster import Cluster, LostTaskError
 from boresight.workers.flight import Flight, Flights
-from boresight.workers.lookout import Lookout
-from boresight.workers.planning import Group
-from boresight.workers.reconcile import Reconciler
-from boresight.workers.reports import Reports
+from boresight.workers.link import Reports
+from boresight.workers.reconcile import Group, Lookout, Reconciler
 from boresight.workers.tasks import CALCULATION, inputs_of
 
 log = logging.getLogger(__name__)

@@ -23,22 +23,20 @@ import orjson
 
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
+from boresight.console.runs.queries import Claimed, End
+from boresight.console.runs.run_events import Line
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
+from boresight.platform.blobs.folder import BlobStore, open_blobs
+from boresight.platform.blobs.places import BlobPlace
 from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.store.blob_places import BlobPlace
-from boresight.store.blobs import BlobStore, open_blobs
-from boresight.store.queued_runs import Claimed
-from boresight.store.run_events import Line
-from boresight.store.runs import End
-from boresight.telemetry.limits import STORED
+from boresight.telemetry.read.limits import STORED
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.summary import summary_of
 from boresight.workers.link import Link
-from boresight.workers.scratch import scratch_of
-from boresight.workers.spread import ClusterSpread
+from boresight.workers.spread import ClusterSpread, scratch_of
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
 TABLES = 2  # kept in a worker process; none is so large that it is spread

@@ -16,7 +16,7 @@ from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import METHODS, CalibrationSettings
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.schema import Telemetry

@@ -1,5 +1,5 @@
 // Keys: `g` and a letter go to a page, the others move within one, open, choose, compare, copy. `?` lists them (the list
-// is KEYS of boresight.pages.frame) and switches them off. They never act while something is typed, and never on what a
+// is KEYS of boresight.console.pages.frame) and switches them off. They never act while something is typed, and never on what a
 // form would send: no key signs, promotes, rolls back, cancels or deletes.
 
 const WAIT_MS = 1500;

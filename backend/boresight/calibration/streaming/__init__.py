@@ -9,3 +9,5 @@
 
 The scratch folder holds all state. Pieces go through a `Spread`, so that other machines can do them.
 """
+
+from __future__ import annotations

@@ -17,20 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
-from boresight.calibration.detections import limit_of
-from boresight.calibration.flight import flight_tolerance, flight_view
+from boresight.calibration.matching.detections import limit_of
+from boresight.calibration.matching.flight import flight_tolerance, flight_view
+from boresight.calibration.matching.rematch import Matches, MatchingSky, Rematcher, blend_rad, matching_sky
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.rematch import Matches, MatchingSky, Rematcher, blend_rad, matching_sky
-from boresight.calibration.streaming.ordering import OrderedPiece, read_catalogue, write_ordered
 from boresight.calibration.streaming.sample import MatchedRows
+from boresight.calibration.streaming.stored_arcs import OrderedPiece, read_catalogue, write_ordered
 from boresight.calibration.streaming.telemetry_pieces import FrameRange, TelemetryPiece
 from boresight.columns import Columns, write_columns
 from boresight.estimation.spread import Spread
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import TimelessError
-from boresight.telemetry.exposures import exposures_of
-from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.schema import Telemetry, exposures_of
 from boresight.telemetry.sensors import Sensor
 
 _MATCHES = tuple(item.name for item in fields(Matches))

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import IntArray
-from boresight.calibration.rematch import Matches, joined_matches, matched_telemetry
-from boresight.calibration.sighting import GivenMatches
+from boresight.calibration.matching.rematch import Matches, joined_matches, matched_telemetry
+from boresight.calibration.matching.sighting import GivenMatches
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.stored_arcs import Arcs
 from boresight.telemetry.schema import Telemetry, joined, rows_of

@@ -14,10 +14,10 @@ from boresight.calibration.source import TelemetryFile
 from boresight.columns import Columns, write_columns
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation.spread import InThisProcess, Spread
-from boresight.telemetry.detector import OffDetector
+from boresight.telemetry.quality.detector import OffDetector
+from boresight.telemetry.read.readers import Stretch
 from boresight.telemetry.schema import Telemetry, joined, rows_of
 from boresight.telemetry.sensors import Sensor
-from boresight.telemetry.stretches import Stretch
 
 #: Columns that nobody interprets stay behind, and so does what is no array.
 KEPT = tuple(item.name for item in fields(Telemetry) if item.name not in {"unknown", "first_row"})

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.pixel_residuals import Freedom, pixel_residuals
+from boresight.calibration.evaluation.pixel_residuals import Freedom, pixel_residuals
 from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, Sightings
 

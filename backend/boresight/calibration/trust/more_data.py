@@ -1,6 +1,6 @@
 """What more data would buy: predicted sigma against further frames of the same kind.
 
-How it follows is told in `estimation.prediction`. "Of the same kind" means as many stars, as well spread, seen as sharply: the
+How it follows is told in `estimation.statistics.observability`. "Of the same kind" means as many stars, as well spread, seen as sharply: the
 mean information of the frames that are there. Where a set is short or covers little sky, further frames bring other stars and
 the prediction is only as good as the sample. How unlike its parts are tells how good: the set is cut into `BLOCKS` runs of
 frames, each is left out in turn, and the jackknife gives the relative uncertainty of the sigma that many further frames would
@@ -20,7 +20,7 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
 from boresight.estimation import batch
-from boresight.estimation.prediction import further_covariance
+from boresight.estimation.statistics.observability import further_covariance
 
 #: Share of a sigma that twenty times the data must lower it by, to be worth speaking of.
 LITTLE = 0.3

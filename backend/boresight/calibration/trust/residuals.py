@@ -1,4 +1,4 @@
-"""Residuals of a set in pixels (`calibration.pixel_residuals` derives them), for everything that trust says of single stars.
+"""Residuals of a set in pixels (`calibration.evaluation.pixel_residuals` derives them), for everything that trust says of single stars.
 
 Beyond `MOST_FRAMES` only frames spaced evenly over the set are looked at.
 """
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.estimate import covariance
-from boresight.calibration.pixel_residuals import Freedom, pixel_residuals
+from boresight.calibration.evaluation.pixel_residuals import Freedom, pixel_residuals
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
 from boresight.estimation.arcs import ArcSet
 

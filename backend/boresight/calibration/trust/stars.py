@@ -24,7 +24,7 @@ from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable
 from boresight.calibration.trust.residuals import Sightings, sightings
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.doubles import phrases, star_flags
+from boresight.sky.guide_stars import phrases, star_flags
 
 MOST_SHOWN = 200
 MOST_ROUNDS = 6

@@ -9,7 +9,7 @@ import numpy as np
 
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.parameter_file import parse_parameters
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor

@@ -11,7 +11,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.parameter_file import parse_parameters
-from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
+from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.telemetry.sensors import Sensor
 
 Document = Mapping[str, Any]

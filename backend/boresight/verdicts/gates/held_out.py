@@ -1,7 +1,7 @@
 """Set and incumbent on frames that neither was fitted to: the one comparison that nothing in a fit can flatter.
 
-Both see the same frames (`calibration.sighting`), so every comparison is paired: ratios and differences are resampled frame by
-frame, in blocks (`calibration.bootstrap`), and what makes a frame hard for both drops out. The stars are compared by the
+Both see the same frames (`calibration.matching.sighting`), so every comparison is paired: ratios and differences are resampled frame by
+frame, in blocks (`calibration.evaluation.bootstrap`), and what makes a frame hard for both drops out. The stars are compared by the
 difference a frame and not by the ratio of E Eq 30: an incumbent that matches none has no ratio, though nothing is clearer. The
 change of the availability is
 
@@ -26,11 +26,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration import bootstrap
-from boresight.calibration.evaluate import evaluate_sightings
+from boresight.calibration.evaluation import bootstrap
+from boresight.calibration.evaluation.evaluate import evaluate_sightings
+from boresight.calibration.matching.sighting import sightings
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.parameter_file import parse_parameters
-from boresight.calibration.sighting import sightings
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor

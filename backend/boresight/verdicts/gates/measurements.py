@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.trust.arc_map import field_arc_sigma
+from boresight.calibration.trust.efficiency import field_arc_sigma
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.uplink import table_definition
