@@ -16,7 +16,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
 from boresight.console.access.tables import ROLES
 from boresight.console.operation import PREFIX
-from boresight.console.routes import NOUNS
+from boresight.console.routes import NOUNS, routers
 from boresight.figures import FIGURES
 from boresight.settings import SETTINGS
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS
@@ -76,7 +76,7 @@ def test_the_readme_names_exactly_the_commands_there_are():
 
 
 def test_the_readme_names_exactly_the_nouns_of_the_api():
-    paths = [route.path for noun in NOUNS for route in noun.router.routes]
+    paths = [route.path for noun in NOUNS for router in routers(noun) for route in router.routes]
     nouns = {"/" + re.split("[/:]", path.removeprefix(PREFIX))[1] for path in paths}
     told = {
         noun for row in re.findall(r"^\| (`/[^|]*) \|", README, re.MULTILINE) for noun in re.findall("`(.*?)`", row)

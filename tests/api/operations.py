@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from pydantic import BaseModel
 
 from boresight.platform.web.paging import Page
 from boresight.server import create_app
@@ -299,9 +300,18 @@ def ask(client: httpx.Client, name: str, options: dict[str, Any]) -> httpx.Respo
         return answer
 
 
+def _shapes(shape: type[BaseModel] = BaseModel) -> dict[str, type[BaseModel]]:
+    """Return every shape of an answer that the product declares, by its name."""
+    found = {one.__name__: one for one in shape.__subclasses__() if one.__module__.startswith("boresight.")}
+    return found | {name: each for one in shape.__subclasses__() for name, each in _shapes(one).items()}
+
+
+SHAPES = _shapes()
+
+
 def documented_shape(name: str, status: int) -> Any:
     """Return the model that the OpenAPI document gives for an answer; None where it gives none."""
     content = OPERATIONS[name]["responses"][str(status)].get("content", {})
     named = content.get("application/json", {}).get("schema", {}).get("$ref", "").rsplit("/", 1)[-1]
     listed = re.fullmatch(r"Page_(\w+)_", named)
-    return Page[getattr(schemas, listed[1])] if listed else getattr(schemas, named, None)
+    return Page[SHAPES[listed[1]]] if listed else SHAPES.get(named)

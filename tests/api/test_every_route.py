@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.console.routes import NOUNS
+from boresight.console.routes import NOUNS, routers
 from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import reading
 from boresight.platform.web.openapi import ProblemDocument
@@ -22,7 +22,8 @@ def test_the_openapi_document_lists_every_route() -> None:
     routes = {
         (method, route.path)
         for noun in NOUNS
-        for route in noun.router.routes
+        for router in routers(noun)
+        for route in router.routes
         for method in route.methods
         if method != "HEAD"
     }

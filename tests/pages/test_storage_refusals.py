@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from importlib import import_module
-from pkgutil import iter_modules
 
 import pytest
 from fastapi.routing import APIRoute
@@ -83,8 +81,7 @@ FORMS = {  # who sends which form to which page
 
 def _forms() -> set[str]:
     """Return the address of every form that a page takes."""
-    modules = [import_module(f"boresight.console.pages.{found.name}") for found in iter_modules(pages.__path__)]
-    routes = [route for module in modules if hasattr(module, "router") for route in module.router.routes]
+    routes = [route for module in pages.modules() for router in pages.routers(module) for route in router.routes]
     return {route.path for route in routes if isinstance(route, APIRoute) and "POST" in route.methods}
 
 

@@ -1,7 +1,7 @@
 """Results of runs against a reference run: parameters, correlations and the radial curve, in sigmas of the difference.
 
-The covariance of a difference needs to know what data the two runs share; `boresight.estimation.statistics.difference` derives it. Results
-are calibration JSONs of one camera model; numbers are SI.
+The covariance of a difference needs to know what data the two runs share; `boresight.estimation.statistics.difference` derives it.
+Results are calibration JSONs of one camera model; numbers are SI.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """How two parameter sets do on a telemetry set: availability, matched stars and RMS on common pairs (E section III).
 
-The set is seen under each state (`calibration.matching.sighting`): stars are matched anew, and the flight code's check says what it would
-accept. With N(x) the accepted matches of all valid exposures,
+The set is seen under each state (`calibration.matching.sighting`): stars are matched anew, and the flight code's check says what
+it would accept. With N(x) the accepted matches of all valid exposures,
 
     availability(x)     = frames with a valid exposure / frames
     matched star ratio  = N(x_final) / N(x_initial)                                  (E Eq 30)

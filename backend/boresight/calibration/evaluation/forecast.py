@@ -4,7 +4,8 @@ The information of a set is the sum over its frames, so that of n frames taken e
 
     A_N = (N / n) A_n,          sigma = sqrt(diag(A_N^-1)) for a batch,
 
-and a filter's covariance follows from its start by `estimation.statistics.observability`, forgetting and process noise included. A is that of the
+and a filter's covariance follows from its start by `estimation.statistics.observability`, forgetting and process noise included. A
+is that of the
 measurement the method makes: arclengths under their full covariance, with Huber's loss or the cosine error where these are chosen,
 or the singular values and all pairs of W through `estimation.statistics.references`.
 

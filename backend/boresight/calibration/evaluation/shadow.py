@@ -1,6 +1,7 @@
 """Shadow mode: baseline and candidate parameters side by side on every frame, and what each would have lost.
 
-Both states see the same set (`calibration.matching.sighting`). A star is lost in a frame when the baseline's valid exposures held it and the
+Both states see the same set (`calibration.matching.sighting`). A star is lost in a frame when the baseline's valid exposures held
+it and the
 candidate's do not, gained the other way round. Whether the candidate is available more often is McNemar's question: of the frames
 that one state alone solves, b the baseline's and c the candidate's, as many would fall to each if they were alike, and b is
 binomial,

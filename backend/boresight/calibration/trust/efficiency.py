@@ -1,7 +1,7 @@
 """Whether the claimed sigmas are the smallest that these centroids allow.
 
-The bound is `estimation.statistics.cramer_rao`'s: centroids with attitude as nuisance, no arcs. A filter knows its start besides, with
-covariance s^2 I, so its bound is (information + I / s^2)^-1. Beyond `MOST_FRAMES` the bound is taken on frames spaced evenly:
+The bound is `estimation.statistics.cramer_rao`'s: centroids with attitude as nuisance, no arcs. A filter knows its start besides,
+with covariance s^2 I, so its bound is (information + I / s^2)^-1. Beyond `MOST_FRAMES` the bound is taken on frames spaced evenly:
 with the arcs' information of those frames A_t = L_t L_t^T and of all A = L L^T, the information of all is L (L_t^-1 I_t L_t^-T)
 L^T.
 
@@ -13,7 +13,8 @@ normal.
 
 How well an arc is known about the detector, from the parameters' covariance alone.
 
-`estimation.statistics.uncertainty.arc_sigma` derives it. The length is 5 degrees, or a quarter of the shorter side where the field is narrower
+`estimation.statistics.uncertainty.arc_sigma` derives it. The length is 5 degrees, or a quarter of the shorter side where the field
+is narrower
 than 10: long enough that focal length and distortion show, short enough that most places have arcs on all sides. Centroid noise is
 not in it: this is what the calibration itself adds to every arc that the sensor will measure at that place.
 """

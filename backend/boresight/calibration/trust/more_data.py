@@ -1,6 +1,7 @@
 """What more data would buy: predicted sigma against further frames of the same kind.
 
-How it follows is told in `estimation.statistics.observability`. "Of the same kind" means as many stars, as well spread, seen as sharply: the
+How it follows is told in `estimation.statistics.observability`. "Of the same kind" means as many stars, as well spread, seen as
+sharply: the
 mean information of the frames that are there. Where a set is short or covers little sky, further frames bring other stars and
 the prediction is only as good as the sample. How unlike its parts are tells how good: the set is cut into `BLOCKS` runs of
 frames, each is left out in turn, and the jackknife gives the relative uncertainty of the sigma that many further frames would

@@ -1,4 +1,4 @@
-"""Residuals of a set in pixels (`calibration.evaluation.pixel_residuals` derives them), for everything that trust says of single stars.
+"""Residuals of a set in pixels, for everything that trust says of single stars; `pixel_residuals` derives them.
 
 Beyond `MOST_FRAMES` only frames spaced evenly over the set are looked at.
 """

@@ -3,7 +3,8 @@
 The log-in cookie: a signed value that holds the secret of a session and its CSRF token.
 
 The value is `[token, csrf]` signed with the installation's secret key, so it can be read by its holder and altered by nobody.
-Whether the session still holds is the store's to say (`boresight.console.access.sessions`), with every request. HttpOnly keeps the cookie
+Whether the session still holds is the store's to say (`boresight.console.access.sessions`), with every request. HttpOnly keeps the
+cookie
 from scripts, SameSite=Lax from other sites' forms; the CSRF token must come back in every unsafe request that it authenticates.
 """
 

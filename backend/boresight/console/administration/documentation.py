@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
-FOLDER = Path(__file__).resolve().parents[1] / "documentation"
+FOLDER = Path(__file__).resolve().parent / "documentation_page"
 
 router = APIRouter(include_in_schema=False)
 

@@ -7,7 +7,8 @@ where the store cannot be read, the frame says so and goes on.
 
 How the fleet stands, for the top bar of every page: as its worst sensor does, that sensor named.
 
-It takes a look at every sensor, so it is remembered while nothing is committed (`platform.db.marks`), and no longer than `HELD_S`, for
+It takes a look at every sensor, so it is remembered while nothing is committed (`platform.db.marks`), and no longer than `HELD_S`,
+for
 baselines age by the clock; who asked before the look began is given it too, whatever was committed since. Of a fleet of more than
 `LARGE` sensors it is remembered `REST` times as long as the look took, whatever is committed: so the top bar of thousands of
 sensors takes a fixed share of one processor, and most pages wait for none of it. One page looks for all that ask meanwhile.

@@ -31,6 +31,7 @@ from boresight.console.access.dependencies import (
 from boresight.console.operation import Answer, Beside, json_response, operations
 from boresight.console.runs import frames, presets, schemas
 from boresight.console.runs import service as runs
+from boresight.console.runs.calibration_document import Calibration
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, Offer
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
@@ -135,7 +136,7 @@ def cancel_run(
     return runs.cancel(session, actor, run_id, cancellation.reason if cancellation else "")
 
 
-@router.get("/{run_id}/result", summary="Read the calibration", response_model=console_schemas.Calibration)
+@router.get("/{run_id}/result", summary="Read the calibration", response_model=Calibration)
 def get_run_result(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read the calibration JSON; while the run computes, what there is so far with status `running`."""
     return json_response(result_so_far(session, blobs, run_id))

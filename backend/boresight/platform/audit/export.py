@@ -35,7 +35,7 @@ it. A later export must still hold the head that you keep: give it with --head.
 
 def verifier() -> str:
     """Return the program that verifies an export, to be kept beside it."""
-    return files("boresight.console").joinpath("audit_verifier.py").read_text(encoding="utf-8")
+    return files("boresight.platform.audit").joinpath("audit_verifier.py").read_text(encoding="utf-8")
 
 
 def write_export(session: Session, stream: IO[bytes], form: str, policy: Policy) -> None:

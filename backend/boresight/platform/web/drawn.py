@@ -28,7 +28,7 @@ NOT_MODIFIED = 304
 def figures_version() -> str:
     """Return the hash of everything that figures are drawn by."""
     digest = hashlib.sha256(plotly.__version__.encode())
-    for source in sorted(Path(figures.__file__).parent.glob("*.py")):
+    for source in sorted(Path(figures.__file__).parent.rglob("*.py")):
         digest.update(source.read_bytes())
     return digest.hexdigest()
 

@@ -18,8 +18,8 @@ among two hundred readers waited seven seconds. Here a request waits once, for i
 needs one. More turns at once than `most` only take the interpreter from each other.
 
 The next turn goes to the request for whose answer the longest time was waited, summed up over all who will have it
-(`boresight.platform.web.ready`). Among requests of one asker each that is the order of their coming; of an answer that two hundred wait for
-it makes the first. Nobody waits for ever: how long they have waited grows until it is the most.
+(`boresight.platform.web.ready`). Among requests of one asker each that is the order of their coming; of an answer that two hundred
+wait for it makes the first. Nobody waits for ever: how long they have waited grows until it is the most.
 
 A turn is lent for `LENT_S`: who works longer, on a figure or a report, keeps the thread but makes room for the next.
 """

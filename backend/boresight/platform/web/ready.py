@@ -3,21 +3,22 @@
 An endpoint whose answer follows from the address and the rows of the store says so by `same_for_all` or `same_for_one`
 (`boresight.platform.web.keeping`). Its answer is then kept, compressed and with its tag, and given again while all of this holds:
 
-1. Nothing was committed since: the store's mark (`boresight.platform.db.marks`), looked for anew for this very request, equals the mark
-   that was looked for before the answer was read. So who commits reads their own writes, from whichever server or command.
+1. Nothing was committed since: the store's mark (`boresight.platform.db.marks`), looked for anew for this very request, equals the
+   mark that was looked for before the answer was read. So who commits reads their own writes, from whichever server or command.
 2. Whoever asks is known *now*: exactly these credentials (the `Authorization` and `Cookie` headers, byte for byte) were proven
    under this mark, and their end by the clock has not come. Keys revoked, log-ins ended, people disabled, roles changed are all
    commits, so they act with the next request. Credentials not proven under this mark are proven first, by one read.
 3. It is theirs: an answer `same_for_one` stands under the person, or the credentials where they are no log-in, and is given to no
-   others. One `same_for_roles` stands under the roles: where the frame names the person it has gaps (`boresight.platform.web.sheets`), which
+   others. One `same_for_roles` stands under the roles: where the frame names the person it has gaps
+   (`boresight.platform.web.sheets`), which
    are filled for whoever gets it. One `same_for_all` was made by an endpoint that was never told who asks. Neither endpoint is told
    more, so their answers cannot hold anything of the one who happened to ask first.
 4. It is young: what the rows say of time (an age, a key that expires) is never older than `HELD_S`.
 
 When many ask for one answer that does not stand ready, the first makes it and the others wait for it: those who came before it
-began to be made, whose question it answers whatever was committed while they waited for its turn, and those for whom the mark is
-the one that it began under. The turn comes sooner the more wait (`boresight.platform.web.gate`). Everything here runs on the event loop, so
-nothing is locked.
+began to be made, whose question it answers whatever was committed while they waited for its turn, and those for whom the mark
+is the one that it began under. The turn comes sooner the more wait (`boresight.platform.web.gate`). Everything here runs on the
+event loop, so nothing is locked.
 """
 
 from __future__ import annotations

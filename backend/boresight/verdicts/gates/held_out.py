@@ -1,6 +1,7 @@
 """Set and incumbent on frames that neither was fitted to: the one comparison that nothing in a fit can flatter.
 
-Both see the same frames (`calibration.matching.sighting`), so every comparison is paired: ratios and differences are resampled frame by
+Both see the same frames (`calibration.matching.sighting`), so every comparison is paired: ratios and differences are resampled
+frame by
 frame, in blocks (`calibration.evaluation.bootstrap`), and what makes a frame hard for both drops out. The stars are compared by the
 difference a frame and not by the ratio of E Eq 30: an incumbent that matches none has no ratio, though nothing is clearer. The
 change of the availability is
