@@ -17,6 +17,10 @@ export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/kernels
 COMPILED := $(VENV)/kernels/compiled
 export PYTHONUNBUFFERED := 1
 
+# What checks the types of the pages' modules; node comes with the virtual environment and is needed for nothing else.
+NODE_MODULES := frontend/node_modules/.package-lock.json
+TSC := $(BIN)/node frontend/node_modules/typescript/bin/tsc --project frontend
+
 # Debian keeps PostgreSQL's own programs off the path.
 PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10 --numprocesses 2
 
@@ -33,11 +37,12 @@ demo: $(COMPILED)  ## install, make a simulated fleet and serve it on http://127
 
 test: $(MADE)/dev lint machine pytest  ## install everything and run every check: lint, types, import contracts, tests
 
-lint: $(MADE)/dev  ## style, format, types and import contracts
+lint: $(MADE)/dev $(NODE_MODULES)  ## style, format, types (of the pages' modules too) and import contracts
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(TSC)
 
 pytest: $(MADE)/dev $(COMPILED)
 	@mkdir -p artefacts
@@ -82,6 +87,9 @@ $(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
 	$(INSTALL) --require-hashes --only-binary :all: --requirement requirements.lock
 	$(INSTALL) --no-deps --editable .
 	@mkdir -p $(MADE) && touch $@
+
+$(NODE_MODULES): frontend/package-lock.json | $(MADE)/dev
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/npm ci --prefix frontend --ignore-scripts --no-audit --no-fund --prefer-offline
 
 $(COMPILED): $(MADE)/runtime $(wildcard backend/boresight/kernels/*.py)
 	@$(BIN)/boresight warm --data .demo

@@ -120,7 +120,7 @@ def _members(wheel: Path) -> set[str]:
 def test_the_wheel_carries_every_file_of_the_pages_and_every_migration(wheel):
     expected = {
         f"boresight/{path.relative_to(ROOT).as_posix()}"
-        for folder in ("frontend", "migrations")
+        for folder in ("frontend/static", "frontend/templates", "migrations")
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and not path.name.startswith(".") and "__pycache__" not in path.parts
     }

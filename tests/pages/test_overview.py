@@ -45,8 +45,8 @@ def test_names_of_sensors_and_sets_may_wrap(house):
     assert '<h3 class="name"><a href="/sensors/1">' in page
     assert '<dd class="name"><a href="/parameter-sets/1">' in page
     sheets = folder("frontend") / "static"
-    assert re.search(r"\.tile \.name {[^}]*overflow-wrap: anywhere", (sheets / "fleet" / "style-fleet.css").read_text())
-    sheet = (sheets / "shared" / "pages.css").read_text()
+    assert re.search(r"\.tile \.name {[^}]*overflow-wrap: anywhere", (sheets / "fleet" / "fleet.css").read_text())
+    sheet = (sheets / "shared" / "style.css").read_text()
     assert re.search(r"\.todo li {[^}]*overflow-wrap: anywhere", sheet)
 
 

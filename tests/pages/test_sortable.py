@@ -109,7 +109,7 @@ def test_a_csv_of_sensors_has_the_fields_of_the_columns_that_are_picked(house):
 
 
 def test_in_a_narrow_window_counts_stand_off_names_end_in_dots_and_edges_hint_at_more():
-    sheet = (STATIC / "shared" / "frame.css").read_text()
+    sheet = (STATIC / "shared" / "style.css").read_text()
     narrow = sheet.partition("@media (max-width: 900px)")[2]
     assert re.search(r"\.side \.badge { margin-left: var\(--space-2\); }", narrow)
     assert re.search(r"\.label a {[^}]*display: inline-block;[^}]*text-overflow: ellipsis;", narrow)

@@ -1,5 +1,7 @@
-// Identifiers and hashes are copied by a click or Enter: every element with data-copy.
+/** Identifiers and hashes are copied by a click or Enter: every element with data-copy. */
+import { around, findAll } from "./dom.js";
 
+/** @param {HTMLElement} element */
 function prepare(element) {
   if (element.matches("button")) return; // says itself what it copies
   element.tabIndex = 0;
@@ -7,19 +9,19 @@ function prepare(element) {
   element.setAttribute("aria-label", `Copy ${element.dataset.copy}`);
 }
 
-async function copy(element) {
-  await navigator.clipboard.writeText(element.dataset.copy);
+/** @param {Event} event */
+async function copy(event, selector = "[data-copy]") {
+  const element = around(event, selector);
+  if (!element) return;
+  await navigator.clipboard.writeText(element.dataset.copy ?? "");
   element.classList.add("copied");
   setTimeout(() => element.classList.remove("copied"), 1200);
 }
 
 if (navigator.clipboard) {
-  for (const element of document.querySelectorAll("[data-copy]")) prepare(element);
-  document.addEventListener("click", (event) => {
-    const element = event.target.closest("[data-copy]");
-    if (element) copy(element);
-  });
+  for (const element of findAll("[data-copy]", HTMLElement)) prepare(element);
+  document.addEventListener("click", (event) => copy(event));
   document.addEventListener("keydown", (event) => {
-    if (event.key === "Enter" && event.target.matches("[data-copy]:not(button)")) copy(event.target);
+    if (event.key === "Enter") copy(event, "[data-copy]:not(button)");
   });
 }

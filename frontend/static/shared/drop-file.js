@@ -1,27 +1,31 @@
-// What file fields do beyond choosing. A chosen text file is shown in the text field named by its data-into, so that it
-// can be read and corrected before it is sent.
+/** What file fields do beyond choosing. */
+import { find, findAll } from "./dom.js";
 
-for (const input of document.querySelectorAll("input[type=file][data-into]")) {
-  const target = document.getElementById(input.dataset.into);
+// A chosen text file is shown in the text field named by its data-into, so that it can be read and corrected before it is sent.
+for (const input of findAll("input[type=file][data-into]", HTMLInputElement)) {
+  const target = find(`#${input.dataset.into}`, HTMLTextAreaElement);
   input.addEventListener("change", async () => {
-    if (!input.files.length) return;
-    target.value = await input.files[0].text();
+    const file = input.files?.[0];
+    if (!file || !target) return;
+    target.value = await file.text();
     input.value = "";
     target.focus();
   });
 }
 
 // A file can be dropped anywhere on the place that holds its field.
-for (const place of document.querySelectorAll(".drop")) {
-  const input = place.querySelector("input[type=file]");
-  const mark = (over) => (event) => {
+for (const place of findAll(".drop", HTMLElement)) {
+  const input = find("input[type=file]", HTMLInputElement, place);
+  /** @param {DragEvent} event */
+  const mark = (event, over = true) => {
     event.preventDefault();
     place.classList.toggle("over", over);
   };
-  place.addEventListener("dragover", mark(true));
-  place.addEventListener("dragleave", mark(false));
+  place.addEventListener("dragover", (event) => mark(event));
+  place.addEventListener("dragleave", (event) => mark(event, false));
   place.addEventListener("drop", (event) => {
-    mark(false)(event);
-    if (event.dataTransfer.files.length) input.files = event.dataTransfer.files;
+    mark(event, false);
+    const files = event.dataTransfer?.files;
+    if (input && files?.length) input.files = files;
   });
 }

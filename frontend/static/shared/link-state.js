@@ -1,22 +1,25 @@
-// The one event stream of a page, and the light that says whether it can be believed.
-//
-// Every event of GET /api/v1/events is passed on as a DOM event on `document`: boresight:run, boresight:log,
-// boresight:progress, boresight:audit, with the decoded data in `detail`. A page listens there and opens no stream of its
-// own, for a browser allows few connections to one server; that of a run hears the points of its course too. After a
-// break the browser asks for what it missed by its last event id. A hidden page closes its stream; when it is shown again,
-// or when the server keeps no more what was missed, boresight:missed says that all should be read again.
-// LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken.
-// LOGGED OUT: the log-in has ended, here or elsewhere; a notice says why, and nothing more is asked of the server.
-// The body carries the same word in data-link, so that styles can grey what is no longer fresh.
-
-import { BACKGROUND, Problem, fetchJson } from "./problem.js";
+/**
+ * The one event stream of a page, and the light that says whether it can be believed.
+ *
+ * Every event of GET /api/v1/events is passed on as a DOM event on `document`: boresight:run, boresight:log,
+ * boresight:progress, boresight:audit, with the decoded data in `detail`. A page listens there and opens no stream of its
+ * own, for a browser allows few connections to one server; that of a run hears the points of its history too. After a
+ * break the browser asks for what it missed by its last event id. A hidden page closes its stream; when it is shown again,
+ * or when the server keeps no more what was missed, boresight:missed says that all should be read again.
+ * LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken.
+ * LOGGED OUT: the log-in has ended, here or elsewhere; a notice says why, and nothing more is asked of the server.
+ * The body carries the same word in data-link, so that styles can grey what is no longer fresh.
+ */
+import { make, need } from "./dom.js";
+import { BACKGROUND, Problem, fetchJson } from "./requests.js";
 
 const KINDS = ["run", "log", "progress", "audit", "missed"];
 const PROBE_MS = 8000;
 const STALE_AFTER_MS = 20000;
 
-const light = document.getElementById("link-state");
-const said = document.getElementById("link-said"); // for screen readers: changes only, not every second
+const light = need("#link-state", HTMLElement);
+const said = need("#link-said", HTMLElement); // for screen readers: changes only, not every second
+/** @type {EventSource | null} */
 let source = null;
 let broken = false;
 let opened = false;
@@ -40,14 +43,7 @@ function show() {
   document.body.dataset.link = state;
 }
 
-function decode(text) {
-  try {
-    return JSON.parse(text);
-  } catch {
-    return text;
-  }
-}
-
+/** Pass on what the server sent; the types of the events say what that is. @param {string} kind @param {unknown} detail */
 const tell = (kind, detail) => document.dispatchEvent(new CustomEvent(`boresight:${kind}`, { detail }));
 
 function open() {
@@ -67,9 +63,9 @@ function open() {
   };
   source.addEventListener("logged-out", askWhetherEnded);
   for (const kind of KINDS) {
-    source.addEventListener(kind, (event) => {
+    source.addEventListener(kind, ({ data }) => {
       heard();
-      tell(kind, decode(event.data));
+      tell(kind, JSON.parse(data));
     });
   }
 }
@@ -82,12 +78,13 @@ function close() {
 /** Ask whether the log-in still holds, and if not say why, with the way back in. */
 async function askWhetherEnded() {
   try {
-    await fetchJson("/api/v1/sessions/current", { headers: BACKGROUND });
+    await fetchJson("/api/v1/sessions/current", BACKGROUND);
   } catch (problem) {
     if (problem instanceof Problem && problem.status === 401) sayEnded(problem.message);
   }
 }
 
+/** @param {string} sentence */
 function sayEnded(sentence) {
   if (ended) return;
   ended = true;
@@ -95,13 +92,12 @@ function sayEnded(sentence) {
   light.textContent = "LOGGED OUT";
   said.textContent = "Link ended: you are logged out";
   light.dataset.state = document.body.dataset.link = "disconnected";
-  const notice = Object.assign(document.createElement("div"), { className: "notice notice-serious", id: "log-in-ended" });
-  notice.setAttribute("role", "alert");
-  const words = document.createElement("p");
-  const way = Object.assign(document.createElement("a"), { textContent: "Log in again", href: `/login?next=${encodeURIComponent(location.pathname + location.search)}` });
+  const notice = make("div", { className: "notice notice-serious", id: "log-in-ended", role: "alert" });
+  const words = make("p", {});
+  const way = make("a", { textContent: "Log in again", href: `/login?next=${encodeURIComponent(location.pathname + location.search)}` });
   words.append(`${sentence} What is shown is the last that arrived. `, way, ".");
   notice.append(words);
-  document.getElementById("content").prepend(notice);
+  need("#content", HTMLElement).prepend(notice);
   notice.scrollIntoView({ block: "nearest" });
 }
 

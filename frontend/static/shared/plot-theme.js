@@ -3,29 +3,32 @@
  * a page shows its own, paper and every exported image the light one, black on white.
  */
 
-const theme = () => (matchMedia("print").matches ? "light" : document.documentElement.dataset.theme);
+const HEADING_PX = 28;
+const isLight = () => matchMedia("print").matches || document.documentElement.dataset.theme === "light";
 
+/** @param {Figure} figure @param {object | undefined} template @returns {Figure} */
 function copied(figure, template) {
-  const layout = { ...structuredClone(figure.layout) };
-  if (template) layout.template = structuredClone(template);
-  return { data: structuredClone(figure.data), layout };
+  const { data, layout } = structuredClone(figure);
+  return { data, layout: template ? { ...layout, template: structuredClone(template) } : layout };
 }
 
-const HEADING_PX = 28;
-
-/** The figure as this page shows it: on the panel's own surface, and without its title, which the panel's heading is. */
+/**
+ * The figure as this page shows it: on the panel's own surface, and without its title, which the panel's heading is.
+ * @param {Figure} figure
+ */
 export function onTheme(figure) {
-  const themed = copied(figure, figure.layout.meta?.[theme()]);
-  themed.layout.title = { text: "" };
-  themed.layout.legend = { ...themed.layout.legend, y: 1 };
-  themed.layout.margin = { ...themed.layout.margin, t: Math.max(24, (themed.layout.margin?.t ?? 64) - HEADING_PX) };
-  themed.layout.paper_bgcolor = "rgba(0,0,0,0)";
-  themed.layout.plot_bgcolor = "rgba(0,0,0,0)";
+  const { light, contrast } = figure.layout.meta ?? {};
+  const themed = copied(figure, isLight() ? light : document.documentElement.dataset.theme === "contrast" ? contrast : undefined);
+  const { layout } = themed;
+  layout.title = { text: "" };
+  layout.legend = { ...layout.legend, y: 1 };
+  layout.margin = { ...layout.margin, t: Math.max(24, (layout.margin?.t ?? 64) - HEADING_PX) };
+  layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
   return themed;
 }
 
-/** The figure for an image: white whatever the page's theme. */
+/** The figure for an image: white whatever the page's theme. @param {Figure} figure @returns {Figure} */
 export function onWhite(figure) {
-  const white = copied(figure, figure.layout.meta?.light);
-  return { ...white, layout: { ...white.layout, paper_bgcolor: "#ffffff", plot_bgcolor: "#ffffff" } };
+  const { data, layout } = copied(figure, figure.layout.meta?.light);
+  return { data, layout: { ...layout, paper_bgcolor: "#ffffff", plot_bgcolor: "#ffffff" } };
 }

@@ -5,72 +5,78 @@
  * no value stay last. The address keeps it, `sort=-<column>` for the largest first (`<table>.<column>` where a page has several),
  * and a page that is loaded or renewed is sorted by it. Without this module the rows stand as the server sent them, the worst first.
  */
+import { around, findAll } from "./dom.js";
 
-const value = (row, place) => row.cells[place].dataset.value ?? row.cells[place].textContent.trim();
+/** A heading's button with the parts of its table. */
+class Heading {
+  /** @param {HTMLElement} button */
+  constructor(button) {
+    this.button = button;
+    this.cell = /** @type {HTMLTableCellElement} */ (button.closest("th"));
+    this.table = /** @type {HTMLTableElement} */ (button.closest("table"));
+    this.body = /** @type {HTMLTableSectionElement} */ (this.table.tBodies[0]);
+  }
 
-function compare(kind, sign) {
-  if (kind === "word") return (a, b) => sign * a.localeCompare(b);
-  return (a, b) => sign * (a - b);
-}
+  get isByNumber() {
+    return this.button.dataset.sort === "number";
+  }
 
-/** The rows in their new order; an absent value is last whichever way they turn. */
-function sorted(rows, place, kind, descending) {
-  const inOrder = compare(kind, descending ? -1 : 1);
-  const known = rows.filter((row) => value(row, place) !== "");
-  const unknown = rows.filter((row) => value(row, place) === "");
-  known.sort((a, b) => inOrder(value(a, place), value(b, place)));
-  return [...known, ...unknown];
-}
+  /** What the address calls the column. */
+  get name() {
+    const several = document.querySelectorAll("table[data-sortable]").length > 1;
+    return `${several ? `${this.table.id || slug(this.table.caption?.textContent)}.` : ""}${slug(this.button.textContent)}`;
+  }
 
-const slug = (text) => text.toLowerCase().match(/[\p{L}\p{N}]+/gu).join("-");
+  /** What counts of a row. @param {HTMLTableRowElement} row */
+  value(row) {
+    const cell = row.cells[this.cell.cellIndex];
+    return cell?.dataset.value ?? cell?.textContent?.trim() ?? "";
+  }
 
-/** What the address calls a column. */
-function nameOf(button) {
-  const table = button.closest("table");
-  const several = document.querySelectorAll("table[data-sortable]").length > 1;
-  return `${several ? `${table.id || slug(table.caption.textContent)}.` : ""}${slug(button.textContent)}`;
-}
+  /** Sort by this column, this way round; an absent value is last whichever way the rows turn. */
+  sort(descending = false) {
+    for (const other of this.table.querySelectorAll("thead th")) other.removeAttribute("aria-sort");
+    this.cell.setAttribute("aria-sort", descending ? "descending" : "ascending");
+    const [sign, rows] = [descending ? -1 : 1, [...this.body.rows]];
+    /** @type {(a: string, b: string) => number} */
+    const compare = this.isByNumber ? (a, b) => Number(a) - Number(b) : (a, b) => a.localeCompare(b);
+    const known = rows.filter((row) => this.value(row) !== "").sort((a, b) => sign * compare(this.value(a), this.value(b)));
+    this.body.append(...known, ...rows.filter((row) => this.value(row) === ""));
+  }
 
-const columnOf = (sort) => sort.replace(/^-/, "");
-
-function keepInAddress(button) {
-  const url = new URL(location.href);
-  const name = nameOf(button);
-  const ofTable = name.slice(0, name.indexOf(".") + 1);
-  const others = url.searchParams.getAll("sort").filter((sort) => ofTable && !columnOf(sort).startsWith(ofTable));
-  url.searchParams.delete("sort");
-  const sign = button.closest("th").getAttribute("aria-sort") === "descending" ? "-" : "";
-  for (const sort of [...others, sign + name]) url.searchParams.append("sort", sort);
-  history.replaceState(history.state, "", url);
-}
-
-/** Sort the tables as the address says, but not under the focus; a column that is not there leaves its table as it is. */
-export function sortByAddress() {
-  const buttons = [...document.querySelectorAll("table[data-sortable] thead button")];
-  for (const sort of new URLSearchParams(location.search).getAll("sort")) {
-    const button = buttons.find((one) => nameOf(one) === columnOf(sort));
-    if (button && !button.closest("table").tBodies[0].contains(document.activeElement)) put(button, sort.startsWith("-"));
+  keepInAddress() {
+    const url = new URL(location.href);
+    const { name } = this;
+    const ofTable = name.slice(0, name.indexOf(".") + 1);
+    const others = url.searchParams.getAll("sort").filter((sort) => ofTable && !columnOf(sort).startsWith(ofTable));
+    url.searchParams.delete("sort");
+    const sign = this.cell.getAttribute("aria-sort") === "descending" ? "-" : "";
+    for (const sort of [...others, sign + name]) url.searchParams.append("sort", sort);
+    history.replaceState(history.state, "", url);
   }
 }
 
-function sort(button) {
-  const kind = button.dataset.sort;
-  const wasSo = button.closest("th").getAttribute("aria-sort");
-  put(button, wasSo ? wasSo === "ascending" : kind === "number"); // the largest first, names from A
-  keepInAddress(button);
-}
+/** @param {string | null | undefined} text */
+const slug = (text) => (text ?? "").toLowerCase().match(/[\p{L}\p{N}]+/gu)?.join("-") ?? "";
+/** @param {string} sort */
+const columnOf = (sort) => sort.replace(/^-/, "");
 
-/** Sort by a heading, this way round. */
-function put(button, descending) {
-  const heading = button.closest("th");
-  const body = heading.closest("table").tBodies[0];
-  for (const other of heading.parentElement.cells) other.removeAttribute("aria-sort");
-  heading.setAttribute("aria-sort", descending ? "descending" : "ascending");
-  body.append(...sorted([...body.rows], heading.cellIndex, button.dataset.sort, descending));
+/** Sort the tables as the address says, but not under the focus; a column that is not there leaves its table as it is. */
+function sortByAddress() {
+  const headings = findAll("table[data-sortable] thead button", HTMLElement).map((button) => new Heading(button));
+  for (const sort of new URLSearchParams(location.search).getAll("sort")) {
+    const heading = headings.find((one) => one.name === columnOf(sort));
+    if (heading && !heading.body.contains(document.activeElement)) heading.sort(sort.startsWith("-"));
+  }
 }
 
 document.addEventListener("click", (event) => {
-  const button = event.target.closest("table[data-sortable] thead button");
-  if (button) sort(button);
+  const button = around(event, "table[data-sortable] thead button");
+  if (!(button instanceof HTMLElement)) return;
+  const heading = new Heading(button);
+  const was = heading.cell.getAttribute("aria-sort");
+  heading.sort(was ? was === "ascending" : heading.isByNumber); // the largest first, names from A
+  heading.keepInAddress();
 });
+document.addEventListener("boresight:renewed", sortByAddress);
 sortByAddress();

@@ -136,7 +136,7 @@ def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HT
     result = specimens()["filter"]
     return render(
         request,
-        f"administration/gallery_{part}.html",
+        "administration/gallery.html",
         part=part,
         parts=PARTS,
         of=of,

@@ -196,7 +196,7 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 
 def live_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
-    """Gather what `run_live.html` shows."""
+    """Gather what the head of `runs/run.html` shows."""
     progress, log = run.progress or {}, runs.log_lines(session, run.id)
     workers = request.app.state.workers
     return {
@@ -259,7 +259,7 @@ def lines_of(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
 
 
 def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
-    """Gather what `run_log.html` shows."""
+    """Gather what the part `log` of `runs/run.html` shows."""
     level = request.query_params.get("level", "info")
     rows = runs.log_lines(session, run.id)
     return {
@@ -274,7 +274,7 @@ def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
 def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, level: str = "info") -> HTMLResponse:
     """Give the lines after a line as list items, for a page that follows the log."""
     rows = runs.log_lines(session, run_id, after_id=after)
-    return render(request, "runs/run_log_lines.html", lines=lines_of(rows, level), symbols=SYMBOLS)
+    return render(request, "runs/log_lines.html", lines=lines_of(rows, level), symbols=SYMBOLS)
 
 
 run_file_router = APIRouter(dependencies=[Depends(who_acts)])
