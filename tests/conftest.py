@@ -12,6 +12,7 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 from boresight.platform.db.sessions import Engine, open_engine
+from boresight.sky.catalogue import Catalogue, load_catalogue
 from tests import effort, stores
 from tests import postgresql as postgresql_programs
 from tests.passwords import PRODUCT, use_hasher
@@ -85,6 +86,16 @@ def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
 
 def pytest_sessionfinish() -> None:
     postgresql_programs.remove_server()
+
+
+@pytest.fixture(scope="session")
+def catalogue_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("sky") / "catalogue"
+
+
+@pytest.fixture(scope="session")
+def catalogue(catalogue_folder: Path) -> Catalogue:
+    return load_catalogue(catalogue_folder)
 
 
 @pytest.fixture

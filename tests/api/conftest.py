@@ -22,10 +22,9 @@ import pytest
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
-from boresight.console.access import users
 from boresight.console.runs.run_events import Line, write_event
 from boresight.console.runs.tables import Run
-from boresight.platform.actors import COMMAND_LINE, SYSTEM
+from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
 from boresight.platform.db.sessions import writing
@@ -33,10 +32,10 @@ from boresight.platform.web.connections import Connections
 from boresight.server import _Server, configured, create_app
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.sky.catalogue import Catalogue, load_catalogue
+from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
-from tests.passwords import new_password
+from tests.passwords import add_person
 from tests.stores import environment_in, open_migrated
 
 PASSWORD = "correct horse battery"
@@ -224,21 +223,8 @@ def add_people(settings: Settings) -> None:
     engine = open_migrated(settings.database_url)
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name.title(),
-                password=new_password(PASSWORD),
-                roles=roles,
-            )
+            add_person(session, name, *roles)
     engine.dispose()
-
-
-@pytest.fixture(scope="session")
-def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
-    """Load the star catalogue once."""
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
 
 
 @contextmanager

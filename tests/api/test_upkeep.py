@@ -15,14 +15,12 @@ from boresight.console.access import api_keys, users
 from boresight.console.alarms import service as alarms
 from boresight.console.jobs import upkeep as upkeep_module
 from boresight.console.jobs.upkeep import Upkeep
-from boresight.platform.actors import COMMAND_LINE, SessionLimits
+from boresight.platform.actors import SessionLimits
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, reading, writing
-from tests.passwords import new_password
+from tests.passwords import add_person
 from tests.stores import open_migrated, url_in
-
-from .conftest import PASSWORD
 
 LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 
@@ -32,9 +30,7 @@ def store(tmp_path: Path) -> Iterator[Engine]:
     """A store with a person who has a key."""
     store = open_migrated(url_in(tmp_path))
     with writing(store) as session:
-        row = users.create_user(
-            session, COMMAND_LINE, name="ada", printed_name="Ada", password=new_password(PASSWORD), roles=[]
-        )
+        row = add_person(session, "ada")
         actor = users.actor_of(session, row.id)
         api_keys.create_key(session, actor, label="passes")
     yield store

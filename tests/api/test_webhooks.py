@@ -23,15 +23,15 @@ from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import encrypt_all, state_of
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import RefusedInputError
-from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, reading, utc_now, writing
 from boresight.platform.web.targets import Targets
-from tests.passwords import new_password
+from tests.passwords import add_person
 from tests.stores import open_migrated, url_in
 
-from .conftest import PASSWORD, House
+from .conftest import House
 
 
 class Receiver:
@@ -93,14 +93,7 @@ def box(tmp_path: Path) -> SecretBox:
 @pytest.fixture
 def hook(store: Engine, receiver: Receiver, box: SecretBox) -> Webhook:
     with writing(store) as session:
-        users.create_user(
-            session,
-            COMMAND_LINE,
-            name="root",
-            printed_name="Root",
-            password=new_password(PASSWORD),
-            roles=["administrator"],
-        )
+        add_person(session, "root", "administrator")
         return webhooks.create_webhook(session, _root(session), box, label="Chat", url=receiver.url)[0]
 
 

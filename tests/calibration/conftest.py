@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 from boresight.cameras.inverted_wang import INVERTED_WANG
-from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 from tests.estimation.fields import COLUMNS, GROUND, NOISE_PX, PITCH, ROWS, SCALE, TRUTH, rotation
-
-
-@pytest.fixture(scope="session")
-def catalogue(tmp_path_factory):
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from boresight.calibration import listening
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.access import sessions, users
+from boresight.console.access import sessions
 from boresight.console.access.credentials import SESSION_COOKIE
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import service as parameter_sets
@@ -36,10 +36,10 @@ from boresight.server import create_app
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
-from boresight.sky.catalogue import load_catalogue
+from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import sensor_document
 from boresight.verdicts.summary import summary_of
-from tests.passwords import new_password
+from tests.passwords import add_person
 from tests.stores import copied, environment_in
 
 PASSWORD = "correct horse battery"
@@ -54,9 +54,8 @@ PEOPLE = {
 
 
 @pytest.fixture(scope="session")
-def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+def results(catalogue: Catalogue) -> dict[str, dict[str, Any]]:
     """Calibrate the first simulated sensor by batch and by filter; `sqrf-partial` is the filter on its way."""
-    catalogue = load_catalogue(tmp_path_factory.mktemp("catalogue"))
     scenario = dataclasses.replace(calibration_scenario(1), frames=40)
     held_out = dataclasses.replace(validation_scenario(1), frames=20)
     telemetry = simulate(scenario, np.random.default_rng(1), catalogue)
@@ -92,14 +91,7 @@ def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any])
     migrate(engine)
     with writing(engine) as session:
         for name, (printed_name, roles) in PEOPLE.items():
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=printed_name,
-                password=new_password(PASSWORD),
-                roles=roles,
-            )
+            add_person(session, name, *roles, printed_name=printed_name)
         description = calibration_scenario(1).sensor
         names = CAMERA_MODELS[description.camera_model].parameter_names
         sensor = Sensor(

@@ -9,20 +9,9 @@ from boresight.console.uplinks import read_backs, table_definitions
 from boresight.console.uplinks import service as uplinks
 from boresight.platform.db.sessions import Session, reading, writing
 from tests.passwords import proved
+from tests.services.onboard import DOCUMENT
 
 from .conftest import PASSWORD
-
-NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
-DOCUMENT: dict[str, Any] = {
-    "table_id": "STR_CAM",
-    "flight_software_version": "4.2.1",
-    "length_bytes": 68,
-    "fields": [
-        {"name": name.upper(), "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
-        for place, name in enumerate(NAMES)
-    ],
-    "crc": {"name": "CRC-16/CCITT-FALSE", "offset_bytes": 64, "over": [0, 64]},
-}
 
 
 def define(house: Any) -> None:

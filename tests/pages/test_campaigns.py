@@ -181,11 +181,10 @@ def test_the_failed_are_launched_again_and_all_can_be_cancelled(house, launched,
 
 
 @pytest.mark.parametrize("move", ["cancel", "launch-failed"])
-def test_a_viewer_reads_and_changes_nothing(house, launched, read, move):
+def test_a_viewer_reads_and_changes_nothing(house, launched, move):
     victor = house.visitor("victor")
     victor.post(f"{launched}/{move}")
 
-    assert "need the role analyst" in read(victor.get(launched))
     with reading(house.engine) as session:
         assert campaigns.list_campaigns(session)[0].counts["QUEUED"] == 1
 

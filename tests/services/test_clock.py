@@ -19,7 +19,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, reading, writing
-from tests.passwords import proved
+from tests.passwords import approve
 
 AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
 DAY_S = 86_400.0
@@ -88,16 +88,7 @@ def test_whoever_signs_between_the_jump_and_the_next_beat_finds_the_request_open
 ) -> None:
     hands.wall_s += 40 * DAY_S
     with writing(engine) as session:
-        approvals.sign(
-            session,
-            people["cy"],
-            due.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            due.version,
-        )
+        approve(session, people["cy"], due)
     assert _state(engine, due) == "APPROVED"
 
 

@@ -15,7 +15,6 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
 from boresight.platform.db.sessions import utc_now, writing
-from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 from tests.calibration.conftest import telemetry
@@ -23,11 +22,6 @@ from tests.calibration.judged import st16_sensor
 from tests.estimation.fields import GROUND
 
 SETTINGS = {"method": "batch", "match": "given"}
-
-
-@pytest.fixture(scope="module")
-def catalogue(tmp_path_factory):
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
 
 
 @pytest.fixture

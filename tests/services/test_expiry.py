@@ -19,7 +19,7 @@ from boresight.platform.actors import POLICY, Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, reading, writing
-from tests.passwords import proved
+from tests.passwords import approve
 
 PASSWORD = "correct horse battery"
 AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
@@ -41,9 +41,7 @@ def ask(engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..
 
 def _sign(engine: Engine, actor: Actor, approval: Approval) -> None:
     with writing(engine) as session:
-        approvals.sign(
-            session, actor, approval.id, "APPROVE", "I approve", "", proved(session, actor, PASSWORD), approval.version
-        )
+        approve(session, actor, approval)
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:

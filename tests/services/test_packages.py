@@ -18,7 +18,7 @@ from boresight.errors import ConflictError, ForbiddenError, NotFoundError, Refus
 from boresight.platform.actors import Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import writing
-from tests.passwords import proved
+from tests.passwords import approve, proved
 
 from .conftest import PASSWORD, SENSOR
 
@@ -218,16 +218,7 @@ def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replace
         run = finished_run(session, people["ana"].user_id, alignment=found)
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
         request = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
-        approvals.sign(
-            session,
-            people["cy"],
-            request.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            request.version,
-        )
+        approve(session, people["cy"], request)
     files = build(row)[1]
 
     assert json.loads(files["c_sd.json"])["alignment"] == found

@@ -12,10 +12,10 @@ from boresight.console.access.passwords import password_by
 from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, PasswordDueError
-from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Engine, Session, reading, writing
-from tests.passwords import new_password, proved
+from tests.passwords import add_person, approve, new_password, proved
 
 from .conftest import PASSWORD
 
@@ -62,9 +62,7 @@ def test_a_given_password_signs_nothing_and_ones_own_does(
 
     def sign(password: str) -> None:
         with writing(engine) as session:
-            approvals.sign(
-                session, cy, approval.id, "APPROVE", "I approve", "", proved(session, cy, password), approval.version
-            )
+            approve(session, cy, approval, password=password)
 
     with pytest.raises(ForbiddenError, match="set your own first"):
         sign(GIVEN)
@@ -109,9 +107,7 @@ def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events:
 
     at("2026-11-20T12:00:00")
     with writing(engine) as session:
-        row = users.create_user(
-            session, COMMAND_LINE, name="new", printed_name="New", password=new_password(PASSWORD), roles=["approver"]
-        )
+        row = add_person(session, "new", "approver")
         new_id, current = row.id, PASSWORD
         for number, (who, time) in enumerate(events):
             at(time)
@@ -162,9 +158,7 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(
         users.change_password(session, puppet, cy.user_id or 0, new_password(OWN), proved(session, puppet, GIVEN))
     with writing(engine) as session:
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        signature = approvals.sign(
-            session, puppet, approval.id, "APPROVE", "I approve", "", proved(session, puppet, OWN), approval.version
-        )
+        signature = approve(session, puppet, approval, password=OWN)
         record = audit.last_change(session, f"approvals/{approval.id}")
     assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, set anew \d+ s later", str(signature.password_by))
     assert record is not None

@@ -18,7 +18,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, Session, reading, writing
-from tests.passwords import proved
+from tests.passwords import approve
 
 PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
@@ -26,16 +26,7 @@ People = Mapping[str, Actor]
 
 def _approve(session: Session, approver: Actor, set_id: int) -> None:
     approval = approvals.list_approvals(session, parameter_set_id=set_id, state="OPEN")[0]
-    approvals.sign(
-        session,
-        approver,
-        approval.id,
-        "APPROVE",
-        "I approve",
-        "",
-        proved(session, approver, PASSWORD),
-        approval.version,
-    )
+    approve(session, approver, approval)
 
 
 def _promote(engine: Engine, actor: Actor, row: ParameterSet) -> ParameterSet:

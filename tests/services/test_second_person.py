@@ -25,9 +25,9 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, reading, utc_after, writing
 from boresight.uplink.table_definition import plain_definition
-from tests.passwords import new_password
+from tests.passwords import add_person
 
-from .conftest import PASSWORD, SENSOR
+from .conftest import SENSOR
 
 People = Mapping[str, Actor]
 ON = Policy(second_person=True)
@@ -39,14 +39,7 @@ def two(engine: Engine) -> People:
     """Everyone, with a second administrator and a second analyst."""
     with writing(engine) as session:
         for name, role in (("rita", "administrator"), ("ann", "analyst")):
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name.title(),
-                password=new_password(PASSWORD),
-                roles=[role],
-            )
+            add_person(session, name, role)
     with reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
         return {name: users.actor_of(session, row.id) for name, row in rows.items()}
@@ -266,14 +259,7 @@ def race(request: pytest.FixtureRequest, engine: Engine, two: People) -> Any:
     other: Engine = request.getfixturevalue("postgresql")
     with writing(other) as session:
         for name in ("root", "rita", "rosa"):
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name,
-                password=new_password(PASSWORD),
-                roles=["administrator"],
-            )
+            add_person(session, name, "administrator", printed_name=name)
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     with reading(other) as session:
         return other, {row.name: users.actor_of(session, row.id) for row in users.list_users(session)}

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import pytest
 
 from boresight.console import transitions
-from boresight.console.access import api_keys, users
+from boresight.console.access import api_keys
 from boresight.console.approvals import discussions, promotions, submissions
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
@@ -18,10 +18,10 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.console.uplinks.packages import four_eyes
 from boresight.errors import ConflictError, ForbiddenError
-from boresight.platform.actors import COMMAND_LINE, POLICY, Actor, Policy
+from boresight.platform.actors import POLICY, Actor, Policy
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, reading, writing
-from tests.passwords import new_password, proved
+from tests.passwords import add_person, approve, proved
 
 from .conftest import PASSWORD
 
@@ -58,17 +58,7 @@ def ask(engine: Engine, people: People, blobs: BlobStore) -> Callable[..., Appro
 def _sign(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POLICY) -> str:
     with writing(engine) as session:
         seen = approvals.get_approval(session, approval.id).version
-        approvals.sign(
-            session,
-            actor,
-            approval.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, actor, PASSWORD),
-            seen,
-            policy=policy,
-        )
+        approve(session, actor, approval, seen_version=seen, policy=policy)
         return approvals.get_approval(session, approval.id).state
 
 
@@ -163,9 +153,7 @@ def test_of_several_approvals_none_is_the_creators(
 ) -> None:
     two = Policy(approvals=2)
     with writing(engine) as session:
-        users.create_user(
-            session, COMMAND_LINE, name="flo", printed_name="Flo", password=new_password(PASSWORD), roles=["approver"]
-        )
+        add_person(session, "flo", "approver")
     approval = ask(created("bo"), policy=two)
     assert _sign(engine, people["cy"], approval, two) == "OPEN"
     with pytest.raises(ForbiddenError, match="You created this set"):

@@ -11,7 +11,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from boresight.console.approvals import promotions, submissions
-from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import GateProfile
 from boresight.console.fleet import timeline
 from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
@@ -23,9 +22,8 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, Session, only_try, reading, utc_after, utc_text, writing
 from tests.effort import effort
-from tests.passwords import proved
+from tests.passwords import approve
 
-from .conftest import PASSWORD
 from .onboard import climb, define, promote_by_hand
 
 People = Mapping[str, Actor]
@@ -200,16 +198,7 @@ def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(
     with writing(engine) as session:
         ground = session.get_one(ParameterSet, 1)
         approval = submissions.roll_back(session, people["ana"], blobs, 1, "worse than thought", ground.version)
-        approvals.sign(
-            session,
-            people["cy"],
-            approval.id,
-            "APPROVE",
-            "Back",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            approval.version,
-        )
+        approve(session, people["cy"], approval)
         promotions.promote(session, people["dee"], 1, ground.version)
     with reading(engine) as session:
         known, newest = timeline.as_of(session, 1), timeline.events(session, 1, limit=1)[0]

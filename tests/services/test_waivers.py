@@ -27,7 +27,7 @@ from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db import sessions
 from boresight.platform.db.sessions import reading, utc_after, writing
-from tests.passwords import proved
+from tests.passwords import approve, proved
 
 from .conftest import PASSWORD
 
@@ -182,16 +182,7 @@ def test_a_set_that_is_promoted_with_a_waiver_tells_of_it_as_baseline(waive, eng
     with writing(engine) as session:
         request = submissions.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
-            approvals.sign(
-                session,
-                people[name],
-                request.id,
-                "APPROVE",
-                "Seen.",
-                "Waived.",
-                proved(session, people[name], PASSWORD),
-                request.version,
-            )
+            approve(session, people[name], request)
         row = transitions.get_parameter_set(session, blocked.id)
         promotions.promote(session, people["dee"], row.id, row.version)
     with reading(engine) as session:
@@ -206,16 +197,7 @@ def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_ove
     with writing(engine) as session:
         request = submissions.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
-            approvals.sign(
-                session,
-                people[name],
-                request.id,
-                "APPROVE",
-                "Seen.",
-                "Waived.",
-                proved(session, people[name], PASSWORD),
-                request.version,
-            )
+            approve(session, people[name], request)
         row = transitions.get_parameter_set(session, blocked.id)
         promotions.promote(session, people["dee"], row.id, row.version)
         package = packages.build(session, people["dee"], blobs, row.id)

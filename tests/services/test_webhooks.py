@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from boresight.console.access import api_keys, users
+from boresight.console.access import api_keys
 from boresight.console.webhooks import service as webhook_messages
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Session
-from tests.passwords import new_password
+from tests.passwords import add_person
 
 URL = "https://mission.example/hooks?team=1"
 
@@ -37,14 +37,7 @@ def hook(session: Session, people: Mapping[str, Actor], box: SecretBox) -> Webho
 
 
 def _happens(session: Session, name: str = "zoe") -> None:
-    users.create_user(
-        session,
-        COMMAND_LINE,
-        name=name,
-        printed_name=name,
-        password=new_password("correct horse battery"),
-        roles=["viewer"],
-    )
+    add_person(session, name, "viewer", printed_name=name)
 
 
 def _deliveries(session: Session) -> list[WebhookDelivery]:

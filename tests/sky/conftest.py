@@ -1,15 +1,10 @@
-"""The catalogue, read once for all tests of the sky."""
+"""A catalogue deep enough for nearby stars."""
 
 from __future__ import annotations
 
 import pytest
 
 from boresight.sky.catalogue import load_catalogue
-
-
-@pytest.fixture(scope="session")
-def catalogue():
-    return load_catalogue(None)
 
 
 @pytest.fixture(scope="session")

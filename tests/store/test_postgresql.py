@@ -13,7 +13,6 @@ import pytest
 from boresight.console import transitions
 from boresight.console.access import users
 from boresight.console.approvals import promotions, submissions
-from boresight.console.approvals import service as approvals
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
 from boresight.console.parameter_sets import service as parameter_sets
@@ -30,7 +29,7 @@ from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.documents import canonical
 from boresight.platform.db.sessions import Engine, reading, writing
 from boresight.uplink.table_definition import plain_definition
-from tests.passwords import new_password, proved
+from tests.passwords import add_person, approve, proved
 
 PASSWORD = "correct horse battery"
 PEOPLE: Mapping[str, tuple[str, ...]] = {"ana": ("analyst",), "cy": ("approver",), "dee": ("operator",)}
@@ -52,17 +51,7 @@ CSV = "frame,exposure,row_px,col_px,ra_deg,dec_deg\n" + "".join(f"1,0,{n}.5,{n *
 @pytest.fixture
 def people(postgresql: Engine) -> Mapping[str, Actor]:
     with writing(postgresql) as session:
-        rows = {
-            name: users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name.title(),
-                password=new_password(PASSWORD),
-                roles=roles,
-            )
-            for name, roles in PEOPLE.items()
-        }
+        rows = {name: add_person(session, name, *roles) for name, roles in PEOPLE.items()}
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
         return {name: users.actor_of(session, row.id) for name, row in rows.items()}
 
@@ -106,16 +95,7 @@ def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blo
     """Have a candidate submitted and signed, and return its version."""
     with writing(engine) as session:
         approval = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
-        approvals.sign(
-            session,
-            people["cy"],
-            approval.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            approval.version,
-        )
+        approve(session, people["cy"], approval)
         return transitions.get_parameter_set(session, row.id).version
 
 

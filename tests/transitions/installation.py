@@ -30,7 +30,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore, open_blobs, register_blob
 from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.settings import Settings
-from tests.passwords import new_password
+from tests.passwords import add_person
 
 PASSWORD = "correct horse battery"
 CHEAP_HASH = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1).hash(PASSWORD)  # hundreds sign with it
@@ -67,14 +67,7 @@ class Installation:
         migrate(self.engine)
         with writing(self.engine) as session:
             for name, roles in self.people.items():
-                row = users.create_user(
-                    session,
-                    COMMAND_LINE,
-                    name=name,
-                    printed_name=name.title(),
-                    password=new_password(PASSWORD),
-                    roles=roles,
-                )
+                row = add_person(session, name, *roles)
                 row.password_hash = CHEAP_HASH
 
     def actor(self, name: str) -> Actor:

@@ -19,7 +19,6 @@ from boresight.platform.blobs.folder import open_blobs, register_blob
 from boresight.platform.db.sessions import migrate, open_engine, reading, utc_now, writing
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor
-from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
@@ -171,15 +170,8 @@ def four_stars() -> Telemetry:
     )
 
 
-@pytest.fixture(scope="session")
-def catalogue_folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sky") / "catalogue"
-    load_catalogue(folder)
-    return folder
-
-
 @pytest.fixture(scope="module")
-def make_store(tmp_path_factory, catalogue_folder):
+def make_store(tmp_path_factory, catalogue_folder, catalogue):  # noqa: ARG001 - it fills the folder
     """Make stores with changed settings, the newest of which the stand-in marks; they are closed at the end."""
     made = []
     with pytest.MonkeyPatch.context() as environment:
