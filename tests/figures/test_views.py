@@ -99,6 +99,22 @@ def test_a_band_keeps_the_reference_and_replaces_all_others():
     assert len(figure_json(figure)) < len(figure_json(FIGURES["rms"].draw(traces))) / 2
 
 
+def test_a_reference_whose_name_begins_as_another_run_s_is_no_part_of_the_band():
+    labels = ("Run 12", "Run 1", "Run 2", "±3σ and more")
+    traces = [Trace(label, sequential(60, seed=k)) for k, label in enumerate(labels)]
+    figure = as_band(FIGURES["rms"].draw(traces), traces)
+    names = {drawn.name for drawn in figure.data}
+    assert names == {"Run 12 · tail", "Run 12 · aggregate", "lowest to highest of 3 runs"}
+    assert sum(drawn.name == "lowest to highest of 3 runs" for drawn in figure.data) == 4  # two panels, two curves
+
+
+def test_a_curve_says_whose_it_is_and_a_band_how_many_sigmas_it_reaches():
+    drawn = FIGURES["convergence"].draw([Trace("a", sequential(60))]).data
+    bands = [trace for trace in drawn if trace.fill == "toself"]
+    assert bands
+    assert all(trace.meta == {"run": "a", "part": "", "sigmas": 3} for trace in bands)
+
+
 def test_twenty_runs_have_twenty_lines():
     styles = run_styles([Trace(f"Run {k}", {}) for k in range(20)])
     assert len({(style.colour, style.dash) for style in styles}) == 20

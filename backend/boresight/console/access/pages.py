@@ -208,7 +208,7 @@ def _sessions_page(
 ) -> HTMLResponse:
     """Render the log-ins of a person, those that are open first."""
     limits = request.app.state.settings.session_limits
-    opened = sessions.list_sessions(session, actor, user_id, is_open=True, limit=SESSIONS_SHOWN)
+    opened = sessions.list_sessions(session, actor, user_id, is_open=True)
     ended = sessions.list_sessions(session, actor, user_id, is_open=False, limit=SESSIONS_SHOWN)
     person = users.get_user(session, user_id or require_person(actor, "see log-ins"))
     return render(
@@ -219,6 +219,7 @@ def _sessions_page(
         own=person.id == actor.user_id,
         opened=[(row, limits.ends_utc(row.created_utc)) for row in opened if not limits.is_idle(row.last_used_utc)],
         ended=ended,
+        most=SESSIONS_SHOWN,
         current=actor.session_id,
         idle_minutes=limits.idle_s / 60,
         why=WHY_ENDED,

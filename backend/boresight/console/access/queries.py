@@ -57,9 +57,14 @@ def with_token(session: Session, token_hash: str) -> LoginSession | None:
 
 
 def login_sessions(
-    session: Session, user_id: int | None, *, is_open: bool | None = None, before_id: int | None = None, limit: int
+    session: Session,
+    user_id: int | None,
+    *,
+    is_open: bool | None = None,
+    before_id: int | None = None,
+    limit: int | None = None,
 ) -> Sequence[LoginSession]:
-    """Return a page of a person's log-ins, or of everyone's, newest first."""
+    """Return a person's log-ins, or everyone's, newest first: all, or a page."""
     query = sa.select(LoginSession).order_by(LoginSession.id.desc()).limit(limit)
     if user_id is not None:
         query = query.where(LoginSession.user_id == user_id)

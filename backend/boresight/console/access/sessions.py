@@ -91,9 +91,9 @@ def list_sessions(
     *,
     is_open: bool | None = None,
     before_id: int | None = None,
-    limit: int = 100,
+    limit: int | None = None,
 ) -> Sequence[LoginSession]:
-    """Return log-ins, newest first: one's own, or as an administrator another person's.
+    """Return log-ins, newest first, all or a page: one's own, or as an administrator another person's.
 
     Raises
     ------

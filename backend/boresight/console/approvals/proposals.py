@@ -44,9 +44,9 @@ def list_proposals(
     kind: str | None = None,
     state: str | None = None,
     before_id: int | None = None,
-    limit: int = 100,
+    limit: int | None = None,
 ) -> Sequence[ChangeProposal]:
-    """Return a page of proposals, newest first; the next page starts before the last one's id.
+    """Return proposals, newest first: all, or a page, the next of which starts before the last one's id.
 
     Raises
     ------
@@ -62,6 +62,11 @@ def list_proposals(
 def open_proposals(session: Session, sensor_id: int | None = None, kind: str | None = None) -> Sequence[ChangeProposal]:
     """Return every proposal that waits, of a sensor or of all, newest first."""
     return rows.proposals(session, sensor_id=sensor_id, kind=kind, state="OPEN")
+
+
+def count_open(session: Session) -> int:
+    """Count the proposals that wait, of all sensors."""
+    return rows.count_open(session)
 
 
 def confirmed_by_number(session: Session, sensor_id: int, kind: str) -> dict[int, ChangeProposal]:

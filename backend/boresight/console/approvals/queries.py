@@ -180,3 +180,8 @@ def due_proposals(session: Session, now_utc: str) -> Sequence[ChangeProposal]:
     """Return the open proposals whose time is over, oldest first."""
     is_due = (ChangeProposal.state == "OPEN", ChangeProposal.expires_utc <= now_utc)
     return session.scalars(sa.select(ChangeProposal).where(*is_due).order_by(ChangeProposal.id)).all()
+
+
+def count_open(session: Session) -> int:
+    """Count the proposals that wait."""
+    return session.scalar(sa.select(sa.func.count()).where(ChangeProposal.state == "OPEN")) or 0

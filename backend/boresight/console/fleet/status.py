@@ -120,13 +120,27 @@ class SensorTile:
 
 @dataclass(frozen=True)
 class Standing:
-    """How a sensor stands: its worst status word and why; `is_judged` says whether it was asked if its ground calibration holds."""
+    """How a sensor stands.
+
+    Parameters
+    ----------
+    status, sentence
+        The worst status word and why.
+    is_judged
+        Whether it was asked if its ground calibration holds.
+    has_telemetry
+        Whether any set of it is in use.
+    last_run
+        Id, state, reason and summary of its newest run; None where none was launched.
+    """
 
     sensor_id: int
     name: str
     status: str
     sentence: str
     is_judged: bool = True
+    has_telemetry: bool = False
+    last_run: Any = None
 
 
 @dataclass(frozen=True)
@@ -164,7 +178,14 @@ def standings(session: Session, sensor_ids: Collection[int] | None = None) -> li
     for sensor_id, shifted in _ground_shifted(session, heads, known):
         known[sensor_id] = replace(known[sensor_id], ground_shifted=shifted)
     return [
-        Standing(head.id, head.name, *_worst(known[head.id]), is_judged=known[head.id].ground_shifted is not None)
+        Standing(
+            head.id,
+            head.name,
+            *_worst(one := known[head.id]),
+            is_judged=one.ground_shifted is not None,
+            has_telemetry=one.telemetry_sets > 0,
+            last_run=one.last_run,
+        )
         for head in heads
     ]
 

@@ -1,4 +1,4 @@
-"""Queries on alarms, what became of them, and notes."""
+"""Queries on notes."""
 
 from __future__ import annotations
 
@@ -14,3 +14,9 @@ def notes(session: Session, subject_kind: str, subject_id: int) -> Sequence[Note
     """Return the notes on a thing, in order."""
     query = sa.select(Note).where(Note.subject_kind == subject_kind, Note.subject_id == subject_id)
     return session.scalars(query.order_by(Note.id)).all()
+
+
+def count_notes(session: Session, subject_kind: str, subject_id: int) -> int:
+    """Count the notes on a thing."""
+    of_it = (Note.subject_kind == subject_kind, Note.subject_id == subject_id)
+    return session.scalar(sa.select(sa.func.count()).select_from(Note).where(*of_it)) or 0

@@ -8,6 +8,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session
 
 
@@ -24,7 +25,7 @@ def set_of_run(session: Session, run_id: int) -> ParameterSet | None:
 
 def runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
     """Return those of some runs that a set was made of."""
-    return set(session.scalars(sa.select(ParameterSet.run_id).where(ParameterSet.run_id.in_(run_ids))))
+    return set(session.scalars(sa.select(ParameterSet.run_id).where(among(ParameterSet.run_id, run_ids))))
 
 
 def heads(session: Session, set_ids: Collection[int]) -> dict[int, Any]:

@@ -67,7 +67,7 @@ def index_of(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
 
 
 def list_frames(
-    session: Session, blobs: BlobStore, run_id: int, *, order: str = "frame", after: int = 0, limit: int = 50
+    session: Session, blobs: BlobStore, run_id: int, *, order: str = "frame", limit: int, after: int = 0
 ) -> list[FrameLine]:
     """List a run's frames from the place `after` on: in order of number, or the worst explained first.
 

@@ -11,11 +11,11 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.charts.trust.arc_uncertainty import short_label
 from boresight.figures.style import theme
 
 TITLE = "Detector coverage"
 MAX_MAPS = 4
-TITLE_LENGTH = 14
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
@@ -23,7 +23,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     drawn = [trace for trace in traces if _counts(trace.result) is not None][:MAX_MAPS]
     if not drawn:
         return theme.missing(TITLE, "The detector coverage is counted when the run ends; it is not there yet.")
-    titles = [_short(trace.label) for trace in drawn] if len(drawn) > 1 else None
+    titles = [theme.escape(short_label(trace.label)) for trace in drawn] if len(drawn) > 1 else None
     alike = all(trace.result["coverage"]["row_edges_px"] == _rows(drawn[0]) for trace in drawn)
     spacing = 0.05 if alike else 0.4 / len(drawn)  # rows that differ need their own labels, and room for them
     figure = make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=spacing)
@@ -45,12 +45,6 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
 
 def _rows(trace: Trace) -> list[float]:
     return list(trace.result["coverage"]["row_edges_px"])
-
-
-def _short(label: str) -> str:
-    """Keep of a label what stands over a narrow map: its first part; the hover has the whole."""
-    first = label.split(" · ", maxsplit=1)[0]
-    return theme.escape(first if len(first) <= TITLE_LENGTH else f"{first[: TITLE_LENGTH - 1]}…")
 
 
 def _counts(result: Result) -> FloatArray | None:

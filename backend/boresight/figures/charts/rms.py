@@ -104,12 +104,17 @@ def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.Run
         curve = theme.RunStyle(style.label, style.colour, "dot" if word == "aggregate" else style.dash)
         settings = {
             "name": name,
+            "meta": theme.of_run(style.label, word),
             "legendgroup": name,
             "showlegend": panel.column == 1,
             "hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>",
             "mode": "lines" if course.axis == "frame" else "lines+markers",
         }
-        figure.add_trace(theme.line(curve, x[kept], y[kept], **settings), row=1, col=panel.column)
+        figure.add_trace(
+            theme.line(curve, x[kept], y[kept], **settings),
+            row=1,
+            col=panel.column,
+        )
         panel.seen.extend((float(y.min()), float(y.max())))
 
 
@@ -125,6 +130,7 @@ def _draw_levels(figure: go.Figure, panel: _Panel, result: Result, style: theme.
         level = float(rms[key]) * URAD_PER_RAD
         name = f"{key} parameters" if single else f"{style.label} · final"
         settings = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>", "showlegend": panel.column == 1}
+        settings |= {} if single else {"meta": theme.of_run(style.label, key)}
         drawn = theme.reference((panel.start, panel.end), level, name, colour, dash, **settings)
         figure.add_trace(drawn, row=1, col=panel.column)
         panel.seen.append(level)
@@ -282,7 +288,7 @@ def _rms_axes_draw_run(figure: go.Figure, found: Spread, axis: str, style: theme
         figure.add_trace(theme.band(own, frame, level - 3 * sigma, level + 3 * sigma), **place)
     hover = f"frame %{{x}}: %{{y:.4f}} px {axis}<extra>{style.label}</extra>"
     options = {"name": f"{style.label} · {axis}", "hovertemplate": hover, "legendgroup": f"{style.label} · {axis}"}
-    figure.add_trace(theme.line(own, frame, level, **options), **place)
+    figure.add_trace(theme.line(own, frame, level, meta=theme.of_run(own.label, axis), **options), **place)
 
 
 def running(found: Spread, axis: str) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -22,33 +22,27 @@ from boresight.figures.style.thinning import keep_extremes
 Place = tuple[str, str, str]
 
 POINT_BUDGET = 600  # a band
-UNCERTAINTY = "±3σ"  # in the name of a run's own band
 
 
 def as_band(figure: go.Figure, traces: Sequence[Trace]) -> go.Figure:
     """Replace the curves of all runs but the first by their lowest and highest; fewer than three runs stay as they are."""
-    others = [theme.escape(trace.label) for trace in traces[1:]]
+    others = {theme.escape(trace.label) for trace in traces[1:]}
     if len(others) < 2:
         return figure
     curves: dict[Place, list[Any]] = {}
     kept = []
     for drawn in figure.data:
-        owner = next((label for label in others if (drawn.name or drawn.legendgroup or "").startswith(label)), None)
-        if owner is None or not _is_curve(drawn):
+        said = drawn.meta or {}
+        if said.get("run") not in others:
             kept.append(drawn)
-        elif UNCERTAINTY not in (drawn.name or "") and drawn.fill is None:
-            kind = (drawn.name or "").removeprefix(owner).strip(" ·")
-            curves.setdefault((drawn.xaxis or "x", drawn.yaxis or "y", kind), []).append(drawn)
+        elif drawn.fill is None:  # a filled one is a run's own band, or its histogram
+            curves.setdefault((drawn.xaxis or "x", drawn.yaxis or "y", said["part"]), []).append(drawn)
     if not curves:
         return figure
     figure.data = kept
     for number, (place, found) in enumerate(curves.items()):
         _draw(figure, place, found, named=number == 0, runs=len(others))
     return figure
-
-
-def _is_curve(drawn: Any) -> bool:
-    return drawn.type == "scatter" and "lines" in (drawn.mode or "") and drawn.x is not None
 
 
 def span_of(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -34,7 +34,6 @@ from boresight.verdicts.gates.profile import THRESHOLDS
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-MOST_VERSIONS = 200
 BOXES = ("waivable", "must_have_data", "observe_only")
 GOOD_SIDE = {"below": "at most", "above": "at least", "around": "off by no more than a factor of", "met": "must be met"}
 
@@ -70,7 +69,7 @@ def gate_profile_page(request: Request, actor: Who, sensor_id: int) -> HTMLRespo
 def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLResponse:
     """Render the limits, with what a form left behind."""
     with reading(request.app.state.engine) as session:
-        versions = gate_profiles.list_profiles(session, sensor_id, limit=MOST_VERSIONS)
+        versions = gate_profiles.list_profiles(session, sensor_id)
         return render(
             request,
             "approvals/gate_profile.html",

@@ -136,26 +136,34 @@ def _own_requests(session: Session, actor: Actor) -> Iterator[Waiting]:
         yield _requests(session, {"state": state, "submitted_by": actor.user_id}, "caution", words, "Read")
 
 
-def _calibrations(session: Session, tiles: Sequence[SensorTile], actor: Actor) -> Iterator[Action]:
-    """Yield what an analyst may do: launch a first run, look at a failed one, make a set of a good one."""
+def _calibrations(session: Session, standings: Sequence[Standing], actor: Actor) -> Waiting:
+    """Find what an analyst may do about any sensor: launch a first run, look at a failed one, make a set of a good one."""
     if "analyst" not in actor.roles:
-        return
-    used = parameter_sets.runs_with_sets(session, [tile.last_run.id for tile in tiles if tile.last_run])
-    for tile in tiles:
-        name, run = tile.sensor.name, tile.last_run
-        if run is None and tile.telemetry_sets:
-            address = f"/runs/new?sensor={tile.sensor.id}"
-            yield Action("standby", f"{name} has telemetry and no run yet.", address, "Launch")
-        elif run is not None and run.state in {"FAILED", "LOST"}:
-            yield Action("serious", f"{name}: run {run.id} {run.state}.", f"/runs/{run.id}", "Look")
-        elif run is not None and run.state == "SUCCEEDED" and run.id not in used and _converged(tile):
-            yield Action("standby", f"{name}: run {run.id} converged; judge it.", f"/runs/{run.id}", "Judge")
+        return NOTHING
+    converged = {one.last_run.id for one in standings if _converged(one)}
+    unused = converged - parameter_sets.runs_with_sets(session, converged)
+    found = [action for one in _shown_first(standings) if (action := _next_step(one, unused)) is not None]
+    return Waiting(len(found), found[:MOST_ACTIONS])
 
 
-def _converged(tile: SensorTile) -> bool:
-    """Tell whether the newest run came to rest."""
-    summary = tile.last_run.summary if tile.last_run else None
-    return bool(summary) and summary is not None and summary.get("status") == "converged"
+def _next_step(one: Standing, unused: Collection[int]) -> Action | None:
+    """Say what a sensor's newest run asks for; `unused` are converged runs that no set was made of."""
+    run = one.last_run
+    if run is None:
+        address = f"/runs/new?sensor={one.sensor_id}"
+        told = Action("standby", f"{one.name} has telemetry and no run yet.", address, "Launch")
+        return told if one.has_telemetry else None
+    if run.state in {"FAILED", "LOST"}:
+        return Action("serious", f"{one.name}: run {run.id} {run.state}.", f"/runs/{run.id}", "Look")
+    if run.id in unused:
+        return Action("standby", f"{one.name}: run {run.id} converged; judge it.", f"/runs/{run.id}", "Judge")
+    return None
+
+
+def _converged(one: Standing) -> bool:
+    """Tell whether a sensor's newest run came to rest."""
+    run = one.last_run
+    return run is not None and run.state == "SUCCEEDED" and (run.summary or {}).get("status") == "converged"
 
 
 @dataclass(frozen=True)
@@ -237,9 +245,12 @@ class Fleet:
 
 def drawn_of(standings: Sequence[Standing]) -> Sequence[Standing]:
     """Choose the sensors that a page has room for: all by name, or of a large fleet those that stand worst, the worst first."""
-    if len(standings) <= MOST_TILES:
-        return standings
-    return sorted(standings, key=lambda one: -LEVELS.index(one.status))[:MOST_TILES]
+    return _shown_first(standings)[:MOST_TILES]
+
+
+def _shown_first(standings: Sequence[Standing]) -> Sequence[Standing]:
+    """Order the sensors as a page shows them."""
+    return standings if len(standings) <= MOST_TILES else sorted(standings, key=lambda one: -LEVELS.index(one.status))
 
 
 def _courses(session: Session, tiles: Sequence[SensorTile]) -> dict[int, Course]:
@@ -291,17 +302,16 @@ def _fleet(session: Session) -> Fleet:
         runs.count_by_state(session),
         _events(session, standings),
         lists.count(session, "approvals", {"state": "OPEN"}),
-        len(proposals.open_proposals(session)),
+        proposals.count_open(session),
         approvals.submitters(session, CAME_BACK),
     )
 
 
 def _ours(session: Session, actor: Actor, desk: Fleet) -> tuple[Waiting, Sequence[Waiting]]:
-    """Gather what waits for everybody of the same roles: alarms, and promotions with the calibrations of what is drawn."""
+    """Gather what waits for everybody of the same roles: alarms, and promotions with the calibrations."""
     found = desk.by_roles.get(actor.roles)
     if found is None:
-        calibrations = list(_calibrations(session, desk.tiles, actor))
-        rest = (*_promotions(session, actor), Waiting(len(calibrations), calibrations))
+        rest = (*_promotions(session, actor), _calibrations(session, desk.standings, actor))
         found = desk.by_roles[actor.roles] = (_alarms(session, actor), rest)
     return found
 

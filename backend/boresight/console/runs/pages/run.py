@@ -590,7 +590,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         marks=marks_of(result),
         judged=verdict(result) if marks_of(result) and result else None,
         part=part,
-        tabs=tabs_of(run_id, part, result, len(notes.list_notes(session, actor, "runs", run_id))),
+        tabs=tabs_of(run_id, part, result, notes.count_notes(session, "runs", run_id)),
         advice=list((result or {}).get("advice") or ()),
         no_result=desk.why_nothing,
         wide=WIDE,

@@ -38,7 +38,6 @@ from boresight.uplink.table_definition import DecodedField, plain_definition
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-MOST_VERSIONS = 200
 MAY_SET = frozenset({"analyst", "administrator"})
 ENTRIES = (
     ("table_id", "Name of the table on board."),
@@ -123,7 +122,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
     """Render the definition, with what a form left behind."""
     with reading(request.app.state.engine) as session:
         sensor = sensors.get_sensor(session, sensor_id)
-        versions = table_definitions.list_definitions(session, sensor_id, limit=MOST_VERSIONS)
+        versions = table_definitions.list_definitions(session, sensor_id)
         current = versions[0] if versions else None
         text = shown.text or written_as_text(
             current.document if current else plain_definition(sensor.document["camera_model"])

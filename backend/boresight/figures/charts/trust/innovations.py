@@ -48,7 +48,7 @@ def _draw_run(figure: go.Figure, one: Part, limit: int, *, alone: bool) -> None:
     low, high = (column(part[bound]) for bound in BOUNDS)
     kept = keep_extremes([nis], limit // 3)
     for name, bound in zip(BOUNDS, (low, high), strict=True):
-        options = {"name": "95 % bounds", "showlegend": alone and name == "upper", "hoverinfo": "skip"}
+        options = {"name": "95 % bounds", "showlegend": alone and name == "upper", "hoverinfo": "skip", "meta": None}
         level = theme.line(style, frame[kept], bound[kept], **options)
         level.update(line={"dash": "dot", "width": 1, "color": theme.translucent(style.colour, 0.8)})
         figure.add_trace(level)

@@ -73,6 +73,7 @@ def _steps(one: Part, side: str) -> go.Scatter:
         mode="lines",
         name=name,
         legendgroup=name,
+        meta=theme.of_run(style.label),
         line=line,
         hovertemplate=f"%{{y:.2%}} from %{{x}} σ on<extra>{name}</extra>",
     )
