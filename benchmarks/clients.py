@@ -36,11 +36,11 @@ import orjson
 from benchmarks import ROOT, Report, held
 from benchmarks.servers import Server, allow_open_files, serving
 from benchmarks.stores import Filled, add_sensors, fill, opened
+from boresight.console import list_queries as lists
 from boresight.console.runs import run_events
 from boresight.platform.actors import SYSTEM
-from boresight.platform.audit import queries as audit
 from boresight.platform.audit.log import append
-from boresight.platform.audit.queries import Sought
+from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Engine, reading, writing
 
 LIST, PAGE, FEED = "/api/v1/runs", "/runs", "/api/v1/events"
@@ -194,7 +194,7 @@ def _heard(port: int, maker: httpx.Client, engine: Engine, filled: Filled, liste
     with _process("listen") as heard:
         listening = _tell(heard, {"port": port, "listeners": audience})
         with reading(engine) as session:
-            newest = audit.records(session, before_id=None, sought=Sought(), limit=1)[0].id
+            newest = lists.newest(session, AuditRecord, limit=1)[0].id
             before = run_events.newest_event_id(session), newest
         began_s = time.perf_counter()
         for number in range(runs + 1):
@@ -210,10 +210,9 @@ def _heard(port: int, maker: httpx.Client, engine: Engine, filled: Filled, liste
 
 def _happened(engine: Engine, before: tuple[int, int], run_id: int | None) -> dict[str, Sequence[int]]:
     """Return the numbers of everything since, or of what concerns one run."""
-    sought = Sought(object=None if run_id is None else f"runs/{run_id}")
     with reading(engine) as session:
         lines = run_events.events_after(session, before[0], limit=1_000_000)
-        records = audit.records(session, before_id=None, sought=sought, limit=1_000_000)
+        records = lists.newest(session, AuditRecord, object=None if run_id is None else f"runs/{run_id}")
         return {
             "run": [line.id for line in lines if run_id in {None, line.run_id}],
             "audit": [record.id for record in reversed(records) if record.id > before[1]],

@@ -179,24 +179,6 @@ def test_nothing_outside_the_static_folder_is_sent(house: House, name: str) -> N
     assert house.anybody().get(f"/static/{name}").status_code == 404
 
 
-def test_the_documentation_needs_no_script_and_no_other_host(house: House) -> None:
-    page = house.anybody().get("/docs").text
-    assert "<script" not in page
-    assert "style=" not in page
-    assert not re.search(r'(src|href)="(https?:)?//', page)
-
-
-def test_the_documentation_names_every_operation_and_shape(house: House) -> None:
-    openapi = house.anybody().get("/api/v1/openapi.json").json()
-    page = house.anybody().get("/docs").text
-    for methods in openapi["paths"].values():
-        for operation in methods.values():
-            assert f'id="{operation["operationId"]}"' in page
-    linked = set(re.findall(r'href="#(shape-\w+)"', page))
-    assert linked
-    assert linked <= set(re.findall(r'id="(shape-\w+)"', page))
-
-
 FIGURE_PAGE = """<!doctype html><html lang="en"><title>t</title><link rel="stylesheet" href="/static/shared/style.css">
 <div id="d"></div>"""
 DRAW = """async () => {
@@ -229,11 +211,6 @@ def test_plotly_draws_and_exports_under_the_policy_without_a_word_in_the_console
     assert paths > 5
     assert picture == "data:image/png;base64,"
     assert said == []
-
-
-def test_the_documentation_is_found_beside_the_routes_too(house: House) -> None:
-    answer = house.anybody().get("/api/v1/docs")
-    assert (answer.status_code, answer.headers["location"]) == (307, "/docs")
 
 
 @pytest.mark.sqlite("the modes of its files")

@@ -11,49 +11,32 @@ ids are sorted, for a row carries documents; the rows of one page are read by th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy.orm import defer
 
-from boresight.console.access.tables import User
-from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.access.tables import LoginSession, User
+from boresight.console.alarms.queries import in_state
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.tables import Run
+from boresight.console.runs.tables import Preset, Run
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.db.documents import MOST_NUMBER, among, number_in, text_in
+from boresight.console.uplinks.tables import Package, Uplink
+from boresight.console.webhooks.tables import WebhookDelivery
+from boresight.platform.audit.queries import RECORDS
+from boresight.platform.db.documents import among, number_in, text_in
+from boresight.platform.db.lists import Condition, List, equals, newest_rows
 from boresight.platform.db.sessions import Session
 
 ROWS_A_READ = 500
-Condition = Callable[[Any], sa.ColumnElement[bool]]
-
-
-@dataclass(frozen=True)
-class List:
-    """What a list is made of.
-
-    Parameters
-    ----------
-    table
-        The declared table of its rows.
-    keys
-        What it is sorted by: an expression of each name.
-    filters
-        What it is narrowed by: a condition on the given value.
-    unread
-        Columns that no list shows and that would be most of what is read.
-    """
-
-    table: Any
-    keys: Mapping[str, Any]
-    filters: Mapping[str, Condition]
-    unread: tuple[str, ...] = ()
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -80,13 +63,6 @@ def _name_of(table: Any, number: Any) -> Any:
     return sa.func.lower(sa.select(name).where(table.id == number).correlate_except(table).scalar_subquery())
 
 
-def _is(column: Any) -> Condition:
-    """Compare a column with a value; one of numbers with a number, however it came, for PostgreSQL compares no text with it."""
-    if not isinstance(column.type, sa.Integer):
-        return lambda value: column == value
-    return lambda value: column == number if abs(number := int(value)) < MOST_NUMBER else sa.false()
-
-
 def _holds(*columns: Any) -> Condition:
     return lambda text: sa.or_(*(column.icontains(text, autoescape=True) for column in columns))
 
@@ -101,6 +77,12 @@ def _baseline(column: Any) -> Any:
     """Return the expression of a column of a sensor's baseline."""
     of_sensor = sa.and_(ParameterSet.sensor_id == Sensor.id, ParameterSet.ground_state == "BASELINE")
     return sa.select(column).where(of_sensor).correlate(Sensor).scalar_subquery()
+
+
+def _of_set_of(column: Any) -> Condition:
+    """Keep to the rows about sets of a sensor."""
+    of_sensor = equals(ParameterSet.sensor_id)
+    return lambda sensor_id: column.in_(sa.select(ParameterSet.id).where(of_sensor(sensor_id)))
 
 
 def _sets_in_use() -> Any:
@@ -163,14 +145,16 @@ LISTS = {
             "ended": Run.ended_utc,
         },
         {
-            "sensor": _is(Run.sensor_id),
+            "sensor": equals(Run.sensor_id),
             "sensor_name": _of_sensor_named(Run.sensor_id),
-            "state": _is(Run.state),
-            "method": _is(Run.method),
-            "data": _is(Run.telemetry_set_id),
+            "state": equals(Run.state),
+            "method": equals(Run.method),
+            "data": equals(Run.telemetry_set_id),
+            "among": equals(Run.id),
             "q": _holds(Run.label),
         },
-        ("settings", "sensor_document", "progress"),
+        unread=("settings", "progress"),
+        large=("sensor_document",),
     ),
     "telemetry": List(
         TelemetrySet,
@@ -183,9 +167,9 @@ LISTS = {
             "uploaded": TelemetrySet.id,
         },
         {
-            "sensor": _is(TelemetrySet.sensor_id),
+            "sensor": equals(TelemetrySet.sensor_id),
             "sensor_name": _of_sensor_named(TelemetrySet.sensor_id),
-            "purpose": _is(TelemetrySet.purpose),
+            "purpose": equals(TelemetrySet.purpose),
             "in_use": lambda _: TelemetrySet.archived_utc.is_(None),
             "q": _holds(TelemetrySet.name),
         },
@@ -202,10 +186,10 @@ LISTS = {
             "baseline": ParameterSet.baseline_from_utc,
         },
         {
-            "sensor": _is(ParameterSet.sensor_id),
+            "sensor": equals(ParameterSet.sensor_id),
             "sensor_name": _of_sensor_named(ParameterSet.sensor_id),
-            "state": _is(ParameterSet.ground_state),
-            "board": _is(ParameterSet.onboard_state),
+            "state": equals(ParameterSet.ground_state),
+            "board": equals(ParameterSet.onboard_state),
             "of_a_run": lambda _: ParameterSet.run_id.is_not(None),
             "q": _holds(ParameterSet.name, ParameterSet.sha256),
         },
@@ -220,24 +204,65 @@ LISTS = {
             "expires": Approval.expires_utc,
         },
         {
-            "state": _is(Approval.state),
-            "submitted_by": _is(Approval.submitted_by),
+            "state": equals(Approval.state),
+            "set": equals(Approval.parameter_set_id),
+            "submitted_by": equals(Approval.submitted_by),
             "open_to": _open_to,
             "q": _holds(Approval.reason),
         },
     ),
-    "audit": List(
-        AuditRecord,
-        {"number": AuditRecord.id, "who": sa.func.lower(AuditRecord.actor), "did": AuditRecord.action},
+    "audit": RECORDS,
+    "alarms": List(
+        Alarm,
+        {},
         {
-            "object": _is(AuditRecord.object),
-            "actor": _is(AuditRecord.actor),
-            "action": _is(AuditRecord.action),
-            "since_utc": lambda time_utc: AuditRecord.at_utc >= time_utc,
-            "until_utc": lambda time_utc: AuditRecord.at_utc < time_utc,
+            "state": in_state,
+            "sensor": equals(Alarm.sensor_id),
+            "sensor_name": _of_sensor_named(Alarm.sensor_id),
+            "kind": equals(Alarm.kind),
+        },
+    ),
+    "campaigns": List(Campaign, {}, {}),
+    "presets": List(Preset, {}, {"in_use": lambda _: Preset.archived_utc.is_(None)}),
+    "change-proposals": List(
+        ChangeProposal,
+        {},
+        {
+            "sensor": equals(ChangeProposal.sensor_id),
+            "kind": equals(ChangeProposal.kind),
+            "state": equals(ChangeProposal.state),
+        },
+    ),
+    "packages": List(
+        Package,
+        {},
+        {"set": equals(Package.parameter_set_id), "sensor": _of_set_of(Package.parameter_set_id)},
+    ),
+    "uplinks": List(
+        Uplink,
+        {},
+        {"set": equals(Uplink.parameter_set_id), "sensor": _of_set_of(Uplink.parameter_set_id)},
+    ),
+    "deliveries": List(WebhookDelivery, {}, {"webhook": equals(WebhookDelivery.webhook_id)}),
+    "log-ins": List(
+        LoginSession,
+        {},
+        {
+            "user": equals(LoginSession.user_id),
+            "open": lambda is_open: (
+                LoginSession.ended_utc.is_(None) if is_open else LoginSession.ended_utc.is_not(None)
+            ),
         },
     ),
 }
+NAMES = {known.table: name for name, known in LISTS.items()}
+
+
+def newest(
+    session: Session, table: type[T], *, before_id: int | None = None, limit: int | None = None, **where: Any
+) -> list[T]:
+    """Return a page of a table's rows, newest first, narrowed by what is not None; the next starts before the last one's id."""
+    return newest_rows(session, LISTS[NAMES[table]], before_id=before_id, limit=limit, **where)
 
 
 def page(session: Session, name: str, asked: Asked, limit: int) -> list[Any]:
@@ -288,7 +313,7 @@ def _after(session: Session, known: List, key: Any, descends: bool, before_id: i
 
 def _rows(session: Session, known: List, ids: Sequence[int]) -> list[Any]:
     """Read rows by their ids, in the order of these."""
-    left_out = [defer(getattr(known.table, name)) for name in known.unread]
+    left_out = [defer(getattr(known.table, name)) for name in (*known.unread, *known.large)]
     found = session.scalars(sa.select(known.table).where(among(known.table.id, ids)).options(*left_out))
     by_id = {row.id: row for row in found}
     return [by_id[number] for number in ids if number in by_id]

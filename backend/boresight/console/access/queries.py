@@ -56,25 +56,6 @@ def with_token(session: Session, token_hash: str) -> LoginSession | None:
     return session.scalar(sa.select(LoginSession).where(LoginSession.token_hash == token_hash))
 
 
-def login_sessions(
-    session: Session,
-    user_id: int | None,
-    *,
-    is_open: bool | None = None,
-    before_id: int | None = None,
-    limit: int | None = None,
-) -> Sequence[LoginSession]:
-    """Return a person's log-ins, or everyone's, newest first: all, or a page."""
-    query = sa.select(LoginSession).order_by(LoginSession.id.desc()).limit(limit)
-    if user_id is not None:
-        query = query.where(LoginSession.user_id == user_id)
-    if is_open is not None:
-        query = query.where(LoginSession.ended_utc.is_(None) if is_open else LoginSession.ended_utc.is_not(None))
-    if before_id is not None:
-        query = query.where(LoginSession.id < before_id)
-    return session.scalars(query).all()
-
-
 def addresses(session: Session, user_id: int) -> Sequence[str]:
     """Return the addresses that a person's log-ins were made from, as far back as log-ins are kept."""
     return session.scalars(sa.select(LoginSession.address).where(LoginSession.user_id == user_id).distinct()).all()

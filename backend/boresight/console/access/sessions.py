@@ -12,6 +12,7 @@ import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from boresight.console import list_queries as lists
 from boresight.console.access import queries as rows
 from boresight.console.access.log_in_attempts import place_of_address
 from boresight.console.access.tables import LoginSession
@@ -103,7 +104,7 @@ def list_sessions(
     own_id = require_person(actor, "see log-ins")
     if user_id not in {None, own_id}:
         _require_administrator(actor)
-    return rows.login_sessions(session, user_id or own_id, is_open=is_open, before_id=before_id, limit=limit)
+    return lists.newest(session, LoginSession, before_id=before_id, limit=limit, user=user_id or own_id, open=is_open)
 
 
 def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession:

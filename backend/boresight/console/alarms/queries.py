@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import sqlalchemy as sa
 
 from boresight.console.alarms.tables import Alarm, AlarmEvent
-from boresight.console.fleet.tables import Sensor
 from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session, utc_now
 
@@ -37,29 +36,16 @@ def _is_shelved() -> sa.ColumnElement[bool]:
     return sa.and_(Alarm.shelved_until_utc.is_not(None), Alarm.shelved_until_utc > utc_now())
 
 
-def _states() -> Mapping[str | None, Sequence[sa.ColumnElement[bool]]]:
-    """Say each state in SQL."""
+def in_state(state: str) -> sa.ColumnElement[bool]:
+    """Say a state of alarms in SQL; `open` is every one but `closed`."""
     is_open, rests = Alarm.closed_utc.is_(None), sa.not_(_is_shelved())
     return {
-        None: (is_open,),
-        "unacknowledged": (is_open, Alarm.acknowledged == 0, rests),
-        "acknowledged": (is_open, Alarm.acknowledged == 1, rests),
-        "shelved": (is_open, _is_shelved()),
-        "closed": (Alarm.closed_utc.is_not(None),),
-    }
-
-
-def alarms(session: Session, sought: Sought, *, before_id: int | None, limit: int | None) -> Sequence[Alarm]:
-    """Return a page of alarms, newest first."""
-    query = sa.select(Alarm).where(*_states()[sought.state]).order_by(Alarm.id.desc()).limit(limit)
-    if sought.sensor_id is not None:
-        query = query.where(Alarm.sensor_id == sought.sensor_id)
-    if sought.kind is not None:
-        query = query.where(Alarm.kind == sought.kind)
-    if sought.sensor_name:
-        named = sa.select(Sensor.id).where(Sensor.name.icontains(sought.sensor_name, autoescape=True))
-        query = query.where(Alarm.sensor_id.in_(named))
-    return session.scalars(query if before_id is None else query.where(Alarm.id < before_id)).all()
+        "open": is_open,
+        "unacknowledged": sa.and_(is_open, Alarm.acknowledged == 0, rests),
+        "acknowledged": sa.and_(is_open, Alarm.acknowledged == 1, rests),
+        "shelved": sa.and_(is_open, _is_shelved()),
+        "closed": Alarm.closed_utc.is_not(None),
+    }[state]
 
 
 def open_alarms(session: Session) -> dict[str, Alarm]:
@@ -75,7 +61,7 @@ def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) ->
 
 def count_unacknowledged(session: Session) -> int:
     """Count the alarms that wait for somebody; a shelved one waits for its time."""
-    query = sa.select(sa.func.count()).select_from(Alarm).where(*_states()["unacknowledged"])
+    query = sa.select(sa.func.count()).select_from(Alarm).where(in_state("unacknowledged"))
     return session.scalar(query) or 0
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Any
 
+from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.alarms import queries
 from boresight.console.alarms.queries import Sought
@@ -226,7 +227,16 @@ def list_alarms(
     sought = sought or Sought()
     if sought.state is not None and sought.state not in STATES:
         raise RefusedInputError(f"There is no alarm state {sought.state!r}; choose from {', '.join(STATES)}.")
-    return queries.alarms(session, sought, before_id=before_id, limit=limit)
+    return lists.newest(
+        session,
+        Alarm,
+        before_id=before_id,
+        limit=limit,
+        state=sought.state or "open",
+        sensor=sought.sensor_id,
+        kind=sought.kind,
+        sensor_name=sought.sensor_name or None,
+    )
 
 
 def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> dict[int, Alarm]:

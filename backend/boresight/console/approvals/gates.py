@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from boresight.calibration.options import CalibrationSettings
+from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import queries as rows
@@ -41,7 +42,6 @@ from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
-from boresight.console.telemetry import queries as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.transitions import get_parameter_set, require_seen, whose_baseline
 from boresight.console.uplinks import queries as table_definitions
@@ -160,13 +160,8 @@ def _held_out(
     behind = [run, None if incumbent is None or incumbent.run_id is None else session.get_one(Run, incumbent.run_id)]
     fitted = {known.telemetry_set_id for known in behind if known is not None}
     own = None if run is None or run.validation_set_id is None else session.get(TelemetrySet, run.validation_set_id)
-    others = telemetry_sets.sets(  # of so many, one at least was not fitted
-        session,
-        sensor_id=row.sensor_id,
-        purpose="validation",
-        archived=False,
-        before_id=None,
-        limit=len(fitted) + 1,
+    others = lists.newest(  # of so many, one at least was not fitted
+        session, TelemetrySet, sensor=row.sensor_id, purpose="validation", in_use=True, limit=len(fitted) + 1
     )
     candidates = [*([] if own is None else [own]), *others]
     return next((known for known in candidates if known.id not in fitted), None)

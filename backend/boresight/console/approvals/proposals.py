@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from boresight.console import list_queries as lists
 from boresight.console.alarms import watch as clock
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.tables import PROPOSAL_KINDS, PROPOSAL_STATES, ChangeProposal
@@ -56,12 +57,14 @@ def list_proposals(
     for asked, known in ((kind, PROPOSAL_KINDS), (state, PROPOSAL_STATES)):
         if asked is not None and asked not in known:
             raise RefusedInputError(f"{asked!r} is none of {', '.join(known)}.")
-    return rows.proposals(session, sensor_id=sensor_id, kind=kind, state=state, before_id=before_id, limit=limit)
+    return lists.newest(
+        session, ChangeProposal, before_id=before_id, limit=limit, sensor=sensor_id, kind=kind, state=state
+    )
 
 
 def open_proposals(session: Session, sensor_id: int | None = None, kind: str | None = None) -> Sequence[ChangeProposal]:
     """Return every proposal that waits, of a sensor or of all, newest first."""
-    return rows.proposals(session, sensor_id=sensor_id, kind=kind, state="OPEN")
+    return lists.newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="OPEN")
 
 
 def count_open(session: Session) -> int:
@@ -71,7 +74,7 @@ def count_open(session: Session) -> int:
 
 def confirmed_by_number(session: Session, sensor_id: int, kind: str) -> dict[int, ChangeProposal]:
     """Return the proposals that came into force, by the number of the version that they became."""
-    found = rows.proposals(session, sensor_id=sensor_id, kind=kind, state="CONFIRMED")
+    found = lists.newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="CONFIRMED")
     return {row.number: row for row in found if row.number is not None}
 
 

@@ -58,20 +58,6 @@ def _undecided() -> sa.Select[Approval]:
     return query.order_by(Approval.id)
 
 
-def approvals(
-    session: Session, *, state: str | None, parameter_set_id: int | None, before_id: int | None, limit: int | None
-) -> Sequence[Approval]:
-    """Return a page of requests, newest first."""
-    query = sa.select(Approval).order_by(Approval.id.desc()).limit(limit)
-    if state is not None:
-        query = query.where(Approval.state == state)
-    if parameter_set_id is not None:
-        query = query.where(Approval.parameter_set_id == parameter_set_id)
-    if before_id is not None:
-        query = query.where(Approval.id < before_id)
-    return session.scalars(query).all()
-
-
 def newest_open(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:
     """Return the number of the newest open request of each of some sensors that has any, by sensor."""
     query = sa.select(ParameterSet.sensor_id, sa.func.max(Approval.id)).join(Approval)
@@ -158,22 +144,6 @@ def runs_with_results(session: Session, sensor_id: int, limit: int) -> Sequence[
     """Return a sensor's newest runs that ended with a result, newest first."""
     query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED", Run.result_sha256.is_not(None))
     return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()
-
-
-def proposals(
-    session: Session,
-    *,
-    sensor_id: int | None = None,
-    kind: str | None = None,
-    state: str | None = None,
-    before_id: int | None = None,
-    limit: int | None = None,
-) -> Sequence[ChangeProposal]:
-    """Return proposals, newest first: a page of them, or all."""
-    query = sa.select(ChangeProposal).order_by(ChangeProposal.id.desc()).limit(limit)
-    narrowed = {"sensor_id": sensor_id, "kind": kind, "state": state}
-    query = query.filter_by(**{name: value for name, value in narrowed.items() if value is not None})
-    return session.scalars(query if before_id is None else query.where(ChangeProposal.id < before_id)).all()
 
 
 def due_proposals(session: Session, now_utc: str) -> Sequence[ChangeProposal]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof, password_by
 from boresight.console.alarms import watch as clock
@@ -78,7 +79,7 @@ def list_approvals(
     limit: int | None = None,
 ) -> Sequence[Approval]:
     """Return a page of requests, newest first; the next page starts before the last one's id."""
-    return rows.approvals(session, state=state, parameter_set_id=parameter_set_id, before_id=before_id, limit=limit)
+    return lists.newest(session, Approval, before_id=before_id, limit=limit, state=state, set=parameter_set_id)
 
 
 def newest_open(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:

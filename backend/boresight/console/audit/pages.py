@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -239,7 +239,7 @@ def _sought(view: View) -> dict[str, Any]:
     RefusedInputError
         When a time cannot be read.
     """
-    return {"since": None, "until": None} | asdict(audit.sought(**{name: view.where.get(name) for name in FILTERS}))
+    return {"since": None, "until": None, **audit.sought(**{name: view.where.get(name) for name in FILTERS})}
 
 
 def line_of(record: AuditRecord) -> Line:

@@ -81,12 +81,6 @@ def find_campaign(session: Session, campaign_id: int) -> Campaign | None:
     return session.get(Campaign, campaign_id)
 
 
-def campaigns(session: Session, *, before_id: int | None, limit: int | None) -> Sequence[Campaign]:
-    """Return a page of campaigns, newest first."""
-    query = sa.select(Campaign).order_by(Campaign.id.desc()).limit(limit)
-    return session.scalars(query if before_id is None else query.where(Campaign.id < before_id)).all()
-
-
 def campaigns_of_run(session: Session, run_id: int) -> Sequence[Campaign]:
     """Return the campaigns that a run belongs to."""
     query = sa.select(Campaign).join(CampaignRun, CampaignRun.campaign_id == Campaign.id)

@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from boresight.console import list_queries as lists
 from boresight.console.campaigns import queries as rows
 from boresight.console.campaigns.queries import Counted, Standing
 from boresight.console.campaigns.tables import Campaign
@@ -396,7 +397,7 @@ def read_campaign(session: Session, campaign_id: int) -> CampaignView:
 
 def list_campaigns(session: Session, *, before_id: int | None = None, limit: int | None = None) -> list[CampaignView]:
     """Return a page of campaigns with their counts, newest first; the next starts before the last one's id."""
-    found = rows.campaigns(session, before_id=before_id, limit=limit)
+    found = lists.newest(session, Campaign, before_id=before_id, limit=limit)
     counted = rows.counts(session, [row.id for row in found])
     return [view_of(row, counted[row.id]) for row in found]
 

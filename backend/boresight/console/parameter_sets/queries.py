@@ -52,20 +52,6 @@ def active_set(session: Session, sensor_id: int) -> ParameterSet | None:
     return session.scalar(query.where(ParameterSet.onboard_state == "ACTIVE"))
 
 
-def sets(
-    session: Session, *, sensor_id: int | None, ground_state: str | None, before_id: int | None, limit: int | None
-) -> Sequence[ParameterSet]:
-    """Return a page of sets, newest first."""
-    query = sa.select(ParameterSet).order_by(ParameterSet.id.desc()).limit(limit)
-    if sensor_id is not None:
-        query = query.where(ParameterSet.sensor_id == sensor_id)
-    if ground_state is not None:
-        query = query.where(ParameterSet.ground_state == ground_state)
-    if before_id is not None:
-        query = query.where(ParameterSet.id < before_id)
-    return session.scalars(query).all()
-
-
 def promotions(session: Session, sensor_id: int) -> Sequence[Promotion]:
     """Return every promotion of a sensor, newest first."""
     query = sa.select(Promotion).where(Promotion.sensor_id == sensor_id)

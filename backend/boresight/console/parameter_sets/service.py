@@ -29,6 +29,7 @@ from typing import Any
 
 from boresight.calibration.conversion import converted
 from boresight.cameras import CAMERA_MODELS
+from boresight.console import list_queries as lists
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
@@ -194,7 +195,7 @@ def list_parameter_sets(
     limit: int | None = None,
 ) -> Sequence[ParameterSet]:
     """Return a page of sets, newest first; the next page starts before the last one's id."""
-    return rows.sets(session, sensor_id=sensor_id, ground_state=ground_state, before_id=before_id, limit=limit)
+    return lists.newest(session, ParameterSet, before_id=before_id, limit=limit, sensor=sensor_id, state=ground_state)
 
 
 def set_of_run(session: Session, run_id: int) -> ParameterSet | None:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from boresight.calibration.evaluation.contrast import Contrast, contrast, radial_contrast, strong_correlations
 from boresight.cameras import CAMERA_MODELS
+from boresight.console import list_queries as lists
 from boresight.console.parameter_sets import queries as parameter_sets
-from boresight.console.runs import queries as run_lists
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
@@ -143,9 +143,7 @@ def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
     NotFoundError
         When there is no run of one of the numbers.
     """
-    found = {
-        run.id: run for run in run_lists.page_of_runs(session, where={"id": run_ids}, before_id=None, limit=MOST_RUNS)
-    }
+    found = {run.id: run for run in lists.newest(session, Run, among=list(run_ids), limit=MOST_RUNS)}
     if missing := [run_id for run_id in run_ids if run_id not in found]:
         raise NotFoundError(f"There is no run {missing[0]}; choose one of the list.")
     return [found[run_id] for run_id in run_ids]

@@ -15,6 +15,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from boresight.calibration.options import CalibrationSettings
+from boresight.console import list_queries as lists
 from boresight.console.runs.tables import Preset
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
@@ -26,14 +27,6 @@ from boresight.platform.web.words import normal_name, refuse_control_characters
 def newest_of_name(session: Session, name: str) -> Preset | None:
     """Return the newest version of a name, archived or not."""
     return session.scalar(sa.select(Preset).where(Preset.name == name).order_by(Preset.number.desc()).limit(1))
-
-
-def presets(session: Session, *, archived: bool, before_id: int | None, limit: int | None) -> Sequence[Preset]:
-    """Return versions of presets, newest first; with the archived ones where asked."""
-    query = sa.select(Preset).order_by(Preset.id.desc()).limit(limit)
-    if not archived:
-        query = query.where(Preset.archived_utc.is_(None))
-    return session.scalars(query if before_id is None else query.where(Preset.id < before_id)).all()
 
 
 def newest_in_use(session: Session) -> Sequence[Preset]:
@@ -164,7 +157,7 @@ def list_presets(
     session: Session, *, archived: bool = False, before_id: int | None = None, limit: int | None = None
 ) -> Sequence[Preset]:
     """Return a page of saved versions, newest first, the archived ones where asked."""
-    return presets(session, archived=archived, before_id=before_id, limit=limit)
+    return lists.newest(session, Preset, before_id=before_id, limit=limit, in_use=None if archived else True)
 
 
 def save_preset(session: Session, actor: Actor, name: str, sentence: str, settings: Mapping[str, Any]) -> Preset:

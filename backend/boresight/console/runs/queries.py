@@ -357,18 +357,6 @@ def _matched(session: Session, statement: sa.Update) -> bool:
     return session.execute(statement.returning(Run.id)).first() is not None
 
 
-def page_of_runs(session: Session, *, where: Mapping[str, Any], before_id: int | None, limit: int | None) -> list[Run]:
-    """Return up to `limit` runs, newest first, whose columns equal (or, given several values, are one of) `where`.
-
-    Their sensors' documents are read when they are asked for.
-    """
-    query = sa.select(Run).options(sa.orm.defer(Run.sensor_document)).order_by(Run.id.desc()).limit(limit)
-    for name, value in where.items():
-        column = getattr(Run, name)
-        query = query.where(column == value if isinstance(value, str | int) else column.in_(value))
-    return list(session.scalars(query if before_id is None else query.where(Run.id < before_id)))
-
-
 def runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
     """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
     uses = sa.or_(Run.telemetry_set_id == telemetry_set_id, Run.validation_set_id == telemetry_set_id)

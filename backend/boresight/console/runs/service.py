@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries as run_lists
 from boresight.console.runs import run_events
@@ -133,11 +134,16 @@ def list_runs(
     asked = [state] if isinstance(state, str) else list(state or ())
     if strange := [word for word in asked if word not in RUN_STATES]:
         raise RefusedInputError(f"{', '.join(strange)} is no state of a run; choose from {', '.join(RUN_STATES)}.")
-    where: dict[str, Any] = {"sensor_id": sensor_id, "method": method, "telemetry_set_id": telemetry_set_id}
-    where = {name: value for name, value in where.items() if value is not None}
-    if asked:
-        where["state"] = asked
-    return run_lists.page_of_runs(session, where=where, before_id=before_id, limit=limit)
+    return lists.newest(
+        session,
+        Run,
+        before_id=before_id,
+        limit=limit,
+        sensor=sensor_id,
+        method=method,
+        data=telemetry_set_id,
+        state=asked or None,
+    )
 
 
 def runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Any
 
 import sqlalchemy as sa
@@ -16,28 +16,6 @@ def set_with_bytes(session: Session, sensor_id: int, original_sha256: str) -> Te
     """Return the sensor's set that was uploaded as these bytes."""
     query = sa.select(TelemetrySet).where(TelemetrySet.sensor_id == sensor_id)
     return session.scalar(query.where(TelemetrySet.original_sha256 == original_sha256))
-
-
-def sets(
-    session: Session,
-    *,
-    sensor_id: int | None,
-    purpose: str | None,
-    archived: bool,
-    before_id: int | None,
-    limit: int | None,
-) -> Sequence[TelemetrySet]:
-    """Return a page of sets, newest first."""
-    query = sa.select(TelemetrySet).order_by(TelemetrySet.id.desc()).limit(limit)
-    if sensor_id is not None:
-        query = query.where(TelemetrySet.sensor_id == sensor_id)
-    if purpose is not None:
-        query = query.where(TelemetrySet.purpose == purpose)
-    if not archived:
-        query = query.where(TelemetrySet.archived_utc.is_(None))
-    if before_id is not None:
-        query = query.where(TelemetrySet.id < before_id)
-    return session.scalars(query).all()
 
 
 def oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:

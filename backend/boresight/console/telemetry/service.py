@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
+from boresight.console import list_queries as lists
 from boresight.console.telemetry import queries as rows
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.transitions import get_sensor
@@ -288,7 +289,10 @@ def list_telemetry_sets(
     limit: int | None = None,
 ) -> Sequence[TelemetrySet]:
     """Return a page of sets, newest first, with the archived ones where asked; the next starts before the last id."""
-    return rows.sets(session, sensor_id=sensor_id, purpose=purpose, archived=archived, before_id=before_id, limit=limit)
+    in_use = None if archived else True
+    return lists.newest(
+        session, TelemetrySet, before_id=before_id, limit=limit, sensor=sensor_id, purpose=purpose, in_use=in_use
+    )
 
 
 def archive_telemetry_set(session: Session, actor: Actor, set_id: int) -> TelemetrySet:

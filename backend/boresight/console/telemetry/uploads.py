@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import AsyncIterator
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, BinaryIO
+from typing import Annotated
 
 from fastapi import Depends
-from python_multipart.exceptions import FormParserError
-from python_multipart.multipart import MultipartParser, parse_options_header
+from python_multipart.multipart import parse_options_header
+from starlette.datastructures import FormData, UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
 from boresight.console.access.credentials import who_acts
@@ -26,22 +27,18 @@ from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.web.paging import row_number
 
-if TYPE_CHECKING:
-    from python_multipart.multipart import MultipartCallbacks  # there for type checkers only
-
 HOW = "Send multipart/form-data with the fields sensor_id, purpose and file."
 LONGEST_FIELD_BYTES = 4096
-MOST_PARTS = 20
+MOST_FIELDS = 20
 
 
-@dataclass
+@dataclass(frozen=True)
 class Upload:
     """What came: the fields, and the one file with the name that the sender gave it."""
 
-    place: Path
-    fields: dict[str, str] = field(default_factory=dict)
-    path: Path | None = None
-    file_name: str = ""
+    fields: Mapping[str, str]
+    path: Path | None
+    file_name: str
 
     def file(self) -> Path:
         """Return where the file is.
@@ -75,86 +72,38 @@ class Upload:
         return number
 
 
-class _Form:
-    """Takes the parts of a form as the parser meets them."""
+class _Form(MultiPartParser):
+    """The framework's parser, with the file of a form streamed to a place instead of to the system's temporary folder."""
 
-    def __init__(self, upload: Upload) -> None:
-        self._upload = upload
-        self._header = [b"", b""]
-        self._disposition: dict[bytes, bytes] = {}
-        self._value = bytearray()
-        self._file: BinaryIO | None = None
-        self._parts = 0
-        self.complete = False
+    def __init__(self, request: Request, place: Path) -> None:
+        super().__init__(
+            request.headers, request.stream(), max_files=1, max_fields=MOST_FIELDS, max_part_size=LONGEST_FIELD_BYTES
+        )
+        self.is_whole = False
+        self._file = place.open("wb")
 
-    def callbacks(self) -> MultipartCallbacks:
-        """Return what the parser calls."""
-        return {
-            "on_part_begin": self._begin,
-            "on_header_field": lambda data, start, end: self._add_to_header(0, data[start:end]),
-            "on_header_value": lambda data, start, end: self._add_to_header(1, data[start:end]),
-            "on_header_end": self._end_header,
-            "on_headers_finished": self._open,
-            "on_part_data": lambda data, start, end: self._add(data[start:end]),
-            "on_part_end": self._end,
-            "on_end": self._finish,
-        }
+    def on_headers_finished(self) -> None:
+        """Open the part."""
+        super().on_headers_finished()
+        if self._current_part.file is not None:
+            self._current_part.file = _OnDisk(self._file, filename=self._current_part.file.filename)
 
-    def close(self) -> None:
-        """Let go of a file whose end did not come."""
-        if self._file is not None:
-            self._file.close()
+    def on_end(self) -> None:
+        """Note that the end came."""
+        self.is_whole = True
 
-    def _begin(self) -> None:
-        self._parts += 1
-        if self._parts > MOST_PARTS:
-            raise RefusedInputError(f"The form has over {MOST_PARTS} parts. {HOW}")
-        self._disposition = {}
-        self._value.clear()
-
-    def _add_to_header(self, which: int, piece: bytes) -> None:
-        self._header[which] += piece
-
-    def _end_header(self) -> None:
-        name, value = self._header
-        if name.lower() == b"content-disposition":
-            self._disposition = parse_options_header(value)[1]
-        self._header = [b"", b""]
-
-    def _open(self) -> None:
-        """Open the file when the part is one."""
-        if b"filename" not in self._disposition:
-            return
-        if self._upload.path is not None:
-            raise RefusedInputError("One file at a time: send each telemetry file by itself.")
-        self._upload.path = self._upload.place / "upload"
-        self._upload.file_name = _text(self._disposition[b"filename"])
-        self._file = self._upload.path.open("wb")
-
-    def _add(self, piece: bytes) -> None:
-        """Take a piece of a file or of a field."""
-        if self._file is not None:
-            self._file.write(piece)
-            return
-        self._value += piece
-        if len(self._value) > LONGEST_FIELD_BYTES:
-            raise RefusedInputError(f"A field of the form is over {LONGEST_FIELD_BYTES} bytes. {HOW}")
-
-    def _end(self) -> None:
-        """Close the file, or keep the field."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-        else:
-            self._upload.fields[_text(self._disposition.get(b"name"))] = _text(bytes(self._value))
-
-    def _finish(self) -> None:
-        self.complete = True
+    async def parse(self) -> FormData:
+        """Parse what comes; what came of the file is written whatever happens."""
+        with self._file:
+            return await super().parse()
 
 
-def _text(value: bytes | None) -> str:
-    """Decode what a browser sent as a name or a field."""
-    return (value or b"").decode("utf-8", errors="replace")
+class _OnDisk(UploadFile):
+    """A file that is written where it stays: a piece needs no thread, which would take longer than to write it."""
+
+    async def write(self, data: bytes) -> None:
+        """Write a piece."""
+        self.file.write(data)
 
 
 async def uploaded(
@@ -168,28 +117,27 @@ async def uploaded(
     except OSError as error:
         raise storage_error(error, folder) or error from error
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        upload = Upload(Path(place))
-        await _receive(request, upload)
+        upload = await _receive(request, Path(place) / "upload")
         setattr(request.state, FORM_CONTENT, upload.content)
         yield upload
 
 
-async def _receive(request: Request, upload: Upload) -> None:
-    """Feed the body to the parser piece by piece."""
+async def _receive(request: Request, place: Path) -> Upload:
+    """Stream the body to a place."""
     content_type, options = parse_options_header(request.headers.get("content-type"))
     if content_type != b"multipart/form-data" or not options.get(b"boundary"):
-        raise RefusedInputError(f"A telemetry file cannot be sent as {_text(content_type) or 'nothing'}. {HOW}")
-    form = _Form(upload)
+        sent = content_type.decode(errors="replace") or "nothing"
+        raise RefusedInputError(f"A telemetry file cannot be sent as {sent}. {HOW}")
+    parser = _Form(request, place)
     try:
-        parser = MultipartParser(options[b"boundary"], form.callbacks())
-        async for chunk in request.stream():
-            parser.write(chunk)
-    except FormParserError as error:
-        raise RefusedInputError(f"The upload is not a form that can be read ({error}). {HOW}") from error
-    finally:
-        form.close()
-    if not form.complete:
+        form = await parser.parse()
+    except MultiPartException as error:
+        raise RefusedInputError(f"The upload is not a form that can be read ({error.message}). {HOW}") from error
+    if not parser.is_whole:
         raise RefusedInputError("The upload broke off before its end; send it again.")
+    fields = {name: value for name, value in form.items() if isinstance(value, str)}
+    names = [value.filename or "" for _, value in form.multi_items() if isinstance(value, UploadFile)]
+    return Upload(fields, place if names else None, "".join(names))
 
 
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from boresight import __version__
+from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import staleness
@@ -277,7 +278,7 @@ def _inputs(session: Session, row: ParameterSet, definition: TableDefinition | N
 
 def _existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any]) -> Package | None:
     """Return the package that was built from the same inputs."""
-    for package in rows.packages(session, parameter_set_id=row.id, limit=None):
+    for package in lists.newest(session, Package, set=row.id):
         if {key: value for key, value in package.inputs.items() if key != "first_built"} == inputs:
             return package
     return None
@@ -371,9 +372,7 @@ def list_packages(
     limit: int | None = None,
 ) -> Sequence[Package]:
     """Return a page of packages, newest first; the next page starts before the last one's id."""
-    return rows.packages(
-        session, parameter_set_id=parameter_set_id, sensor_id=sensor_id, before_id=before_id, limit=limit
-    )
+    return lists.newest(session, Package, before_id=before_id, limit=limit, set=parameter_set_id, sensor=sensor_id)
 
 
 def set_named(session: Session, name: str) -> ParameterSet:

@@ -12,22 +12,8 @@ from collections.abc import Sequence
 import sqlalchemy as sa
 
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
+from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.platform.db.sessions import Session
-
-
-def uplinks(
-    session: Session, *, parameter_set_id: int | None, sensor_id: int | None, before_id: int | None, limit: int | None
-) -> Sequence[Uplink]:
-    """Return a page of records, newest first."""
-    query = sa.select(Uplink).order_by(Uplink.id.desc()).limit(limit)
-    if parameter_set_id is not None:
-        query = query.where(Uplink.parameter_set_id == parameter_set_id)
-    if sensor_id is not None:
-        query = query.join(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
-    if before_id is not None:
-        query = query.where(Uplink.id < before_id)
-    return session.scalars(query).all()
 
 
 def records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
@@ -72,25 +58,6 @@ def other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
     return session.scalars(
         query.where(ParameterSet.baseline_from_utc.is_not(None)).order_by(ParameterSet.id.desc())
     ).all()
-
-
-def packages(
-    session: Session,
-    *,
-    parameter_set_id: int | None = None,
-    sensor_id: int | None = None,
-    before_id: int | None = None,
-    limit: int | None,
-) -> Sequence[Package]:
-    """Return a page of packages, newest first."""
-    query = sa.select(Package).order_by(Package.id.desc()).limit(limit)
-    if parameter_set_id is not None:
-        query = query.where(Package.parameter_set_id == parameter_set_id)
-    if sensor_id is not None:
-        query = query.join(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
-    if before_id is not None:
-        query = query.where(Package.id < before_id)
-    return session.scalars(query).all()
 
 
 def baseline_before(session: Session, row: ParameterSet) -> ParameterSet | None:

@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.alarms.watch import watch
@@ -255,7 +256,7 @@ def activate(
 
 def shown_sha256(session: Session, row: ParameterSet) -> str:
     """Return the hash of what a signature that a set is active stands for: the set, and the record that verified it."""
-    newest = rows.uplinks(session, parameter_set_id=row.id, sensor_id=None, before_id=None, limit=1)
+    newest = lists.newest(session, Uplink, set=row.id, limit=1)
     verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in newest]
     return sha256_of({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
 
@@ -359,9 +360,7 @@ def list_uplinks(
     limit: int | None = None,
 ) -> Sequence[Uplink]:
     """Return a page of records, newest first; the next page starts before the last one's id."""
-    return rows.uplinks(
-        session, parameter_set_id=parameter_set_id, sensor_id=sensor_id, before_id=before_id, limit=limit
-    )
+    return lists.newest(session, Uplink, before_id=before_id, limit=limit, set=parameter_set_id, sensor=sensor_id)
 
 
 def baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | None:

@@ -43,16 +43,6 @@ def is_told(session: Session, webhook_id: int, kind: str, text: str) -> bool:
     return body is not None and text in body
 
 
-def deliveries(
-    session: Session, *, webhook_id: int, before_id: int | None, limit: int | None
-) -> Sequence[WebhookDelivery]:
-    """Return a page of a webhook's deliveries, newest first."""
-    query = sa.select(WebhookDelivery).where(WebhookDelivery.webhook_id == webhook_id)
-    if before_id is not None:
-        query = query.where(WebhookDelivery.id < before_id)
-    return session.scalars(query.order_by(WebhookDelivery.id.desc()).limit(limit)).all()
-
-
 def due(
     session: Session, now_utc: str, limit: int, of_each: int = 1, *, among: Collection[int]
 ) -> Sequence[tuple[WebhookDelivery, Webhook]]:

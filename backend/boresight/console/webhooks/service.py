@@ -30,6 +30,7 @@ import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
+from boresight.console import list_queries as lists
 from boresight.console.webhooks import queries as rows
 from boresight.console.webhooks.secrets import key_of, new_secret, readable_ids
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
@@ -240,7 +241,7 @@ def list_deliveries(
 ) -> Sequence[WebhookDelivery]:
     """Return a page of what was sent or is to be sent to a webhook, newest first."""
     get_webhook(session, actor, webhook_id)
-    return rows.deliveries(session, webhook_id=webhook_id, before_id=before_id, limit=limit)
+    return lists.newest(session, WebhookDelivery, before_id=before_id, limit=limit, webhook=webhook_id)
 
 
 def try_webhook(session: Session, actor: Actor, webhook_id: int) -> WebhookDelivery:

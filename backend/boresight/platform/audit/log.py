@@ -19,12 +19,12 @@ from boresight.platform.actors import Actor
 from boresight.platform.audit import chain, verification
 from boresight.platform.audit import queries as rows
 from boresight.platform.audit.kept_heads import KeptHead
-from boresight.platform.audit.queries import Sought
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.audit.verification import Findings, Misfit
 from boresight.platform.blobs import files
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.documents import read_time
+from boresight.platform.db.lists import newest_rows
 from boresight.platform.db.sessions import Session
 
 FIRST_HASH = chain.FIRST_HASH
@@ -112,7 +112,7 @@ def append(
 
 def newest_head(session: Session) -> KeptHead | None:
     """Return number, hash and time of the newest record, to be kept elsewhere; None where there is none."""
-    newest = next(iter(rows.records(session, before_id=None, sought=Sought(), limit=1)), None)
+    newest = next(iter(newest_rows(session, rows.RECORDS, limit=1)), None)
     return None if newest is None else KeptHead(newest.id, newest.hash, newest.at_utc)
 
 
@@ -124,7 +124,7 @@ def holds(session: Session, kept: KeptHead) -> bool:
 
 def head_was_kept(session: Session, file: Path) -> bool:
     """Whether the log says that heads were kept in a file: it must be there from then on."""
-    told = rows.records(session, before_id=None, sought=Sought(object=HEAD_FILE, action=HEAD_KEPT), limit=None)
+    told = newest_rows(session, rows.RECORDS, object=HEAD_FILE, action=HEAD_KEPT)
     return any((record.after or {}).get("file") == str(file.absolute()) for record in told)
 
 
@@ -149,11 +149,11 @@ def list_records(
     *,
     before_id: int | None = None,
     subject: str | None = None,
-    sought: Sought | None = None,
+    sought: Mapping[str, str | None] | None = None,
     limit: int | None = None,
 ) -> Sequence[AuditRecord]:
     """Return a page of records, newest first; the next page starts before the last one's id."""
-    return rows.records(session, before_id=before_id, sought=sought or Sought(object=subject), limit=limit)
+    return newest_rows(session, rows.RECORDS, before_id=before_id, limit=limit, **(sought or {"object": subject}))
 
 
 def get_record(session: Session, record_id: int) -> AuditRecord:
@@ -182,7 +182,7 @@ def sought(
     action: str | None = None,
     since: str | None = None,
     until: str | None = None,
-) -> Sought:
+) -> Mapping[str, str | None]:
     """Say what a list of records is narrowed to; times in ISO 8601, UTC where they name no zone.
 
     Raises
@@ -190,7 +190,13 @@ def sought(
     RefusedInputError
         When a time cannot be read.
     """
-    return Sought(object, actor, action, _time(since), _time(until))
+    return {
+        "object": object,
+        "actor": actor,
+        "action": action,
+        "since_utc": _time(since),
+        "until_utc": _time(until),
+    }
 
 
 def _time(text: str | None) -> str | None:

@@ -4,36 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields
 from typing import Any
 
 import sqlalchemy as sa
 
 from boresight.platform.audit import chain
 from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.lists import List, equals
 from boresight.platform.db.sessions import Session
 
 RAW_AT_A_TIME = 1000
 LATELY = 2000
 
 
-@dataclass(frozen=True)
-class Sought:
-    """What a list of records is narrowed to; None is everything.
-
-    Parameters
-    ----------
-    object, actor, action
-        As they stand in the record.
-    since_utc, until_utc
-        Times as the store writes them; from the first on, before the second.
-    """
-
-    object: str | None = None
-    actor: str | None = None
-    action: str | None = None
-    since_utc: str | None = None
-    until_utc: str | None = None
+RECORDS = List(
+    AuditRecord,
+    {"number": AuditRecord.id, "who": sa.func.lower(AuditRecord.actor), "did": AuditRecord.action},
+    {
+        "object": equals(AuditRecord.object),
+        "actor": equals(AuditRecord.actor),
+        "action": equals(AuditRecord.action),
+        "since_utc": lambda time_utc: AuditRecord.at_utc >= time_utc,
+        "until_utc": lambda time_utc: AuditRecord.at_utc < time_utc,
+    },
+)
 
 
 def last_change(session: Session, subject: str) -> AuditRecord | None:
@@ -55,17 +49,6 @@ def newest_of(
     return session.scalar(query.order_by(AuditRecord.id.desc()).limit(1))
 
 
-def records(session: Session, *, before_id: int | None, sought: Sought, limit: int | None) -> Sequence[AuditRecord]:
-    """Return records, newest first, older than a cursor and only those sought."""
-    query = sa.select(AuditRecord).order_by(AuditRecord.id.desc()).limit(limit)
-    if before_id is not None:
-        query = query.where(AuditRecord.id < before_id)
-    for field in fields(Sought):
-        if (value := getattr(sought, field.name)) is not None:
-            query = query.where(_condition(field.name, value))
-    return session.scalars(query).all()
-
-
 def newest_id(session: Session) -> int:
     """Return the number of the newest record."""
     return session.scalar(sa.select(sa.func.max(AuditRecord.id))) or 0
@@ -76,15 +59,6 @@ def heads_after(session: Session, after_id: int, limit: int) -> Sequence[Mapping
     columns = (AuditRecord.id, AuditRecord.at_utc, AuditRecord.actor, AuditRecord.action, AuditRecord.object)
     query = sa.select(*columns).where(AuditRecord.id > after_id).order_by(AuditRecord.id).limit(limit)
     return session.execute(query).mappings().all()  # type: ignore[return-value]  # SQLAlchemy's keys are its own type
-
-
-def _condition(name: str, value: str) -> sa.ColumnElement[bool]:
-    """Say one part of what is sought in SQL."""
-    if name == "since_utc":
-        return AuditRecord.at_utc >= value
-    if name == "until_utc":
-        return AuditRecord.at_utc < value
-    return getattr(AuditRecord, name) == value  # type: ignore[no-any-return]  # a column by its name
 
 
 def record(session: Session, record_id: int) -> AuditRecord | None:

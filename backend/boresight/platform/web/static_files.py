@@ -1,4 +1,4 @@
-"""The files of the pages: style, modules, and Plotly as its Python package ships it.
+"""The files of the pages: style, modules, and Plotly and Swagger UI as their Python packages ship them.
 
 Every file carries a strong ETag of its bytes and must be asked again each time, which costs a 304: a browser never runs
 yesterday's module with today's page. Large text is compressed once and kept.
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+import fastapi_swagger
 import plotly
 from fastapi import APIRouter
 from starlette.requests import Request
@@ -22,7 +23,12 @@ from boresight.errors import NotFoundError
 from boresight.platform.web.middleware import takes_gzip
 from boresight.resources import folder
 
-PLOTLY_FILE = "plotly.min.js"
+SWAGGER = Path(str(fastapi_swagger.__file__)).parent / "resources"
+SHIPPED = {
+    "plotly.min.js": Path(str(plotly.__file__)).parent / "package_data" / "plotly.min.js",
+    "swagger-ui-bundle.js": SWAGGER / "swagger-ui-bundle.js",
+    "swagger-ui.css": SWAGGER / "swagger-ui.css",
+}
 COMPRESS_FROM_BYTES = 1024
 CACHED = "public, no-cache"  # keep it, but ask whether it is still so
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".woff2": "font/woff2"}
@@ -53,8 +59,8 @@ def _content(path: Path, changed_ns: int) -> Content:  # noqa: ARG001 - the time
 
 def _place(name: str) -> Path:
     """Return the file of a name inside the static folder, and nothing outside it."""
-    if name == PLOTLY_FILE:
-        return Path(str(plotly.__file__)).parent / "package_data" / PLOTLY_FILE
+    if name in SHIPPED:
+        return SHIPPED[name]
     top = (folder("frontend") / "static").resolve()
     try:
         place = (top / name).resolve()
