@@ -39,9 +39,10 @@ from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.telemetry.read.readers import read_telemetry, write_parquet
+from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.working_table import WorkingTable
 
 PEOPLE = 10
 PASSWORD = "a long enough password"  # noqa: S105 - of people who exist for a measurement
@@ -252,7 +253,7 @@ def result_of(
 ) -> tuple[bytes, float]:
     """Calibrate sensor `number` by a table as a worker does: the result as JSON, and the seconds until it was computed."""
     began_s, chosen = time.perf_counter(), CalibrationSettings.parse(settings)
-    document = calibrate(read_telemetry(table), st16_sensor(number), catalogue, chosen, cache_folder=cache)
+    document = calibrate(WorkingTable(table).read(), st16_sensor(number), catalogue, chosen, cache_folder=cache)
     seconds = time.perf_counter() - began_s
     return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS), seconds
 

@@ -24,7 +24,7 @@ from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.opening import Workplace, held_out, matchable, opened
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.source import TelemetryFile
+from boresight.calibration.source import StoredTable, TelemetryFile, is_large
 from boresight.calibration.streaming.sample import JUDGED_STARS
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
@@ -37,12 +37,12 @@ __all__ = ["Progress", "calibrate", "matchable", "parameters_of"]
 
 
 def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the caller by name
-    telemetry: Telemetry | TelemetryFile,
+    telemetry: Telemetry | TelemetryFile | StoredTable,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings,
     *,
-    validation: Telemetry | TelemetryFile | None = None,
+    validation: Telemetry | TelemetryFile | StoredTable | None = None,
     sha256s: Mapping[str, str] | None = None,
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
@@ -96,7 +96,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
         chosen = matchable(judged, settings)
         validate(document, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
         document["advice"] += off.sentences(" in the validation set")
-        if isinstance(validation, TelemetryFile) and validation.large():
+        if is_large(validation):
             frames = len(np.unique(judged.frame))
             document["advice"].append(
                 f"The validation set is large: {frames:,} of its frames, evenly spread, were looked at."

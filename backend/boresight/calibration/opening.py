@@ -12,7 +12,7 @@ from boresight.calibration.estimate import Parameters
 from boresight.calibration.listening import Progress
 from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.source import TelemetryFile
+from boresight.calibration.source import StoredTable, TelemetryFile, is_large, read_whole
 from boresight.calibration.streaming.telemetry_pieces import PREPARED, copied
 from boresight.estimation.spread import InThisProcess, Spread
 from boresight.sky.catalogue import Catalogue
@@ -59,7 +59,7 @@ class Workplace:
 
 @contextmanager
 def opened(
-    telemetry: Telemetry | TelemetryFile,
+    telemetry: Telemetry | TelemetryFile | StoredTable,
     sensor: Sensor,
     catalogue: Catalogue,
     parameters: Parameters,
@@ -75,8 +75,8 @@ def opened(
     CancelledError
         When `workplace.cancelled` says so.
     """
-    if not (isinstance(telemetry, TelemetryFile) and telemetry.large()):
-        inside = telemetry.read() if isinstance(telemetry, TelemetryFile) else telemetry
+    if not is_large(telemetry):
+        inside = read_whole(telemetry)
         off = check_against_sensor(inside, sensor)
         chosen = matchable(inside, settings)
         yield Dataset(inside, sensor, catalogue, parameters, chosen, workplace.cache_folder), off
@@ -96,7 +96,9 @@ def matchable(telemetry: Telemetry, settings: CalibrationSettings) -> Calibratio
     return settings
 
 
-def held_out(telemetry: Telemetry | TelemetryFile, sensor: Sensor, most_rows: int) -> tuple[Telemetry, OffDetector]:
+def held_out(
+    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, most_rows: int
+) -> tuple[Telemetry, OffDetector]:
     """Read a validation set, of a large one parts that are evenly spread over it, and say which stars of all are off the detector.
 
     Raises
@@ -104,8 +106,8 @@ def held_out(telemetry: Telemetry | TelemetryFile, sensor: Sensor, most_rows: in
     RefusedInputError
         When the file cannot be used, or too many matched stars lie off the sensor's detector.
     """
-    if not (isinstance(telemetry, TelemetryFile) and telemetry.large()):
-        inside = telemetry.read() if isinstance(telemetry, TelemetryFile) else telemetry
+    if not is_large(telemetry):
+        inside = read_whole(telemetry)
         return inside, check_against_sensor(inside, sensor)
     kept: list[Telemetry] = []
     every, off = 1, OffDetector()

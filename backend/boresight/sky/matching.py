@@ -294,17 +294,29 @@ class _Matcher:
         hints, any_own = matrix_of(hint[exposures]), bool(part.own.any())
         years, earth_au, beta = (values[exposures] for values in (motion.years, motion.earth_au, motion.beta))
 
+        guides = loops.Guides(stars.hip, stars.place, stars.motion, stars.parallax_rad, stars.density)
+        rules = loops.Rules(any_own, believe, self._cone, GATE, self._minimum_stars)
+
         def match_block(first: int, last: int) -> None:
             e0, e1 = part.frame_start[first], part.frame_start[last]
             r0, r1 = part.row_start[e0], part.row_start[e1]
             x, r = slice(e0, e1), slice(r0, r1)
+            sigma = part.sigma_rad[r]
+            seen = loops.Seen(
+                part.s[r], part.G[r], sigma, 1.0 / (sigma * sigma), part.star_id[r], part.given_s[r], part.own[r]
+            )
             loops.match_frames(
-                part.frame_start[first : last + 1] - e0, part.row_start[e0 : e1 + 1] - r0, part.s[r], part.G[r],
-                part.sigma_rad[r], part.star_id[r], part.given_s[r], part.own[r], any_own, believe, hints[x], radius[x], kind[x],
-                years[x], earth_au[x], beta[x], stars.hip, stars.place, stars.motion, stars.parallax_rad,
-                stars.density, self._cone, GATE, self._minimum_stars, star_id[r], direction[r], reason[r], tolerance[r], start[x],
-                valid[x], C[x], covariance[x],
-            )  # fmt: skip
+                part.frame_start[first : last + 1] - e0,
+                part.row_start[e0 : e1 + 1] - r0,
+                seen,
+                loops.Observer(years[x], earth_au[x], beta[x]),
+                guides,
+                loops.Hints(hints[x], radius[x], kind[x]),
+                rules,
+                loops.Answer(
+                    star_id[r], direction[r], reason[r], tolerance[r], start[x], valid[x], C[x], covariance[x]
+                ),
+            )
 
         in_blocks(match_block, len(frames), FRAMES)
         before = np.add.reduceat(self.answer.star_id[rows] > 0, part.row_start[:-1], dtype=np.int64)

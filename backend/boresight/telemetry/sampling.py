@@ -13,13 +13,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as arrow_parquet
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.errors import RefusedInputError
 from boresight.telemetry.quality.evidence import Evidence
+from boresight.telemetry.schema import exposures_of
+from boresight.telemetry.working_table import WorkingTable
 
 #: Interval between frames, their median, and which of them are gaps: `interval_s`, `median_s` and `gaps` of a `Sampling`.
 Intervals = tuple[FloatArray, float, IntArray]
@@ -74,7 +73,6 @@ def intervals_of(time_utc: NDArray[np.datetime64]) -> Intervals:
 #: Tables whose exposures are remembered: the files are named by their content, so what was read stays true.
 REMEMBERED = 32
 DECIMALS = 6
-COLUMNS = ["frame", "exposure", "row_px", "col_px"]
 
 
 @lru_cache(REMEMBERED)
@@ -86,16 +84,11 @@ def exposure_marks(path: Path) -> NDArray[np.complex128]:
     RefusedInputError
         When the table is damaged.
     """
-    try:
-        table = arrow_parquet.read_table(path, columns=COLUMNS)
-    except pa.ArrowException as error:
-        raise RefusedInputError(f"The stored table {path.name[:12]} is damaged; restore it from a backup.") from error
-    frame, exposure, row, col = (table.column(name).to_numpy() for name in COLUMNS)
-    if not len(frame):
-        return np.zeros(0, dtype=np.complex128)
-    new = np.flatnonzero((np.diff(frame) != 0) | (np.diff(exposure) != 0)) + 1
-    start = np.concatenate([[0], new])
-    return np.asarray(np.round(np.add.reduceat(row, start) + 1j * np.add.reduceat(col, start), DECIMALS))
+    sums = [np.zeros(0, np.complex128)]
+    for part in WorkingTable(path).parts():
+        start = exposures_of(part).start
+        sums.append(np.add.reduceat(part.row_px, start) + 1j * np.add.reduceat(part.col_px, start))
+    return np.asarray(np.round(np.concatenate(sums), DECIMALS))
 
 
 def shared_exposures(one: Path, other: Path) -> tuple[float, float]:

@@ -22,16 +22,16 @@ from typing import Any, TypedDict, cast
 import orjson
 
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.source import TelemetryFile
+from boresight.calibration.source import StoredTable
 from boresight.console.runs.queries import Claimed, End
 from boresight.console.runs.run_events import Line
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
 from boresight.platform.blobs.folder import BlobStore, open_blobs
 from boresight.platform.blobs.places import BlobPlace
+from boresight.platform.blobs.working_tables import working_table
 from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.telemetry.read.limits import STORED
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.summary import summary_of
@@ -155,11 +155,11 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
             spread = ClusterSpread(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
             folders = {"scratch_folder": folder, "spread": spread}
         return _function(calculation)(
-            source if large else _telemetry(source.path),
+            source if large else _telemetry(source),
             parse_sensor(inputs["sensor_document"]),
             _catalogue(inputs["catalogue_folder"]),
             CalibrationSettings.parse(inputs["settings"]),
-            validation=held_out if held_out is None or held_out.large() else _telemetry(held_out.path),
+            validation=held_out if held_out is None or held_out.large() else _telemetry(held_out),
             report=link.report,
             cancelled=link.cancelled,
             cache_folder=Path(inputs["catalogue_folder"]),
@@ -167,9 +167,9 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
         )
 
 
-def _table(blobs: BlobStore, sha256: str) -> TelemetryFile:
-    """Find a table of telemetry, held against its address."""
-    return TelemetryFile(blobs.path(sha256), sha256=sha256, limits=STORED)
+def _table(blobs: BlobStore, sha256: str) -> StoredTable:
+    """Find a table of telemetry; of an object store only this machine sees the file."""
+    return StoredTable(*working_table(blobs, sha256), shared=blobs.kept_at is None)
 
 
 @cache
@@ -186,9 +186,9 @@ def _function(dotted: str) -> Callable[..., dict[str, Any]]:
 
 
 @lru_cache(maxsize=TABLES)
-def _telemetry(path: Path) -> Telemetry:
-    """Read a table; the few newest are kept, for a group often has several runs of one. Its content never changes."""
-    return TelemetryFile(path, limits=STORED).read()
+def _telemetry(table: StoredTable) -> Telemetry:
+    """Map a table; the few newest are kept, for a group often has several runs of one. Its content never changes."""
+    return table.read()
 
 
 @cache

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from boresight.arrays import IntArray
-from boresight.calibration.source import TelemetryFile
+from boresight.calibration.source import StoredTable, TelemetryFile
 from boresight.columns import Columns, write_columns
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation.spread import InThisProcess, Spread
@@ -18,9 +19,8 @@ from boresight.telemetry.quality.detector import OffDetector
 from boresight.telemetry.read.readers import Stretch
 from boresight.telemetry.schema import Telemetry, joined, rows_of
 from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.working_table import ARRAYS, WorkingTable
 
-#: Columns that nobody interprets stay behind, and so does what is no array.
-KEPT = tuple(item.name for item in fields(Telemetry) if item.name not in {"unknown", "first_row"})
 #: Told how far the copying and ordering of a set is: fraction and a line for a log.
 Prepared = Callable[[float, str], None]
 #: Share of a calibration's progress that making a large set ready is, and of that, reading.
@@ -34,7 +34,7 @@ class TelemetryPiece:
     Parameters
     ----------
     held
-        The set, or the arrays of a `Telemetry`, those it has.
+        The set; or the arrays of a `Telemetry`, those it has, in a scratch file; or a stored table and which part of it.
     rows
         How many.
     begins
@@ -49,7 +49,7 @@ class TelemetryPiece:
         Its matched stars off the detector.
     """
 
-    held: Telemetry | Columns
+    held: Telemetry | Columns | tuple[WorkingTable, int]
     rows: int
     begins: int
     first_row: int
@@ -61,13 +61,15 @@ class TelemetryPiece:
         """Map it."""
         if isinstance(self.held, Telemetry):
             return self.held
+        if isinstance(self.held, tuple):
+            return self.held[0].part(self.held[1])
         arrays: dict[str, Any] = self.held.read()
         del arrays["frame_start"]
         return Telemetry(**arrays, first_row=self.first_row)
 
     def frame_start(self) -> IntArray:
         """(n_frames + 1,) first row of each frame."""
-        return frame_starts(self.held) if isinstance(self.held, Telemetry) else self.held.read()["frame_start"]
+        return self.held.read()["frame_start"] if isinstance(self.held, Columns) else frame_starts(self.read())
 
 
 @dataclass(frozen=True)
@@ -155,14 +157,16 @@ def in_memory(telemetry: Telemetry) -> Pieces:
 
 
 def copied(
-    file: TelemetryFile,
+    file: TelemetryFile | StoredTable,
     sensor: Sensor,
     folder: Path,
     spread: Spread,
     told: Prepared,
     cancelled: Callable[[], bool],
 ) -> Pieces:
-    """Read a file into pieces: stretches of it wherever the spread does it, or from its start where it has none or is refused.
+    """Take a stored table in its parts, which are mapped where they are; read a file into pieces.
+
+    Stretches of a file are read wherever the spread does it; from its start where it has none or is refused.
 
     Raises
     ------
@@ -171,10 +175,32 @@ def copied(
     CancelledError
         When `cancelled` says so.
     """
-    pieces = _copied_apart(file, sensor, folder, spread, told) or _copied_in_turn(file, sensor, folder, told, cancelled)
+    if isinstance(file, StoredTable):
+        pieces = _mapped(file, sensor, folder, spread, told)
+    else:
+        apart = _copied_apart(file, sensor, folder, spread, told)
+        pieces = apart or _copied_in_turn(file, sensor, folder, told, cancelled)
     copy = Pieces(pieces, spread, folder)
     copy.off_detector.refuse()
     return copy
+
+
+def _mapped(
+    file: StoredTable, sensor: Sensor, folder: Path, spread: Spread, told: Prepared
+) -> tuple[TelemetryPiece, ...]:
+    """Look at the parts of a stored table; one that other machines may not see is copied as it is."""
+    table = file.table
+    if not file.shared:
+        table = WorkingTable(Path(shutil.copyfile(file.path, folder / "table")), file.sha256)
+    work = [(table, number, sensor, int(table.row_start[number])) for number in range(table.n_parts)]
+    done = lambda k, n: told(READING * k / n, f"read {k} of {n} parts of the file")  # noqa: E731 - as for a file
+    return tuple(spread.map(look_at_part, work, done=done))
+
+
+def look_at_part(table: WorkingTable, number: int, sensor: Sensor, begins: int) -> TelemetryPiece:
+    """Take a part of a stored table as a piece."""
+    telemetry = table.part(number)
+    return _piece((table, number), telemetry, frame_starts(telemetry), sensor, begins)
 
 
 def _copied_apart(
@@ -227,15 +253,22 @@ def write_pieces(chunks: Iterable[Telemetry], sensor: Sensor, path: Path, begins
         Rows of the set before.
     """
     for number, chunk in enumerate(chunks):
-        off = OffDetector()
-        off.look_at(chunk, sensor)
-        arrays = {name: getattr(chunk, name) for name in KEPT}
+        arrays = {name: getattr(chunk, name) for name in ARRAYS}
         there = {name: np.asarray(values) for name, values in arrays.items() if values is not None}
         starts = frame_starts(chunk)
         columns = write_columns(path.with_name(f"{path.name}-{number:06d}"), there | {"frame_start": starts})
-        first = starts[:-1]
-        yield TelemetryPiece(columns, len(chunk), begins, chunk.first_row, len(first), _epoch(chunk, first), off)
+        yield _piece(columns, chunk, starts, sensor, begins)
         begins += len(chunk)
+
+
+def _piece(
+    held: Columns | tuple[WorkingTable, int], telemetry: Telemetry, starts: IntArray, sensor: Sensor, begins: int
+) -> TelemetryPiece:
+    """Say of rows, kept somewhere, what is asked of them without reading them again."""
+    off = OffDetector()
+    off.look_at(telemetry, sensor)
+    epoch = _epoch(telemetry, starts[:-1])
+    return TelemetryPiece(held, len(telemetry), begins, telemetry.first_row, len(starts) - 1, epoch, off)
 
 
 def copy_stretch(stretch: Stretch, frames: int, sensor: Sensor, path: str) -> tuple[TelemetryPiece, ...] | None:

@@ -57,13 +57,13 @@ from boresight.errors import (
 from boresight.platform.actors import Actor, require_person, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.documents import read_time, sha256_of
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.web.words import refuse_control_characters
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.read.limits import STORED
-from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor
+from boresight.telemetry.working_table import WorkingTable
 from boresight.verdicts import gates
 from boresight.verdicts.gates import GATES
 from boresight.verdicts.gates.assessment import started_from
@@ -242,7 +242,7 @@ def _seen(
     incumbent = case.candidate if case.incumbent is None else case.incumbent
     try:
         settings = CalibrationSettings.parse(case.settings or {})
-        frames = read_telemetry(blobs.path(sha256), f"{name}.parquet", STORED)
+        frames = WorkingTable(table_path(blobs, sha256)).read()
         return held_out_scores(frames, sensor, catalogue, incumbent, case.candidate, settings, cache_folder), ""
     except CorruptFileError:
         raise  # no evidence is made of, or in spite of, a file that was altered

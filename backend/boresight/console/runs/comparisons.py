@@ -23,6 +23,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.estimation.statistics.difference import SharedData
 from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session
 from boresight.telemetry.sampling import shared_exposures
 
@@ -209,7 +210,7 @@ def _shared(session: Session, blobs: BlobStore, run: Run, reference: Run) -> tup
     if one.table_sha256 == other.table_sha256:
         return SharedData(1, 1), f"the same data, {one.name}"
     try:
-        shares = shared_exposures(blobs.path(one.table_sha256), blobs.path(other.table_sha256))
+        shares = shared_exposures(table_path(blobs, one.table_sha256), table_path(blobs, other.table_sha256))
     except (NotFoundError, RefusedInputError):
         return SharedData(0, 0), f"{one.name} and {other.name}, taken as separate data: a file of theirs cannot be read"
     shared = SharedData(*shares)

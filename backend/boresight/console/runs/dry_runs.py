@@ -29,6 +29,7 @@ from boresight.console.runs.queries import recent_runs
 from boresight.console.runs.requests import Order
 from boresight.errors import BoresightError, CorruptFileError
 from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.documents import sha256_of
 from boresight.platform.db.sessions import Session
 from boresight.sky.catalogue import Catalogue
@@ -82,7 +83,7 @@ class Sight:
     ) -> dict[str, Any]:
         """Read the sample and foretell, or say why not."""
         try:
-            sample = read_sample(self.blobs.path(table_sha256), MOST_FRAMES, MOST_STARS)
+            sample = read_sample(table_path(self.blobs, table_sha256), MOST_FRAMES, MOST_STARS)
             if (catalogue := self.catalogue()) is None:
                 return unseen("this server has no star catalogue")
             return forecast(sample, parse_sensor(sensor_document), catalogue, settings, self.catalogue_folder)

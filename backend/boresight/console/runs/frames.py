@@ -20,6 +20,7 @@ from boresight.console.runs.service import get_run, result
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.service import get_telemetry_set
 from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.frames import FrameIndex, frame_index
@@ -63,7 +64,7 @@ def index_of(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
     RefusedInputError
         When it is damaged.
     """
-    return frame_index(blobs.path(get_telemetry_set(session, run.telemetry_set_id).table_sha256))
+    return frame_index(table_path(blobs, get_telemetry_set(session, run.telemetry_set_id).table_sha256))
 
 
 def list_frames(

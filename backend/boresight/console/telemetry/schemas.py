@@ -23,7 +23,7 @@ class TelemetrySet(Row):
     stars: int
     quality: Document = Field(description="What the file is good for: counts, gaps, coverage, warnings.")
     original_sha256: str = Field(description="SHA-256 of the bytes that were uploaded.")
-    table_sha256: str = Field(description="SHA-256 of the Parquet table that runs work on.")
+    table_sha256: str = Field(description="SHA-256 of the table that runs work on.")
     uploaded_utc: str
     uploaded_by: int | None
     archived_utc: str | None

@@ -29,11 +29,9 @@ from boresight.platform.web.words import normal_name
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.quality.report import QualityParts
 from boresight.telemetry.read.chunks import read_chunks
-from boresight.telemetry.read.limits import LIMITS, STORED, Limits
-from boresight.telemetry.read.readers import read_telemetry
-from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.sensors import Sensor, parse_sensor
-from boresight.telemetry.writers import ParquetParts
+from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
@@ -98,7 +96,7 @@ def prepared(
     """
     sensor, name = parse_sensor(sensor_document), _base_name(file_name)
     with tempfile.TemporaryDirectory() as folder:
-        table = Path(folder) / "table.parquet"
+        table = Path(folder) / "table"
         quality = _checked(path, name, sensor, catalogue, table, limits)
         yield Prepared(
             original=path,
@@ -117,7 +115,7 @@ def _checked(
 ) -> dict[str, Any]:
     """Read a file in chunks into the table that is worked on; returns its quality report. A large file is never whole in memory."""
     quality = QualityParts(sensor, catalogue)
-    with ParquetParts(table) as parts:
+    with WorkingTableParts(table) as parts:
         for chunk in read_chunks(path, name, limits=limits):
             parts.write(chunk)
             quality.add(chunk)
@@ -195,7 +193,7 @@ def store_prepared(
         return _in_use_again(session, actor, existing)
     original, table = _put_both(session, blobs, upload)
     register_blob(session, blobs, original, upload.media_type)
-    register_blob(session, blobs, table, PARQUET)
+    register_blob(session, blobs, table, MEDIA_TYPE)
     row = TelemetrySet(
         sensor_id=sensor_id,
         name=upload.name,
@@ -304,18 +302,6 @@ def archive_telemetry_set(session: Session, actor: Actor, set_id: int) -> Teleme
         row.archived_utc = utc_now()
         audit.append(session, actor, "archived", _subject(row))
     return row
-
-
-def load_telemetry(session: Session, blobs: BlobStore, set_id: int) -> Telemetry:
-    """Return a set's table in memory.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such set, or its bytes are missing.
-    """
-    row = get_telemetry_set(session, set_id)
-    return read_telemetry(blobs.path(row.table_sha256), limits=STORED)
 
 
 def _subject(row: TelemetrySet) -> str:

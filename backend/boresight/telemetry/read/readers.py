@@ -24,10 +24,6 @@ import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 from numpy.typing import NDArray
 
-from boresight import disks as integrity
-from boresight.errors import CorruptFileError
-from boresight.telemetry.read.arrays import arrays_of, check_columns, scale_quaternions
-from boresight.telemetry.read.checks import Checks, Faults
 from boresight.telemetry.read.chunks import chunks_of, open_tables, read_chunks
 from boresight.telemetry.read.formats import format_at
 from boresight.telemetry.read.limits import LIMITS, Limits
@@ -82,34 +78,6 @@ def _plain(field: pa.Field) -> pa.Field:
     return field.with_type(field.type.value_type) if pa.types.is_dictionary(field.type) else field
 
 
-def telemetry_of(table: pa.Table, faults: Faults) -> Telemetry:
-    """Turn a table of whole frames into telemetry.
-
-    Parameters
-    ----------
-    table
-        Columns by the contract's names, numbers or text.
-    faults
-        Names the file; whatever it collects is refused.
-
-    Raises
-    ------
-    RefusedInputError
-        When columns are missing, cells cannot be read, or the rows do not make sense together.
-    """
-    check_columns(table.column_names, faults)
-    if not table.num_rows:
-        faults.add("there are no rows: there is nothing to calibrate from")
-    faults.refuse()
-    telemetry = arrays_of(table, faults)
-    faults.refuse()
-    checks = Checks(faults.subject)
-    checks.look_at(telemetry)
-    checks.refuse()
-    scale_quaternions(telemetry)
-    return telemetry
-
-
 #: A stretch has frames for so many parts, so that its head that is read twice is a small share of it.
 PARTS = 4
 
@@ -126,8 +94,6 @@ class Stretch:
         Its rows begins <= k < ends.
     layout, limits
         Of the whole file.
-    sha256
-        Of the file's bytes, where they are known by it.
     """
 
     path: Path
@@ -136,27 +102,15 @@ class Stretch:
     ends: int
     layout: Layout
     limits: Limits = LIMITS
-    sha256: str | None = None
 
     def chunks(self, frames: int) -> Iterator[Telemetry]:
-        """Read it in parts of so many frames; `first_row` counts in the whole file. Refuses what `chunks.read_chunks` refuses.
-
-        Raises
-        ------
-        CorruptFileError
-            When the file does not have the bytes that it is known by.
-        """
-        if self.sha256 is not None and not integrity.is_intact(self.path, self.sha256):
-            raise CorruptFileError(
-                f"The stored file {self.sha256[:12]} was altered on the disk, so nothing is made of it; restore it from a backup.",
-                self.sha256,
-            )
+        """Read it in parts of so many frames; `first_row` counts in the whole file. Refuses what `chunks.read_chunks` refuses."""
         rows = range(self.begins, self.ends)
         tables = rows_of_file(self.path, self.name, self.layout, rows, self.limits)
         return chunks_of(tables, self.name, frames, self.limits)
 
 
-def stretches(path: Path, name: str, frames: int, sha256: str | None = None, limits: Limits = LIMITS) -> list[Stretch]:
+def stretches(path: Path, name: str, frames: int, limits: Limits = LIMITS) -> list[Stretch]:
     """Cut a file into stretches of at least `PARTS * frames` frames.
 
     Returns
@@ -176,7 +130,7 @@ def stretches(path: Path, name: str, frames: int, sha256: str | None = None, lim
         return []
     with open_parquet(path, name) as file:
         cuts = _cuts(file, PARTS * frames)
-    return [Stretch(path, name, begins, ends, layout, limits, sha256) for begins, ends in pairwise(cuts)]
+    return [Stretch(path, name, begins, ends, layout, limits) for begins, ends in pairwise(cuts)]
 
 
 def _cuts(file: arrow_parquet.ParquetFile, least: int) -> list[int]:
