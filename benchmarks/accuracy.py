@@ -72,20 +72,9 @@ GRID_ROWS, GRID_COLUMNS = 13, 17
 def measure(
     report: Report, *, frames: int = 200, sets: int = 12, more_frames: int = 2000, peers: list[str] | None = None
 ) -> dict[str, Any]:
-    """Run every installed peer on the same sets.
+    """Run every installed peer on the same sets, or those named.
 
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is measured next.
-    frames
-        Frames a set; a peer that cannot bear so many gets the first of them, and Boresight the same once more.
-    sets
-        Simulated sets; slow peers solve fewer.
-    more_frames
-        Frames of the one longer set.
-    peers
-        Names of those to run, all by default.
+    A peer that cannot bear so many frames gets the first of them, and Boresight the same once more; a slow one solves fewer sets.
     """
     chosen = [OURS, *(name for name in peers or PEERS if name != OURS)]
     report(0.0, "simulating the sets")

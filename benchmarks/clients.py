@@ -74,22 +74,9 @@ def measure(
     listeners: int = 500,
     changes: int = 150,
 ) -> dict[str, Any]:
-    """Measure the server under a crowd.
+    """Let each crowd of clients ask for so long before a list of so many runs, then let listeners follow the feed.
 
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is measured next.
-    runs
-        Rows in the list.
-    clients
-        How many ask at once.
-    seconds
-        How long each crowd is timed, its warm-up not counted.
-    listeners
-        How many follow the feed at once.
-    changes
-        Runs launched and cancelled before them, four events each.
+    `changes` runs are launched and cancelled before the listeners, four events each.
     """
     allow_open_files()
     found: dict[str, Any] = {"runs": runs, "clients": clients, "seconds": seconds}
@@ -222,19 +209,7 @@ def _happened(engine: Engine, before: tuple[int, int], run_id: int | None) -> di
 def measure_fleet(
     report: Report, *, sensors: tuple[int, ...] = (10, 1_000, 10_000), runs_each: int = 2, looks: int = 5
 ) -> dict[str, Any]:
-    """Measure the pages of fleets.
-
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is measured next.
-    sensors
-        How many each fleet has.
-    runs_each
-        Runs of every sensor.
-    looks
-        How often each page is asked for.
-    """
+    """Measure the pages of fleets of so many sensors, each page looked at so often."""
     fleets: dict[str, Any] = {}
     for turn, size in enumerate(sensors):
         report(turn / len(sensors), f"a fleet of {size:,}")

@@ -63,20 +63,11 @@ FIELD_DEG, TIMEOUT_MS = 21.0, 1000  # of tetra3rs
 
 @dataclass(frozen=True)
 class Answer:
-    """What an estimator says of a set.
+    """What an estimator says of a set, its camera by what it makes of pixels.
 
-    Parameters
-    ----------
-    directions, focal_length_m
-        Of its camera.
-    rms_px
-        Root mean square residual of one axis that it is left with or reports, pixels; None when it has none.
-    x, P
-        (8,) estimate in our parameters, SI, and (8, 8) claimed covariance in typical sigmas; None for a camera model of its own.
-    focal_sigma_m
-        Its claimed standard deviation of the focal length, or None.
-    notes
-        What it says about itself, such as that it did not converge.
+    `rms_px` is the residual of one axis that it is left with or reports. `x` (8,) and `P` (8, 8), in typical sigmas, are in our
+    parameters, SI, and None for a camera model of its own; `focal_sigma_m` is what it claims; `notes` are what it says about
+    itself.
     """
 
     directions: Directions
@@ -378,22 +369,9 @@ def tetra3rs_by(views: Views, model: str) -> Answer:
 
 @dataclass(frozen=True)
 class Peer:
-    """One estimator.
+    """One estimator: what problem it solves, what is not the same in a sentence, and the most frames it is given.
 
-    Parameters
-    ----------
-    estimate
-        The function.
-    title
-        As tables call it.
-    problem
-        `arcs`, `attitudes` or `poses`.
-    unfair
-        What is not the same, in a sentence.
-    module, package
-        What must be installed, as it is imported, and as it is named to be installed; empty where nothing is needed.
-    frames
-        Most frames it is given.
+    `module` and `package` must be installed, as it is imported and as it is named to be installed; empty where nothing is needed.
     """
 
     estimate: Callable[[Views], Answer]

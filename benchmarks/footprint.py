@@ -71,18 +71,7 @@ def measure(
 ) -> dict[str, Any]:
     """Fill a store on each database.
 
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is measured next.
-    frames
-        Of the longer sets; the shorter have a tenth.
-    sensors
-        How many are registered; each gets a set.
-    runs
-        Of each method and length.
-    launches
-        Runs that are only queued, to time the writer.
+    `frames` are those of the longer sets, `runs` are of each method and length, `launches` are only queued, to time the writer.
     """
     found: dict[str, Any] = {"frames": frames, "sensors": sensors, "runs": runs, "databases": {}}
     sizes, with_postgresql = (frames, sensors, runs, launches), PostgreSQL.installed()
@@ -169,12 +158,7 @@ class Ledger:
     def each(self, step: Callable[[], None], count: int) -> dict[str, Any]:
         """Take a step that makes `count` things; returns what one of them adds.
 
-        Returns
-        -------
-        dict
-            `database_bytes`, `blob_bytes`, `rows` by table where there are any, `seconds`, `own_cpu_s` of processors in this
-            process, and while a server runs the processor time of its own process, `server_cpu_s`, and of its worker,
-            `worker_cpu_s`.
+        `own_cpu_s` is of this process; while a server runs, `server_cpu_s` is of its own process and `worker_cpu_s` of its worker.
         """
         before, blobs, cpu = table_sizes(self.engine), self._blob_bytes(), self._cpu()
         began, own = time.perf_counter(), time.process_time()

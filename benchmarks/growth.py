@@ -75,21 +75,7 @@ def measure(
     rematch_sizes: Sequence[int] = REMATCH_SIZES,
     seed: int = 1,
 ) -> dict[str, Any]:
-    """Calibrate sets of several sizes, each in a fresh process.
-
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is measured next.
-    sizes
-        Frames of each set, ascending.
-    methods
-        Estimators.
-    rematch_sizes
-        Frames of each set whose stars are found anew, ascending; the first estimator takes them.
-    seed
-        Of the sets.
-    """
+    """Calibrate sets of ascending sizes, each in a fresh process; the first method takes those that are matched anew."""
     found: dict[str, list[dict[str, Any]]] = {method: [] for method in methods}
     matched = []
     with tempfile.TemporaryDirectory(prefix="boresight-growth-") as place:
@@ -185,21 +171,10 @@ def limits_of_growth(found: dict[str, list[dict[str, Any]]], grown: dict[str, di
 def measure_fresh(
     report: Report, *, frames: int = 2000, repeats: int = 3, uncompiled: bool = True, seed: int = 1
 ) -> dict[str, Any]:
-    """Calibrate twice in each of several new processes.
+    """Calibrate twice in each of several new processes; the fastest of each counts.
 
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is measured next.
-    frames
-        Size of the set.
-    repeats
-        Processes; the fastest of each counts.
-    uncompiled
-        Also start with an empty cache of loops, a minute or so, and leave this installation's alone. Without it the loops come
-        from that cache, and a process before the first measured one sees that they are there.
-    seed
-        Of the set.
+    With `uncompiled` it also starts with an empty cache of loops, a minute or so, and leaves this installation's alone. Without
+    it the loops come from that cache, and a process before the first measured one sees that they are there.
     """
     with tempfile.TemporaryDirectory(prefix="boresight-fresh-") as folder:
         place = Path(folder)

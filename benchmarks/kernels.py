@@ -87,19 +87,7 @@ def _seconds(run: Callable[[], object]) -> float:
 
 
 def measure(report: Report, *, frames: int = 2000, seed: int = 1, thread_frames: int = 16 * FRAMES) -> dict[str, Any]:
-    """Time the loops and their peers; returns the contract's document.
-
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is timed next.
-    frames
-        Size of the synthetic set.
-    seed
-        Of the set.
-    thread_frames
-        Of the set that two threads evaluate: many blocks.
-    """
+    """Time the loops and their peers on a synthetic set; two threads evaluate `thread_frames`, many blocks."""
     sensor = st16_sensor(1)
     x_0, scale, free = sensor.initial, sensor.typical_sigma, np.arange(len(sensor.initial))
     report(0.0, "making the synthetic set")

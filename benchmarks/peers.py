@@ -59,16 +59,9 @@ from boresight.estimation.singular_values import (
 
 @dataclass(frozen=True)
 class EqualExposures:
-    """Exposures with the same number of stars, so that NumPy can take them in one piece.
+    """Exposures with the same number n of stars, so that NumPy can take them in one piece: arrays (n_exposures, ...).
 
-    Parameters
-    ----------
-    row_px, col_px
-        (n_exposures, n) centroids in arc order.
-    phi
-        (n_exposures, 2n - 3) catalogue arcs, rad.
-    whitener
-        (n_exposures, 2n - 3, 2n - 3) inverse of the lower factor of R.
+    Centroids (n,) in arc order, catalogue arcs phi (2n - 3,), rad, and the inverse of the lower factor of R (2n - 3, 2n - 3).
     """
 
     pitch: float

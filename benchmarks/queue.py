@@ -62,17 +62,7 @@ KILLS = {"worker 1": 0.2, "scheduler": 0.4, "server": 0.6}  # at which share of 
 
 
 def measure(report: Report, *, runs: int = 5000, frames: int = 200, trackers: int = 1000) -> dict[str, Any]:
-    """Send runs through the queue, undisturbed and with kills.
-
-    Parameters
-    ----------
-    report
-        Told the fraction done and what happens.
-    runs, frames
-        How many runs of each pass, and of how many frames each.
-    trackers
-        Among how many sensors they are divided.
-    """
+    """Send so many runs of so many frames, divided among the trackers, through the queue: undisturbed and with kills."""
     calm = one_pass(lambda share, said: report(share / 2, f"calm: {said}"), runs, frames, trackers, {})
     killed = one_pass(lambda share, said: report(0.5 + share / 2, f"with kills: {said}"), runs, frames, trackers, KILLS)
     lost = calm["not_as_promised"] + killed["not_as_promised"]
@@ -224,13 +214,9 @@ def _computed(folder: Path, tables: Sequence[Path], settings: Mapping[str, Any],
 def examined(constellation: Constellation, first: int, count: int) -> dict[str, Any]:
     """Look at `count` runs that were launched after the first ones.
 
-    Returns
-    -------
-    dict
-        `computing_s` and `computing_cpu_s` as the workers state them, summed; how many runs there are of each state and of each
-        number of attempts; `not_as_promised`, how many are missing, did not succeed exactly once, or have another result than the
-        same work has in this process; what a verification of the audit log said; `claims_per_run` and `settlements_per_run`, how
-        many transactions a run took for each, as the runs of a group share theirs and with it the moment that is written.
+    `computing_s` and `computing_cpu_s` are as the workers state them, summed; `not_as_promised` counts the runs that are missing,
+    did not succeed exactly once, or have another result than the same work has in this process; `claims_per_run` and
+    `settlements_per_run` are transactions, which the runs of a group share, and with them the moment that is written.
     """
     with reading(constellation.database) as session:
         rows = run_service.list_runs(session)[::-1][first:]

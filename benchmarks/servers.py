@@ -83,8 +83,15 @@ def allow_open_files() -> None:
 class Service:
     """A command of Boresight as a process of its own, with its output in a file; killed ones are started again by `look`."""
 
-    def __init__(self, words: Sequence[str], folder: Path, environment: Mapping[str, str], log: str = "") -> None:
-        self.words, self.folder, self.environment = words, folder, dict(environment)
+    def __init__(
+        self,
+        words: Sequence[str],
+        folder: Path,
+        environment: Mapping[str, str],
+        log: str = "",
+        command: Sequence[str] = COMMAND,
+    ) -> None:
+        self.words, self.folder, self.environment = [*command, *words], folder, dict(environment)
         self.log = folder / (log or f"{words[0]}.log")
         self.starts = 0
         self._cpu_s: dict[tuple[int, float], float] = {}
@@ -95,7 +102,7 @@ class Service:
         self.starts += 1
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                [*COMMAND, *self.words], env=self.environment, cwd=self.folder, stdout=log, stderr=log, start_new_session=True
+                self.words, env=self.environment, cwd=self.folder, stdout=log, stderr=log, start_new_session=True
             )  # fmt: skip
 
     @property
@@ -150,10 +157,10 @@ class Service:
 class Server(Service):
     """`boresight serve` on a port of its own."""
 
-    def __init__(self, folder: Path, environment: Mapping[str, str], *words: str) -> None:
+    def __init__(self, folder: Path, environment: Mapping[str, str], command: Sequence[str] = COMMAND) -> None:
         self.port = int(environment.get("BORESIGHT_PORT") or free_port())
         self.address = f"http://127.0.0.1:{self.port}"
-        super().__init__(["serve", *words], folder, {**environment, "BORESIGHT_PORT": str(self.port)})
+        super().__init__(["serve"], folder, {**environment, **variables(port=self.port)}, command=command)
 
     def is_ready(self, path: str = "/readyz") -> bool:
         """Ask the server whether it can do its work; `/healthz` asks only whether it answers."""

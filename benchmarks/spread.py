@@ -28,7 +28,7 @@ import numpy as np
 import orjson
 import psutil
 
-from benchmarks import Report, held
+from benchmarks import ROOT, Report, held
 from benchmarks.servers import Service, certified, free_port, variables
 from benchmarks.stars import write_synthetic
 from boresight.platform.blobs.folder import BlobStore
@@ -48,19 +48,7 @@ RUN_ID = 1
 
 
 def measure(report: Report, *, frames: int = 1_000_000, method: str = "batch", seed: int = 1) -> dict[str, Any]:
-    """Calibrate one set on one worker, on two, and on two of which one is killed.
-
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is measured next.
-    frames
-        Of the set; from about 21,000 on it is spread.
-    method
-        The estimator.
-    seed
-        Of the set.
-    """
+    """Calibrate one set on one worker, on two, and on two of which one is killed; from about 21,000 frames on it is spread."""
     with tempfile.TemporaryDirectory(prefix="boresight-spread-") as folder:
         site = Site(Path(folder), method)
         report(0.0, f"writing {frames:,} frames")
@@ -89,6 +77,7 @@ class Site:
         self._method = method
         self._blobs = BlobStore(folder / "blobs")
         self._environment = os.environ | variables(data_folder=folder, blobs="")
+        self._environment["PYTHONPATH"] = str(ROOT)  # the workers are asked by a function of this module
         self._environment.setdefault("NUMBA_CACHE_DIR", str(folder / "kernels"))
         self._environment |= certified(folder)
         self._runs = 0

@@ -140,16 +140,8 @@ def repeated_fields(frames: int, sensor: Sensor, catalogue: Catalogue, seed: int
 class Views:
     """One set of views of equally many stars, in arc order; a view is an exposure, what a camera calibrator calls an image.
 
-    Parameters
-    ----------
-    arcs
-        The stars of all views, unweighed.
-    magnitude
-        (n_views, n) of each star, for a peer that asks for brightness.
-    sensor
-        Ground calibration: where every peer starts.
-    truth
-        (n_parameters,) that made the centroids, SI.
+    `arcs` are unweighed, `magnitude` (n_views, n) is for peers that ask for brightness, `sensor` is where every peer starts, and
+    `truth` (n_parameters,), SI, made the centroids.
     """
 
     arcs: ArcSet

@@ -190,18 +190,9 @@ def _log_in(session: Session, settings: Settings, person: Actor) -> Mapping[str,
 class Constellation:
     """A store of trackers, which share a few tables of a real sky over an ST-16, and what each table must come to.
 
-    Parameters
-    ----------
-    headers
-        Of an API key that may launch runs.
-    settings
-        Of every run.
-    expected
-        Digest of the result that a run must have, by the address of its table, computed in this process.
-    computing_s
-        Seconds of such a run here, alone: the fastest of some repeats, mean over the tables.
-    stars
-        Of a table, on average.
+    `expected` has the digest of the result that a run must have, by the address of its table, computed in this process;
+    `computing_s` are the seconds of such a run here, alone, the fastest of some repeats; that and `stars` are means over the
+    tables.
     """
 
     database: Engine

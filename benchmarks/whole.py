@@ -56,21 +56,7 @@ REPEATS = 3
 def measure(
     report: Report, *, frames: int = 20_000, small_frames: int = 200, rematch: bool = True, seed: int = 1
 ) -> dict[str, Any]:
-    """Calibrate a file whole, a small one too, and fit the same arcs in C.
-
-    Parameters
-    ----------
-    report
-        Told the fraction done and what is measured next.
-    frames
-        Of the large set.
-    small_frames
-        Of the small set, as thousands go through the queue.
-    rematch
-        Whether matching anew is timed as well.
-    seed
-        Of the sets.
-    """
+    """Calibrate a file whole, a small one as thousands go through the queue, and fit the same arcs in C."""
     sensor, catalogue = st16_sensor(1), load_catalogue(read_settings().catalogue_folder)
     found: dict[str, Any] = {"frames": frames, "stars_per_exposure": 12, "exposures_per_frame": 2}
     with tempfile.TemporaryDirectory(prefix="boresight-whole-") as folder:
