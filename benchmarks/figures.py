@@ -47,7 +47,8 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.style.thinning import thinning
-from boresight.platform.blobs.folder import open_blobs, register_blob
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.sessions import migrate, utc_now, writing
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue

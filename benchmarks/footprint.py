@@ -39,7 +39,7 @@ from boresight.console.fleet import service as sensors
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import Engine, migrate, open_engine, reading, writing
 from boresight.settings import read_settings

@@ -33,7 +33,8 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore, open_blobs
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, utc_after, writing
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate

@@ -45,7 +45,7 @@ from boresight.console.runs.dry_runs import Sight
 from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
-from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.marks import Kept, Marks
 from boresight.platform.db.sessions import migrate, open_engine, reading
 from boresight.platform.web import static_files

@@ -21,7 +21,7 @@ from boresight.console.access.credentials import SESSION_COOKIE, LogInCookie, re
 from boresight.console.access.tables import LoginSession
 from boresight.console.jobs.upkeep import Upkeep
 from boresight.errors import SessionEndedError, UnauthenticatedError
-from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.marks import Marks
 from boresight.platform.db.sessions import open_engine, reading, utc_after, utc_text, writing
 from boresight.settings import Settings

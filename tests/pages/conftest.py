@@ -29,7 +29,7 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import migrate, open_engine, utc_now, writing
 from boresight.server import create_app

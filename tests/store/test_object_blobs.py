@@ -16,7 +16,7 @@ from obstore.store import MemoryStore, from_url
 
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, UnavailableError
 from boresight.platform.blobs.bucket import KEPT_S, ObjectBlobStore
-from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.places import BlobPlace
 from boresight.settings import read_settings
 from tests.object_store import SECRET, serving_s3

@@ -8,7 +8,7 @@ import obstore
 import pytest
 from obstore.store import from_url
 
-from boresight.platform.blobs.folder import open_blobs
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.places import BlobPlace
 from tests.object_store import SECRET, serving_s3
 

@@ -34,7 +34,7 @@ def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
     """
     from boresight.platform.audit import log as chain
     from boresight.platform.audit.kept_heads import read_head
-    from boresight.platform.blobs.folder import open_blobs
+    from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import open_engine, reading
 
     settings = read_settings()
@@ -125,7 +125,7 @@ def backup(file: str, *, keep_going: bool) -> None:
         raise RefusedInputError(f"{file} exists already; name another file, a backup is never written over.")
     from boresight.console.webhooks.secrets import encrypt_all
     from boresight.platform.audit import log as audit
-    from boresight.platform.blobs.folder import open_blobs
+    from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db import backup as backups
     from boresight.platform.db.sessions import opened, reading
 
@@ -167,7 +167,7 @@ def restore(file: Path) -> None:
     """
     from boresight.console.webhooks.secrets import encrypt_all
     from boresight.platform.audit import log as audit
-    from boresight.platform.blobs.folder import open_blobs
+    from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db import backup as backups
     from boresight.platform.db.sessions import opened, reading
 

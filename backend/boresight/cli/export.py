@@ -22,7 +22,7 @@ def export(parameter_set: str, file: str, flight_software: str | None, table_id:
     check_writable(file, "ZIP")
     from boresight.console.uplinks import packages
     from boresight.platform.actors import COMMAND_LINE
-    from boresight.platform.blobs.folder import open_blobs
+    from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import opened, writing
 
     settings = read_settings()

@@ -68,7 +68,7 @@ def _read(source: str) -> dict[str, Any]:
 def _stored(run_id: int) -> dict[str, Any]:
     """Read a run's calibration from the store."""
     from boresight.console.runs import service as runs
-    from boresight.platform.blobs.folder import open_blobs
+    from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import opened, reading
 
     settings = read_settings()

@@ -27,7 +27,8 @@ from boresight.console.runs.queries import Claimed, End
 from boresight.console.runs.run_events import Line
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
-from boresight.platform.blobs.folder import BlobStore, open_blobs
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.places import BlobPlace
 from boresight.platform.blobs.working_tables import working_table
 from boresight.settings import Settings, read_settings

@@ -24,8 +24,7 @@ import sqlalchemy as sa
 
 from boresight import disks as integrity
 from boresight.disks import Opened, refuse_unwritable
-from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError, StorageError, UnavailableError
-from boresight.platform.blobs.places import BlobPlace
+from boresight.errors import CorruptFileError, NotFoundError, StorageError, UnavailableError
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.marks import Recent
 from boresight.platform.db.sessions import Session, utc_now
@@ -225,31 +224,6 @@ class BlobStore:
             return orjson.loads(place.read_bytes()), written.st_size
 
         return self._parsed.get((sha256, written.st_mtime_ns, written.st_size), parse)
-
-
-def open_blobs(place: BlobPlace, *, make: bool = True) -> BlobStore:
-    """Open the files at a place; those of an object store are opened once a process.
-
-    Parameters
-    ----------
-    make
-        Whether the first use may make a folder that is not there; else it is refused now.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is an object store, and the library that speaks to it is not installed.
-    """
-    if place.is_folder:
-        blobs = BlobStore(Path(place.address))
-        if not make:
-            blobs.open(make=False)
-        return blobs
-    try:
-        from boresight.platform.blobs.bucket import open_object_blobs  # noqa: PLC0415 - an optional part
-    except ImportError as error:
-        raise RefusedInputError("An object store needs its library: pip install 'boresight[object-store]'.") from error
-    return open_object_blobs(place)
 
 
 def _opened(content: bytes | Path) -> BinaryIO:
