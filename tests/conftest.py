@@ -1,7 +1,5 @@
 """What holds for every test: which engine the store is on, how much is tried, cheap hashes, no stopwatch on properties."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
@@ -52,8 +50,6 @@ def product_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class ByFile(LoadScopeScheduling):
-    """A file at a time in the order of collection; the browser's are one, since what they look at is made once."""
-
     def _split_scope(self, nodeid: str) -> str:
         return "tests/browser" if nodeid.startswith("tests/browser/") else nodeid.partition("::")[0]
 
@@ -77,7 +73,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
-    """Remove the databases that stood for a test's own folder."""
     folder: Path | None = getattr(item, "funcargs", {}).get("tmp_path")
     yield
     if folder is not None:
@@ -100,7 +95,6 @@ def catalogue(catalogue_folder: Path) -> Catalogue:
 
 @pytest.fixture
 def postgresql() -> Iterator[Engine]:
-    """A migrated PostgreSQL database with nothing in it; the test is skipped where there is no PostgreSQL."""
     server, name = postgresql_programs.server(), f"of-a-test-{next(_numbers)}"
     engine = open_engine(server.make(name))
     yield engine

@@ -1,7 +1,5 @@
 """People in tests that call the services: their passwords are made and proven inside a transaction if need be."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -24,32 +22,27 @@ PRODUCT = passwords._HASHER
 
 
 def use_hasher(patch: pytest.MonkeyPatch, hasher: PasswordHasher = CHEAP) -> None:
-    """Hash with these parameters in this process, also for a name that does not exist."""
     patch.setattr(passwords, "_HASHER", hasher)
     patch.setattr(passwords, "_UNKNOWN", hasher.hash("nobody has this password"))
 
 
 @cache
 def new_password(password: str) -> NewPassword:
-    """Hash a password once for all tests of a process."""
     return passwords.prepare_unjudged(password)
 
 
 def proved(session: Session, who: Actor | str, password: str) -> PasswordProof:
-    """Check the password of a person, or of a log-in name."""
     if isinstance(who, str):
         return passwords.check(passwords.stored_under(session, who), password)
     return passwords.check(passwords.stored_of(session, who.user_id), password)
 
 
 def add_person(session: Session, name: str, *roles: str, printed_name: str | None = None) -> User:
-    """Add a person under the password of all."""
     named = {"name": name, "printed_name": printed_name or name.title(), "password": new_password(PASSWORD)}
     return users.create_user(session, COMMAND_LINE, **named, roles=roles)
 
 
 def approve(session: Session, actor: Actor, approval: Approval, *, password: str = PASSWORD, **given: Any) -> Signature:
-    """Sign a request as it is now."""
     given = {"meaning": "I approve", "comment": "", "seen_version": approval.version} | given
     proof = proved(session, actor, password)
     return approvals.sign(session, actor, approval.id, "APPROVE", proof=proof, **given)

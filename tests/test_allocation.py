@@ -1,7 +1,5 @@
 """No compiled loop asks for memory frame by frame: one call makes its space once, however many frames it is given."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -57,7 +55,6 @@ CALLS = {
 
 @pytest.fixture(scope="module")
 def counted():
-    """Number of arrays that compiled code makes during a call."""
     were_on = _nrt_python.memsys_stats_enabled()
     _nrt_python.memsys_enable_stats()
 

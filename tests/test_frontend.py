@@ -1,7 +1,5 @@
 """The makings of the pages fit together: what is named is there, what is there is named, and types are checked everywhere."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -27,7 +25,6 @@ LITERAL = r"""["']([a-z][a-z0-9 -]*)["']"""
 @pytest.mark.parametrize("name", PAGES)
 def test_a_template_names_only_templates_that_are_there(name):
     tree = Environment(loader=FileSystemLoader(FRONTEND / "templates"), autoescape=True).parse(PAGES[name])
-
     assert set(meta.find_referenced_templates(tree)) <= set(PAGES)
     if name not in ALONE:  # those have filters of their own
         TEMPLATES.get_template(name)
@@ -36,7 +33,6 @@ def test_a_template_names_only_templates_that_are_there(name):
 def test_every_template_is_named_by_python_or_by_another():
     package = FRONTEND.parent / "backend" / "boresight"
     texts = [*PAGES.values(), *(path.read_text() for path in package.rglob("*.py"))]
-
     assert {name for name in PAGES if not any(f'"{name}"' in text for text in texts)} == set()
 
 
@@ -45,12 +41,10 @@ def test_every_static_file_is_named_and_every_name_is_a_file():
     for name, text in MODULES.items():
         paths = (STATIC / name).parent, re.findall(r'^import .* from "(.+)";$', text, re.MULTILINE)
         named |= {(paths[0] / path).resolve().relative_to(STATIC).as_posix() for path in paths[1]}
-
     assert named == {path.relative_to(STATIC).as_posix() for path in STATIC.rglob("*") if path.is_file()}
 
 
 def _classes_and_ids() -> set[str]:
-    """Every word that stands where a page, a module or Python gives an element its class or id."""
     words: set[str] = set()
     for text in PAGES.values():
         for found in re.findall(r'(?:class|id)="?((?:[^"{>]|\{\{.*?\}\}|\{%.*?%\})*)', text):
@@ -69,20 +63,17 @@ def test_every_class_and_id_of_a_style_sheet_is_given_to_something():
     selectors = {(name, found) for name, text in rules.items() for found in re.findall(r"([^{}]+)\{", text)}
     styled = {(name, word) for name, found in selectors for word in re.findall(r"[.#]([A-Za-z][\w-]*)", found)}
     given = _classes_and_ids()
-
     assert {one for one in styled if one[1] not in given and not one[1].startswith(BEGINNINGS)} == set()
 
 
 def test_only_one_module_touches_plotly_and_knows_its_private_fields():
     private = re.compile(r"\b_(?:full\w+|context|plots|offset|length)\b|\bwindow\.Plotly\b|\b(?:p2d|d2p)\b")
-
     assert {name for name, text in MODULES.items() if private.search(text)} == {"shared/plotly.js"}
 
 
 def test_types_are_checked_strictly_in_every_module_with_no_way_around():
     options = json.loads((FRONTEND / "tsconfig.json").read_text())
     texts = [*MODULES.values(), *(path.read_text() for path in (FRONTEND / "types").glob("*.d.ts"))]
-
     assert options["include"] == ["static", "types"]
     assert options["compilerOptions"]["checkJs"]
     assert options["compilerOptions"]["strict"]
@@ -92,7 +83,6 @@ def test_types_are_checked_strictly_in_every_module_with_no_way_around():
 def test_the_checker_of_types_is_pinned_and_nothing_of_it_is_shipped():
     wanted = json.loads((FRONTEND / "package.json").read_text())
     locked = json.loads((FRONTEND / "package-lock.json").read_text())["packages"]
-
     assert set(wanted) == {"name", "description", "private", "devDependencies"}
     for name, version in wanted["devDependencies"].items():
         assert locked[f"node_modules/{name}"]["version"] == version

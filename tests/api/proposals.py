@@ -1,7 +1,5 @@
 """Changes that wait for a second person, for requests about them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -17,7 +15,6 @@ TIGHT = {"gates": [{"name": "coverage", "limit": 0.25}]}
 
 
 def proposed(house: House, who: str = "ada") -> dict[str, Any]:
-    """Return a table layout that was proposed as if the setting were on: its number, its version and its sensor."""
     row = house.new_sensor()
     fields = [
         {"name": f"F{place}", "parameter": name, "offset_bytes": 4 * place, "type": "float32"}

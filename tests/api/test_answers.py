@@ -1,7 +1,5 @@
 """Idempotency: the same request twice has one effect and one answer."""
 
-from __future__ import annotations
-
 import uuid
 
 import pytest
@@ -14,7 +12,6 @@ from .conftest import House
 
 @pytest.fixture
 def once() -> dict[str, str]:
-    """Return a header with a key that nobody used."""
     return {"Idempotency-Key": uuid.uuid4().hex}
 
 

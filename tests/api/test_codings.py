@@ -1,7 +1,5 @@
 """`Accept-Encoding` as RFC 9110, 12.5.3 has it, on every kind of route."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

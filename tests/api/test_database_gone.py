@@ -1,7 +1,5 @@
 """A server whose PostgreSQL goes and comes back: refusals in one sentence meanwhile, and no restart of its own."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

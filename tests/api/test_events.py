@@ -1,7 +1,5 @@
 """The feed over a real connection: typed events with ids, replay after a break, a listener that is too slow."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json
@@ -29,7 +27,6 @@ Told = dict[str, Any]
 
 @contextmanager
 def following(client: httpx.Client, last_event_id: str | None = None, **params: Any) -> Iterator[Iterator[Told]]:
-    """Open the stream; yields its events as they come, the greeting first."""
     headers = {"Last-Event-ID": last_event_id} if last_event_id else {}
     with client.stream("GET", "/api/v1/events", params=params, headers=headers, timeout=10) as answer:
         assert answer.status_code == 200, answer.read()
@@ -49,7 +46,6 @@ def _events(lines: Iterator[str]) -> Iterator[Told]:
 
 
 def _until(events: Iterator[Told], **wanted: Any) -> Told:
-    """Return the first event whose data has these values."""
     return next(told for told in events if wanted.items() <= (told.get("data") or {}).items())
 
 
@@ -124,7 +120,6 @@ def test_an_id_that_is_none_begins_now(house: House) -> None:
 
 
 def _until_told(house: House) -> None:
-    """Wait until the feed has told what is stored: who begins to listen before that hears it, for it comes after their place."""
     broadcast = house.app.state.broadcast
     with reading(house.app.state.engine) as session:
         stored = Place.now(session, broadcast.progress)

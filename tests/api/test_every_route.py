@@ -1,7 +1,5 @@
 """Generated from the route table: every operation succeeds as documented, and every guard holds on every operation."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -104,7 +102,6 @@ def test_validate_only_answers_200_and_changes_nothing(name: str, house: House) 
 
 
 def _written(house: House) -> list[int]:
-    """Count the rows of every table but of the messages to webhooks, which a thread makes of what was done before."""
     with reading(house.app.state.engine) as session:
         tables = [table for table in Base.metadata.sorted_tables if table.name != "webhook_deliveries"]
         return [session.scalar(sa.select(sa.func.count()).select_from(table)) or 0 for table in tables]

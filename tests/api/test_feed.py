@@ -1,7 +1,5 @@
 """What the feed reads to tell what is new: that, and nothing that was told before."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

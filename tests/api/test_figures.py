@@ -1,7 +1,5 @@
 """Figures over REST: drawn alone and over one another, and the numbers behind them."""
 
-from __future__ import annotations
-
 import csv
 import io
 

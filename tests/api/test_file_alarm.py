@@ -1,7 +1,5 @@
 """A corrupt stored file raises an alarm, whoever finds it, and the alarm is over when the file is back, not before."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,7 +28,6 @@ def store(tmp_path: Path) -> Iterator[Engine]:
 
 @pytest.fixture
 def blobs(tmp_path: Path, store: Engine) -> BlobStore:
-    """Two stored files."""
     blobs = BlobStore(tmp_path / "blobs")
     with writing(store) as session:
         for content in (CONTENT, b"other"):

@@ -1,7 +1,5 @@
 """A disk that is full, for reading only, or not there is one clear sentence, 503 with Retry-After, and nothing is half-stored."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

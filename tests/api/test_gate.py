@@ -1,7 +1,5 @@
 """Overload is said at once, and those who watch the server are answered all the same."""
 
-from __future__ import annotations
-
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +14,6 @@ from .conftest import House
 
 
 def gate_of(app: Any) -> Gate:
-    """Return the layer that counts."""
     layer = app.middleware_stack
     while not isinstance(layer, Gate):
         layer = layer.app

@@ -1,7 +1,5 @@
 """The head of the audit log kept elsewhere: written when it moved, missed when records vanish, and never the reason of a crash."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3

@@ -1,7 +1,5 @@
 """On board over REST: read-backs as forms, the signed entry, what held at a time, the timeline page by page."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import httpx

@@ -1,7 +1,5 @@
 """The OpenAPI document: valid, every answer typed, and what every method of every address answers."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -56,7 +54,6 @@ def test_no_two_shapes_have_one_name() -> None:
 def test_every_choice_of_a_calibration_is_described_where_settings_are_given(operation: str) -> None:
     body = OPENAPI["paths"][f"/api/v1/{operation}"]["post"]["requestBody"]["content"]["application/json"]["schema"]
     shape = OPENAPI["components"]["schemas"][body["$ref"].rpartition("/")[2]]
-
     assert set(shape["properties"]["settings"]["properties"]) == set(OPTIONS)
 
 

@@ -1,7 +1,5 @@
 """Refusals: one shape, one sentence, the right status, never a trace."""
 
-from __future__ import annotations
-
 import inspect
 import logging
 import re

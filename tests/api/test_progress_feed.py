@@ -1,7 +1,5 @@
 """Progress over the wire: told once to everybody, again after a break, with its course to who follows the run."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import threading
@@ -24,7 +22,6 @@ KEPT = 16
 
 
 def step(run_id: int, fraction: float) -> dict[str, Any]:
-    """A report of the worker engine."""
     points = {"after": None, "frame": [int(100 * fraction)], "parameters": [[1.0, None]]}
     return {"kind": "progress", "run_id": run_id, "attempt": 1, "fraction": fraction, "history": points}
 

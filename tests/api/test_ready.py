@@ -1,7 +1,5 @@
 """Answers that stand ready: fresh after every commit, nobody's but their own, and only for credentials that hold now."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import threading
@@ -37,24 +35,20 @@ LISTS = (RUNS, "/api/v1/sensors", "/api/v1/telemetry-sets", "/api/v1/parameter-s
 
 
 def served(house: House) -> int:
-    """Count the answers that stand ready."""
     return len(house.app.state.ready._kept)
 
 
 def fresh(client: httpx.Client, path: str) -> dict[str, Any]:
-    """Ask so that nothing that stands ready can be the answer: for an address that nobody has asked for."""
     mark = "&" if "?" in path else "?"
     return shown(client.get(f"{path}{mark}unheard={time.perf_counter_ns()}"))
 
 
 def shown(answer: httpx.Response) -> dict[str, Any]:
-    """Return a page of a list, of its cursor only whether there is one: it is bound to the address."""
     page: dict[str, Any] = answer.json()
     return {**page, "next": bool(page["next"])}
 
 
 def undisturbed(house: House, ask: Callable[[], T]) -> T:
-    """Return what is found while nobody commits: the server's own upkeep and heartbeat may do so at any time."""
     marks = house.app.state.ready.changes._marks
     for _ in range(20):
         before, found = marks.look(), ask()
@@ -423,15 +417,12 @@ def test_a_look_at_the_fleet_of_before_a_commit_is_given_to_nobody_who_asks_afte
 
 
 class NothingKept(dict[Any, Any]):
-    """Forgets what it is told."""
-
     def __setitem__(self, key: Any, value: Any) -> None:
         """Keep nothing."""
 
 
 @contextmanager
 def beside(house: House) -> Iterator[str]:
-    """Serve the same store by a second server that keeps nothing; yields its address."""
     with serving(house.app.state.settings, house.app.state.catalogue()) as (address, app):
         app.state.ready._limit_bytes = 0
         app.state.overview = SimpleNamespace(answer_to=lambda _question, read, _asked_s: (read(), False))
@@ -443,7 +434,6 @@ def beside(house: House) -> Iterator[str]:
 
 
 def without_times(page: str) -> str:
-    """Leave out of a page what the clock alone moves."""
     return re.sub(r"<time.*?</time>|[\d.]+\s(ms|s|min)\b[^<]*|#\d+ \d\d:\d\dZ", "", page)
 
 
@@ -483,7 +473,6 @@ def test_after_any_acts_of_anybody_each_gets_the_page_that_a_server_would_make_t
 
 
 def act_on_store(house: House, act: str, runs: list[dict[str, Any]], person: int) -> None:
-    """Change something."""
     if act == "launch":
         runs.append(house.launched())
     elif act == "end" and runs:

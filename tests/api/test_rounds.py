@@ -1,7 +1,5 @@
 """Rounds: every step in each round whatever befalls another, at once when nudged, and none after the close."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

@@ -1,7 +1,5 @@
 """Runs over REST: launched with 202 and Location, followed, stopped, read, drawn."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console.runs.tables import Run

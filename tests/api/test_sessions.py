@@ -1,7 +1,5 @@
 """Logging in: what the cookie is, what ends it, what a request must bring beside it."""
 
-from __future__ import annotations
-
 import hashlib
 import stat
 import time
@@ -61,7 +59,6 @@ def test_a_wrong_password_and_an_unknown_name_get_the_same_answer(house: House) 
 
 
 def _copy(house: House, client: httpx.Client) -> httpx.Client:
-    """A client with the same cookie, as a thief has."""
     thief = house.anybody(**{"X-CSRF-Token": client.headers["X-CSRF-Token"]})
     thief.cookies.set(SESSION_COOKIE, client.cookies[SESSION_COOKIE])
     assert thief.get("/api/v1/runs").status_code == 200
@@ -70,7 +67,6 @@ def _copy(house: House, client: httpx.Client) -> httpx.Client:
 
 
 def _why(client: httpx.Client) -> tuple[int, str, str]:
-    """How a list of the API that stood ready, and a page that did, now refuse."""
     answer = client.get("/api/v1/runs")
     page = client.get("/", headers={"accept": "text/html"})
     ended = page.headers.get("location", "").partition("ended=")[2]
@@ -78,7 +74,6 @@ def _why(client: httpx.Client) -> tuple[int, str, str]:
 
 
 def _administer(house: House, number: int, verb: str, **body: Any) -> httpx.Response:
-    """Do something to a person as an administrator."""
     root = house.person("adele")
     tag = root.get(f"/api/v1/users/{number}").headers["etag"]
     return root.post(f"/api/v1/users/{number}:{verb}", headers={"If-Match": tag}, json=body or None)
@@ -202,7 +197,6 @@ def test_idleness_ends_a_log_in_and_survives_a_restart(tmp_path: Path) -> None:
 
 
 def _shift(settings: Settings, minutes: float) -> None:
-    """Let time pass: every log-in was last used so much earlier."""
     engine = open_engine(settings.database_url)
     with writing(engine) as session:
         for row in session.scalars(sa.select(LoginSession)):

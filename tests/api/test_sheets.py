@@ -1,7 +1,5 @@
 """A page with gaps is, filled, the page with these values in it: plain, and as one gzip stream."""
 
-from __future__ import annotations
-
 import zlib
 
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Requests are worked on in the order of their coming, few at once, and a long one makes room."""
 
-from __future__ import annotations
-
 import asyncio
 
 from boresight.platform.web.gate import Turns

@@ -1,7 +1,5 @@
 """The upkeep of a server: the light of the chain, and the last use of keys."""
 
-from __future__ import annotations
-
 import tempfile
 import threading
 import time
@@ -27,7 +25,6 @@ LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
-    """A store with a person who has a key."""
     store = open_migrated(url_in(tmp_path))
     with writing(store) as session:
         row = add_person(session, "ada")
@@ -38,7 +35,6 @@ def store(tmp_path: Path) -> Iterator[Engine]:
 
 
 def _upkeep(store: Engine) -> Upkeep:
-    """The upkeep of a store whose files lie beside it."""
     return Upkeep(store, LIMITS, BlobStore(Path(tempfile.mkdtemp())))
 
 

@@ -1,7 +1,5 @@
 """Deliveries over the wire: a real receiver on a real port gets what was signed, once, and is tried again when it fails."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import socket
@@ -35,8 +33,6 @@ from .conftest import House
 
 
 class Receiver:
-    """A web server that keeps what it is sent and answers as told."""
-
     def __init__(self) -> None:
         self.heard: list[tuple[str, dict[str, str], str]] = []
         self.statuses: list[int] = []

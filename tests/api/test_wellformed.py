@@ -1,7 +1,5 @@
 """What no store, hash or answer can hold is refused at the door, wherever it comes in: never 500."""
 
-from __future__ import annotations
-
 import csv
 import io
 from typing import Any
@@ -224,7 +222,6 @@ NONSENSE = {
 
 
 def _with_result(house: House, content: bytes) -> int:
-    """Return a run whose stored result has these bytes, under their own hash."""
     run_id, blobs = house.launched()["id"], house.app.state.blobs
     with writing(house.app.state.engine) as session:
         sha256 = blobs.put(content)

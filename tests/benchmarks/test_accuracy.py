@@ -24,9 +24,7 @@ def views():
 def test_every_peer_answers_and_is_as_right_as_the_problem_it_solves_allows(name, views):
     if not PEERS[name].installed:
         pytest.skip(f"{PEERS[name].package} is not installed: pip install boresight[bench]")
-
     theirs, ours = (trial(one, views)["errors"] for one in (name, "boresight_batch"))
-
     assert 0.3 < theirs["rms_px"] < 1.0
     if PEERS[name].problem == "poses":
         assert theirs["detector_px"] > 2 * ours["detector_px"]
@@ -36,7 +34,6 @@ def test_every_peer_answers_and_is_as_right_as_the_problem_it_solves_allows(name
 
 
 def test_a_detector_error_is_the_pixels_that_a_camera_is_wrong_by_however_it_is_turned(views):
-    """A focal length one part in a thousand too long is a pixel for each thousand from the middle, once the rotation is out."""
     longer, C = views.truth * np.where(np.arange(8) == 0, 1.001, 1.0), np.eye(3)[[1, 2, 0]]
 
     def errors(x):
@@ -65,9 +62,7 @@ def test_the_part_sets_each_peer_beside_the_batch_on_the_same_frames_in_the_same
     monkeypatch.setattr(accuracy, "GROWTH_REPEATS", 1)
     monkeypatch.setattr(type(PEERS["pyceres"]), "installed", property(lambda self: not self.module))
     some = ["scipy_least_squares", "pyceres"]
-
     found = accuracy.measure(lambda *_: None, frames=12, sets=1, more_frames=24, peers=some)["estimators"]
-
     batch, scipy = found["boresight_batch"], found["scipy_least_squares"]
     assert scipy["us_per_frame_over_ours"] == pytest.approx(scipy["us_per_frame"] / scipy["ours_us_per_frame"])
     assert scipy["error_over_bound"] == pytest.approx(batch["error_over_bound"], rel=0.2)

@@ -20,8 +20,6 @@ LIMITS = {
 
 @pytest.fixture
 def run(monkeypatch):
-    """Run the command with a part in place of the kernels that costs nothing."""
-
     def measure(report, frames=7, seconds=1.0):
         report(0.5, "half way")
         return {"frames": frames, "seconds": seconds, "rows": [{"name": "first", "us": 3.25}], "limits": LIMITS}
@@ -35,7 +33,6 @@ def run(monkeypatch):
 
 def test_a_part_s_figures_stand_under_its_name_beside_the_machine_and_the_promises(run):
     found = orjson.loads(run("--part", "kernels", "--size", "kernels.seconds=0.25", "--json", "-").stdout)
-
     assert set(found) == {"machine", "kernels", "limits"}
     assert (found["kernels"]["frames"], found["kernels"]["seconds"]) == (7, 0.25)
     assert found["limits"]["kernels.fast enough"] == LIMITS["fast enough"]
@@ -45,7 +42,6 @@ def test_a_part_s_figures_stand_under_its_name_beside_the_machine_and_the_promis
 
 def test_a_promise_that_is_not_kept_is_said_and_is_no_failure(run):
     done = run("--part", "kernels")
-
     assert done.exit_code == 0
     verdicts = {line.split("  ")[0]: line.split("  ")[-1].strip() for line in done.stdout.splitlines()}
     assert verdicts["kernels.fast enough"] == "kept"
@@ -62,7 +58,6 @@ def test_without_a_part_the_document_is_that_of_the_loops_alone(run):
 )
 def test_a_size_that_there_is_not_or_that_cannot_be_read_is_refused(run, word):
     refused = run("--size", word)
-
     assert refused.exit_code == 2
     assert word.partition("=")[0].removeprefix("kernels.") in refused.stderr
 
@@ -96,6 +91,5 @@ def test_the_command_is_there_in_a_checkout_and_gone_from_the_product():
     words = [sys.executable, "-m", "benchmarks", "--help"]
     helped = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
     gone = subprocess.run([sys.executable, "-m", "boresight", "bench"], cwd=ROOT, capture_output=True, check=False)
-
     assert all(option in helped.stdout for option in ("--part", "--frames", "--size", "--json"))
     assert gone.returncode == 2

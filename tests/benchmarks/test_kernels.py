@@ -25,7 +25,6 @@ def test_the_contract_s_keys_are_there_and_every_ratio_is_a_peer_over_the_loop_t
     for name in ("EVALUATION_TURNS", "FILTER_TURNS", "THREAD_TURNS", "MATCHING_TURNS", "SLOWEST_PEER_FRAMES"):
         monkeypatch.setattr(kernels, name, 2)
     found = kernels.measure(lambda *_: None, frames=30, thread_frames=2 * FRAMES)
-
     assert set(found) >= CONTRACT
     times = {key: value for key, value in found.items() if key.endswith("_us_per_frame")} | found["peers"]
     assert all(value > 0 for value in times.values())
@@ -68,7 +67,6 @@ def test_c_does_the_arithmetic_of_the_compiled_loops_and_takes_no_small_numbers_
 @pytest.mark.parametrize("peer", ["plain", "lean"])
 def test_the_peers_of_the_svd_update_end_where_it_does(stars, peer):
     ways = kernels.updates(wu_field(np.full(30, stars), np.random.default_rng(stars)))
-
     for ours, theirs in zip(ways["compiled"], ways[peer], strict=True):
         (z, information), (z_peer, information_peer) = ours(), theirs()
         np.testing.assert_allclose(z_peer, z, atol=1e-6)
@@ -83,7 +81,5 @@ def test_the_matching_peer_finds_the_unnamed_stars_of_a_well_known_camera():
     s_d = INVERTED_WANG.directions(truth, telemetry.row_px, telemetry.col_px, 2.2e-6)
     given = np.where(rng.random(len(telemetry)) < 0.5, 0, telemetry.star_id)
     row_start = np.arange(0, len(telemetry) + 1, STARS)
-
     found = peers.scipy_match(row_start, s_d, given, catalogue.hip[bright], s_i, 0.25, 6e-4)
-
     assert np.mean(found == telemetry.star_id) > 0.95

@@ -24,7 +24,6 @@ def test_the_stored_pages_are_what_the_stored_figures_give():
 
 def test_a_part_that_was_not_measured_is_said_to_be_so():
     page = benchmarks.page({})
-
     assert page.count("Not measured yet.") == len(PARTS)
     assert "`footprint` was not measured" in capacity.page({})
 
@@ -32,20 +31,17 @@ def test_a_part_that_was_not_measured_is_said_to_be_so():
 def test_promises_are_shown_with_their_limit_and_whether_they_were_kept():
     broken = {"limit": 1.5, "measured": 1.2, "kept": False, "at_least": True, "unit": "times", "why": "It ended."}
     page = benchmarks.page({"fresh": {"machine": MACHINE, "found": {"limits": {"two_threads": broken}}}})
-
     assert "| `fresh` | two threads | at least 1.50 times | 1.200 | **not kept**: It ended. |" in page
 
 
 def test_the_chart_has_a_point_a_size_in_each_panel():
     chart = growth_figure(STORED)
-
     runs = STORED["growth"]["found"]["runs"]
     assert [(trace.name, len(trace.x)) for trace in chart.data] == [(m, len(runs[m])) for m in runs for _ in range(2)]
 
 
 @pytest.fixture
 def page():
-    """The capacity page of runs that cost 0.5 s and 1 ms a frame, and of reads that cost 6 ms."""
     document = copy.deepcopy({name: STORED[name] for name in capacity.NEEDED})
     for database in document["footprint"]["found"]["databases"].values():
         database["launch"]["seconds"] = 0.005
@@ -58,7 +54,6 @@ def page():
 
 
 def test_what_a_constellation_needs_follows_from_what_a_run_and_a_read_cost(page):
-    """10,000 trackers, a batch and a filter of 2,000 frames a day each: 50,000 CPU s, 35,000 transactions, three times at peak."""
     assert "| 10,000 × 5.00 CPU s / 86,400 s / 0.5 | **1.16 cores** | a machine of workers: 16 cores | 0.072 |" in page
     assert "| machines of workers | 1.16 / 16 cores, rounded up | **1** |" in page
     assert f"× 1.25) / 86,400 s × 3 | **{35_000 / 86_400 * 3:.2f} transactions/s** |" in page
@@ -89,5 +84,4 @@ def test_parts_that_are_taken_replace_those_stored_and_failed_ones_do_not(tmp_pa
     for growth in ({"seconds": 1.23456789, "series": long}, {"failed": "no disk"}):
         file.write_bytes(orjson.dumps({"machine": MACHINE, "growth": growth, "limits": {}}))
         program.take(file)
-
     assert program.stored() == {"growth": {"machine": MACHINE, "found": {"seconds": 1.2346}}}

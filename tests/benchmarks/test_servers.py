@@ -13,7 +13,6 @@ from boresight.platform.db.sessions import reading
 
 def test_everybody_in_a_crowd_is_answered_and_every_listener_hears_every_event_once_and_in_order():
     found = clients.measure(lambda *_: None, runs=60, clients=8, seconds=0.2, listeners=40, changes=8)
-
     for name in clients.CROWDS:
         assert found[name]["failures"] == 0, found[name]
         assert found[name]["asked"] > 0, name
@@ -27,7 +26,6 @@ def test_everybody_in_a_crowd_is_answered_and_every_listener_hears_every_event_o
 
 def test_no_page_of_a_large_fleet_names_every_sensor():
     found = clients.measure_fleet(lambda *_: None, sensors=(260,), runs_each=1, looks=1)["fleets"]["260"]
-
     assert set(found["pages"]) == set(clients.FLEET_PAGES)
     for path, page in found["pages"].items():
         assert 0 < page["kb"] < 300, path
@@ -43,7 +41,6 @@ def test_a_store_that_was_filled_fast_verifies_as_any_other(tmp_path):
 def test_what_one_more_thing_costs_is_its_rows_exactly_and_a_line_through_both_lengths(monkeypatch):
     monkeypatch.setattr(PostgreSQL, "installed", lambda: False)
     found = footprint.measure(lambda *_: None, frames=60, sensors=2, runs=1, launches=5)["databases"]["sqlite"]
-
     assert found["sensor"]["rows"]["sensors"] == found["launch"]["rows"]["runs"] == 1
     assert found["launch_in_bulk"]["rows"] == found["launch"]["rows"]
     short, long = found["set"].values()
@@ -69,7 +66,6 @@ def test_all_that_was_queued_for_the_clock_is_taken_away_however_many_pages_it_f
 
 def test_an_undisturbed_run_is_computed_once_and_its_time_is_known():
     calm = queue.one_pass(lambda *_: None, 6, 12, 3, {})
-
     assert calm["attempts"] == {"1": 6}
     assert calm["not_as_promised"] == 0
     assert 0 < calm["computing_cpu_s"] <= 1.1 * calm["computing_s"]

@@ -1,7 +1,5 @@
 """From a preset to a campaign that ends before one's eyes: what was typed stays, the address holds the choice, one bar tells."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Every page, with `--full` in every theme and width: nobody is kept out, nothing complains, or is changed by a key."""
 
-from __future__ import annotations
-
 import pytest
 from playwright.sync_api import expect
 
@@ -57,7 +55,6 @@ LONG_NAME = "Wolfeschlegelsteinhausenbergerdorffwelchevoralternwarengewis"
 
 @pytest.fixture(scope="module")
 def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
-    """The numbers of everything that has a page."""
     return {
         "sensor": sensor_id,
         "set": telemetry["calibration"],
@@ -69,7 +66,6 @@ def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
 
 
 def visit(window, name, numbers):
-    """Open a page, its figures drawn."""
     window.open(ADDRESSES[name].format(**numbers))
     if name == "forbidden":
         window.page.locator("form[action='/logout'] input").evaluate("token => { token.value = 'of another log-in'; }")

@@ -4,8 +4,6 @@ The looks of a run with `--full` are in `artefacts/gallery.npz`. Where a figure 
 `artefacts/screenshots/gallery-*.png`, and then copy that file to `tests/browser/gallery.npz`.
 """
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
@@ -52,14 +50,12 @@ OTHER_FONT = ":root { --sans: 'DejaVu Serif', 'Liberation Serif', serif !importa
 
 
 def judged(window):
-    """Wait until every figure stands, or says why not; one fails on purpose."""
     expect(window.page.locator("plot-figure:is(:not([data-state]), [data-state=loading])")).to_have_count(
         0, timeout=PATIENCE_MS
     )
 
 
 def looked_at(window, theme):
-    """Look when every figure writes in the ink of the theme: one that has changed it is drawn a moment later."""
     judged(window)
     window.page.wait_for_function(WRITTEN, arg=words_of(TOKENS[theme]["ink-2"]), timeout=PATIENCE_MS)
     window.settle()
@@ -70,7 +66,6 @@ def looked_at(window, theme):
 
 
 def looked_at_in_rest(window, part, theme):
-    """Look until the drawings are as they were kept, for `UNREST_S` at most: on a busy machine one may be half drawn."""
     began_s = time.monotonic()
     kept = read_looks(KEPT, f"{part}-{theme}")
     while True:
@@ -80,7 +75,6 @@ def looked_at_in_rest(window, part, theme):
 
 
 def differences(seen, kept, part):
-    """Name what is not as it was, with how much."""
     found = [f"{name} is not there" for name in set(kept) ^ set(seen)]
     for name in kept.keys() & seen.keys():
         one, other = seen[name], kept[name]
@@ -95,13 +89,11 @@ def differences(seen, kept, part):
 
 
 def words_of(rgb):
-    """Write `#rrggbb` as a browser does."""
     return f"rgb({', '.join(str(int(rgb[i : i + 2], 16)) for i in (1, 3, 5))})"
 
 
 @pytest.fixture(scope="module")
 def seat(people):
-    """An analyst's window, which the figure that fails on purpose may complain to."""
     with people.seat("analyst") as window:
         yield window
         window.forgive("422")
@@ -109,7 +101,6 @@ def seat(people):
 
 @pytest.fixture(scope="module")
 def views(seat):
-    """Each part in each theme, opened once: its looks, what axe says of it, and the colours that its plots write in."""
     found = {}
     for part in PARTS:
         seat.open(f"/gallery?part={part}")

@@ -1,7 +1,5 @@
 """The keyboard alone is enough, what has the focus can be seen, and nothing that happens meanwhile takes it away."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -22,7 +20,6 @@ FOCUSED = """() => {
 
 
 def tab_to(window, name: str) -> None:
-    """Press Tab until the focus is on what is called so; on the way everything focused is outlined."""
     window.page.wait_for_load_state()
     for _ in range(MOST_TABS):
         window.page.keyboard.press("Tab")
@@ -57,8 +54,6 @@ def test_from_the_log_in_to_a_run_by_tab_and_enter(people, batch_run):
 
 
 def hold_in(held):
-    """Make a handler that keeps requests until somebody lets them go."""
-
     def hold(route):
         held.append(route)
 

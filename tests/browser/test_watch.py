@@ -1,7 +1,5 @@
 """A drift alarm handled: seen by the operator at night, acknowledged, understood by the analyst, over by a promotion."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -26,7 +24,6 @@ NUMBER = 5  # of the simulated sensors; the others here use the first
 
 @pytest.fixture(scope="module")
 def store(installation):
-    """The installation's own database, beside its server."""
     engine = open_engine(read_settings(installation.environment).database_url)
     yield engine
     engine.dispose()
@@ -34,7 +31,6 @@ def store(installation):
 
 @pytest.fixture(scope="module")
 def drifting(store):
-    """A sensor whose first parameter moved a twentieth of a typical sigma a month, for nine months; its number."""
     rng = np.random.default_rng(4)
     with writing(store) as session:
         document = sensor_document(st16_sensor(NUMBER))
@@ -49,7 +45,6 @@ def drifting(store):
 
 
 def recalibrated(store, sensor_id):
-    """Make the newest calibration the baseline."""
     with writing(store) as session:
         newest = session.query(Run).filter_by(sensor_id=sensor_id).order_by(Run.id.desc()).first()
         make_baseline(session, newest)

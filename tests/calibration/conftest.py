@@ -23,7 +23,6 @@ def telemetry_of():
 
 
 def telemetry(seed, frames=40, stars=12, truth=TRUTH, noise_px=NOISE_PX, exposures=2):
-    """A set in the form a reader gives it, every row with its own apparent direction."""
     rng = np.random.default_rng(seed)
     n = frames * exposures * stars
     row, col = rng.uniform(0, ROWS - 1, n), rng.uniform(0, COLUMNS - 1, n)

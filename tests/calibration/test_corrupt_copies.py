@@ -1,7 +1,5 @@
 """The working copies of a large run are held against what was written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

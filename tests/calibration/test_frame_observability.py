@@ -1,7 +1,5 @@
 """Single frames under each reference, and what each reference holds of the bound."""
 
-from __future__ import annotations
-
 import numpy as np
 import orjson
 import pytest
@@ -43,7 +41,6 @@ def wu():
 
 
 def pinhole_field(seed, frames=20, stars=19):
-    """A set of W's sensor, one exposure a frame, in the form a reader gives it."""
     rng, n = np.random.default_rng(seed), frames * stars
     row, col = rng.uniform(0, WU_ROWS - 1, n), rng.uniform(0, WU_COLUMNS - 1, n)
     s_d = PINHOLE_RADIAL.directions(WU_TRUTH, row, col, WU_PITCH)
@@ -62,7 +59,6 @@ def pinhole_field(seed, frames=20, stars=19):
 
 @pytest.fixture(scope="module")
 def judged(catalogue):
-    """A set of 25 frames with two exposures of 12 stars, fitted."""
     return case(field(3, frames=25), st16(), catalogue)
 
 

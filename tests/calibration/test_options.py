@@ -29,9 +29,7 @@ def test_every_setting_survives_its_document():
         method="ukf", variant="no-refit", match="rematch", match_rule="flight", flight_tolerance_urad=120.0,
         leave_out_doubles=True, forgetting_factor=0.99,
     )  # fmt: skip
-
     assert CalibrationSettings.parse(json.loads(json.dumps(chosen.document()))) == chosen
-
     reference = CalibrationSettings(method="svd", star_model=2, singular_values=(1, 2), gain_form="gain")
     assert CalibrationSettings.parse(json.loads(json.dumps(reference.document()))) == reference
 
@@ -65,7 +63,6 @@ def test_what_cannot_be_is_refused_in_one_sentence(document, sentence):
 
 def test_no_refit_is_q_with_the_matches_of_the_baseline():
     no_refit = CalibrationSettings(method="sqrf", variant="no-refit", match_parameters="latest")
-
     assert no_refit.matched_with == "baseline"
     assert no_refit.process_noise == no_refit.process_noise_sigma > 0
     assert CalibrationSettings(method="sqrf", variant="q").matched_with == "latest"

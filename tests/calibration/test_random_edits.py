@@ -1,7 +1,5 @@
 """Edited telemetry ends in a result or in a sentence: a dozen and those that once did not, all two thousand with --full."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np
@@ -31,7 +29,6 @@ def bases(catalogue, folder):
 
 
 def defects(numbers, bases, catalogue, folder):
-    """Return what of some cases ended in neither."""
     found = []
     for number in numbers:
         case = edits.case_of(number, bases, folder)
@@ -80,14 +77,12 @@ def test_an_identity_of_a_star_seen_nowhere_else_ends_in_a_result_with_advice(me
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
         writer.writerows(rows)
-
     found = calibrate(
         read_telemetry(tmp_path / "set.csv"),
         scenario.sensor,
         catalogue,
         CalibrationSettings(method=method, match="given"),
     )
-
     assert found["advice"]
     if found["status"] != "diverged":  # a filter that one star 90 degrees off carries away says so
         assert found["trust"]["stars"]

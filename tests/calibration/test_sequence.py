@@ -27,7 +27,6 @@ def problem(field, catalogue):
 
 
 def listened(problem):
-    """Frames of a problem, and what was asked for: first, last and state."""
     asked = []
 
     def arcs(first, last, state):
@@ -47,7 +46,6 @@ def filtered(problem, frames, heard=None, **settings):
 def test_every_frame_is_asked_for_once_and_in_order_after_the_pooled_start(problem):
     (frames, asked), n = listened(problem), len(problem.arcs.frame)
     filtered(problem, frames)
-
     chunks = [(first, last) for first, last, _ in asked if first > 0]
     assert [last for _, last in chunks[:-1]] == [first for first, _ in chunks[1:]]
     assert chunks[-1][1] == n
@@ -58,7 +56,6 @@ def test_each_chunk_is_taken_at_the_state_that_the_frames_before_it_left(problem
     frames, asked = listened(problem)
     history = filtered(problem, frames)
     updated = history.frame
-
     for first, _, x in (chunk for chunk in asked if chunk[0] > 0):
         before = np.searchsorted(updated, problem.arcs.frame[first]) - 1
         np.testing.assert_allclose(x, history.states[before])
@@ -69,7 +66,6 @@ def test_the_start_pools_as_many_frames_as_hold_the_arcs_it_needs(problem):
     pooled = pool_start(problem.arcs, wanted)
     first = pooled.frames(0, 1)
     fewer = problem.arcs.frames(0, int(np.searchsorted(problem.arcs.frame, first.frame[0])))
-
     assert 2 * first.n_stars - 3 * first.n_exposures >= wanted
     assert 2 * fewer.n_stars - 3 * fewer.n_exposures < wanted
     assert pooled.n_stars == problem.arcs.n_stars
@@ -83,9 +79,7 @@ def test_the_filter_as_printed_pools_nothing(problem):
 def test_frames_without_a_usable_star_are_passed_over(field, catalogue):
     gone = np.isin(field.telemetry.frame, [40, 41, 42])
     bare = replace(field.telemetry, star_id=np.where(gone, 0, field.true))
-
     document = calibrate(bare, field.sensor, catalogue, CalibrationSettings(method="sqrf", match="given"))
-
     assert not {40, 41, 42} & set(document["history"]["frame"])
     assert document["status"] == "converged"
 
@@ -102,6 +96,5 @@ def test_a_filter_that_ended_worse_than_it_began_is_called_diverged(problem):
     parameters = Parameters(FREE, problem.sensor.typical_sigma)
     history = filtered(problem, standing_frames(problem))
     assert finished(problem, parameters, history).status == "converged"
-
     history.last = replace(history.last, x=problem.sensor.initial * [1.3, 1, 1, 1, 1, 1, 1, 1])
     assert finished(problem, parameters, history).status == "diverged"

@@ -12,7 +12,6 @@ from tests.calibration.streamed import in_memory, streamed, write_in_groups, wri
 
 
 def refusals():
-    """Sets that are refused, by why."""
     base = telemetry(8, frames=30)
     return {
         "stars off the detector": replace(base, row_px=np.where(base.frame % 7 == 3, -90.0, base.row_px)),

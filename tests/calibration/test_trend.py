@@ -1,7 +1,5 @@
 """What a trend keeps of a calibration: covariances that are too small are widened, what cannot be compared is left out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -138,8 +138,6 @@ def test_a_port_that_is_taken_is_refused_with_what_to_do(boresight, tmp_path, co
 
 
 def refusing(error, monkeypatch):
-    """Make `migrate` fail in a given way."""
-
     def fail(**_):
         raise error
 

@@ -24,7 +24,6 @@ print("|".join(sorted(sys.modules)))
 
 @pytest.fixture
 def loaded(tmp_path):
-    """Modules that a calibration from a Parquet file has loaded when it ends."""
     (tmp_path / "sensor.json").write_bytes(orjson.dumps(sensor_document(st16_sensor(1))))
     write_synthetic(tmp_path / "set.parquet", 60)
     words = ("calibrate", "set.parquet", "--sensor", "sensor.json", "--match", "given", "--json", "out.json")

@@ -1,7 +1,5 @@
 """`boresight migrate --down` says what it would remove, and removes it only when agreed to and backed up."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.platform.db.sessions import current_revision, head_revision, open_engine

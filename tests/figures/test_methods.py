@@ -1,7 +1,5 @@
 """Methods beside each other: their numbers, their way to the bound, and what references hold."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -48,7 +46,6 @@ def test_the_cost_is_that_of_the_method_a_frame_and_a_replay_has_none(sequential
 
 
 def steps(values, sigma):
-    """A history of one parameter that takes these values."""
     return {
         "status": "converged",
         "parameter_names": ["f_m"],

@@ -19,7 +19,6 @@ def report(sequential_result):
 
 
 def without_library(text):
-    """Drop the drawing library, the longest script of the page."""
     return text.replace(max(re.findall(r"<script>.*?</script>", text, re.DOTALL), key=len), "")
 
 

@@ -33,7 +33,6 @@ colours = st.integers(0, 0xFFFFFF).map("#{:06x}".format)
 
 
 def too_faint(tokens, pairs, least):
-    """Name the pairs that are below a contrast."""
     found = ((one, other, contrast(tokens[one], tokens[other])) for one, other in pairs)
     return [f"{one} on {other}: {ratio:.2f}" for one, other, ratio in found if ratio < least]
 

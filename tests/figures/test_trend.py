@@ -1,7 +1,5 @@
 """The trend's figure: every number at its place, what does not count open, models apart, nothing too large to send."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

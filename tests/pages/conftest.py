@@ -55,7 +55,6 @@ PEOPLE = {
 
 @pytest.fixture(scope="session")
 def results(catalogue: Catalogue) -> dict[str, dict[str, Any]]:
-    """Calibrate the first simulated sensor by batch and by filter; `sqrf-partial` is the filter on its way."""
     scenario = dataclasses.replace(calibration_scenario(1), frames=40)
     held_out = dataclasses.replace(validation_scenario(1), frames=20)
     telemetry = simulate(scenario, np.random.default_rng(1), catalogue)
@@ -85,7 +84,6 @@ def _settings(folder: Path) -> Settings:
 
 @pytest.fixture(scope="session")
 def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any]) -> Path:
-    """Make the store once: people, sensor 1, a calibration and a validation set, runs 1 (batch) and 2 (filter)."""
     settings = _settings(tmp_path_factory.mktemp("furnished"))
     engine, blobs = open_engine(settings.database_url), open_blobs(settings.blob_place)
     migrate(engine)
@@ -132,8 +130,6 @@ def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any])
 
 @dataclass
 class House:
-    """A store that tests write into, and the application on top of it."""
-
     settings: Settings
     app: Any = field(init=False)
 
@@ -146,7 +142,6 @@ class House:
         self.blobs = self.app.state.blobs
 
     def add_run(self, method: str = "batch", *, state: str = "QUEUED", result: Any = None, **columns: Any) -> int:
-        """Store a run in a state, with its result where it has one."""
         with writing(self.engine) as session:
             sensor = session.get_one(Sensor, columns.pop("sensor_id", 1))
             values = {
@@ -180,12 +175,10 @@ class House:
             return run.id
 
     def actor(self, name: str) -> Actor:
-        """Return a person as a log-in makes them."""
         number = list(PEOPLE).index(name) + 1
         return Actor(number, name, PEOPLE[name][0], frozenset(PEOPLE[name][1]), "session")
 
     def visitor(self, name: str) -> Visitor:
-        """Let a person of PEOPLE in."""
         carrier = Response()
         with writing(self.engine) as session:
             _, token = sessions.begin(session, list(PEOPLE).index(name) + 1, sessions.Client())
@@ -196,15 +189,11 @@ class House:
 
 @dataclass
 class Visitor:
-    """A person at a browser without scripts; the cookies are kept from page to page."""
-
     app: Any
     csrf_token: str
     cookies: httpx.Cookies
 
     def send(self, method: str, path: str, **options: Any) -> httpx.Response:
-        """Send a request and wait for the answer."""
-
         async def exchange() -> httpx.Response:
             transport = httpx.ASGITransport(self.app)
             async with httpx.AsyncClient(transport=transport, base_url="http://test", cookies=self.cookies) as client:
@@ -215,19 +204,16 @@ class Visitor:
         return asyncio.run(exchange())
 
     def get(self, path: str, *, status: int = 200) -> str:
-        """Open a page and return it."""
         answer = self.send("GET", path)
         assert answer.status_code == status, answer.text
         return answer.text
 
     def post(self, path: str, **form: Any) -> httpx.Response:
-        """Send a form with the log-in's token."""
         return self.send("POST", path, data={"csrf_token": self.csrf_token, **form})
 
 
 @pytest.fixture
 def house(furnished: Path, tmp_path: Path) -> Any:
-    """Give a test its own copy of the furnished store."""
     shutil.copytree(furnished, tmp_path / "data")
     copied(furnished, tmp_path / "data")
     house = House(_settings(tmp_path / "data"))
@@ -236,7 +222,6 @@ def house(furnished: Path, tmp_path: Path) -> Any:
 
 
 def words(page: str) -> str:
-    """Return a page's words as a reader meets them, spaces made one."""
     main = page[page.index("<main") : page.index("</main>")]
     text = re.sub(r"<[^>]+>", " ", main)
     for entity, letter in (
@@ -253,5 +238,4 @@ def words(page: str) -> str:
 
 @pytest.fixture
 def read() -> Any:
-    """Return the function that reads a page's words."""
     return words

@@ -1,7 +1,5 @@
 """Numbers in addresses that no row can have."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console.pages.rendering import GREATEST_NUMBER

@@ -1,7 +1,5 @@
 """The administration page: how people, keys, workers, approval, audit and backup are at."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Alarms, trends and notes on the pages: found, handled, refused in words, and typed text kept."""
 
-from __future__ import annotations
-
 import csv
 import io
 
@@ -17,7 +15,6 @@ from tests.missions import add_run, add_set, make_baseline
 
 @pytest.fixture
 def drifting(house):
-    """Let sensor 1 drift, and have the watch see it."""
     rng = np.random.default_rng(1)
     with writing(house.engine) as session:
         make_baseline(session, add_run(session, add_set(session, 1, 0), rng))

@@ -1,7 +1,5 @@
 """The inbox and the page of a request."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console.approvals.pages.approval import warnings_of
@@ -13,7 +11,6 @@ WORDS = {"decision": "APPROVE", "meaning": "I approve this set for baseline.", "
 
 @pytest.fixture
 def request_page(house):
-    """Submit a set of run 1 and return the request's address."""
     return submitted(house, "ada", 1)
 
 

@@ -1,7 +1,5 @@
 """What an audit record changed, as people read it."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console.audit.pages import changes, title_of, unit_of

@@ -1,7 +1,5 @@
 """The pages of proposed changes: proposed from the form, shown where it matters, confirmed by another person."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -19,7 +17,6 @@ REASON = "Corners matter."
 
 @pytest.fixture
 def asking(house, monkeypatch):
-    """A house where a second person is asked for, with two administrators."""
     house.app.state.policy = replace(house.app.state.policy, second_person=True)
     monkeypatch.setitem(PEOPLE, "agnes", ("administrator",))  # the next number is hers
     with writing(house.engine) as session:
@@ -28,7 +25,6 @@ def asking(house, monkeypatch):
 
 
 def _proposed(house) -> str:
-    """Propose limits with the form, and return the proposal's page."""
     visitor = house.visitor("adele")
     typed = fields(visitor.get(EDITOR)) | {"coverage.limit": "0.25", "action": "set", "reason": REASON}
     answer = visitor.post(EDITOR, **typed)

@@ -1,7 +1,5 @@
 """The comparison of runs."""
 
-from __future__ import annotations
-
 from urllib.parse import parse_qsl
 
 import pytest

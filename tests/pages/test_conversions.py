@@ -1,7 +1,5 @@
 """A parameter set in another camera model, on its page and in the API."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console.parameter_sets import pages as conversions

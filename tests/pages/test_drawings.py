@@ -1,7 +1,5 @@
 """The server's drawings: what is drawn is proportional to what was counted."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

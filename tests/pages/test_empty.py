@@ -1,7 +1,5 @@
 """A new installation: every page says what to do next."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest
@@ -13,7 +11,6 @@ from tests.stores import url_in
 
 @pytest.fixture
 def bare(house, tmp_path):
-    """A store that has one person in it, who may do everything but sign."""
     folder = tmp_path / "bare"
     settings = dataclasses.replace(house.settings, data_folder=folder, database_url=url_in(folder))
     bare = type(house)(settings)

@@ -1,7 +1,5 @@
 """Numbers, times and addresses as they are printed."""
 
-from __future__ import annotations
-
 import math
 from datetime import UTC, datetime, timedelta
 
@@ -17,7 +15,6 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e12, max_v
 
 
 def plain(text: str) -> float:
-    """Read a printed number back."""
     raised = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
     text = text.replace(numbers.NARROW_SPACE, "").replace(MINUS, "-")
     mantissa, _, power = text.partition("·10")

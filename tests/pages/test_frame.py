@@ -1,7 +1,5 @@
 """What every page has around its content, and refusals as pages."""
 
-from __future__ import annotations
-
 import json
 import re
 import threading

@@ -1,7 +1,5 @@
 """The pages about gates: limits that are edited and tried, a set's report, waivers."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -19,13 +17,11 @@ REASON = "The shift is the one that launch made; we know it."
 
 @pytest.fixture
 def candidate(house):
-    """Make a set of the batch run; its number."""
     with writing(house.engine) as session:
         return parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1).id
 
 
 def fields(page):
-    """Return the editor's fields as a browser would send them."""
     typed = dict(re.findall(r'<input class="number" name="([^"]+)"[^>]* value="([^"]*)"', page))
     typed |= dict.fromkeys(re.findall(r'type="checkbox" name="([^"]+)" value="yes"[^>]* checked', page), "yes")
     return typed | {"number": re.search(r'name="number" value="(\d+)"', page)[1]}
@@ -33,7 +29,6 @@ def fields(page):
 
 @pytest.fixture
 def blocked(house, candidate):
-    """Tighten a limit that the candidate breaks, and assess it; its number."""
     document = {"gates": [{"name": "parameter-shift", "limit": 0.5, "marginal": 0.5}]}
     with writing(house.engine) as session:
         gate_profiles.set_profile(session, house.actor("adele"), 1, document, "To be tried.", 0)
@@ -43,7 +38,6 @@ def blocked(house, candidate):
 
 def test_the_editor_shows_every_gate_with_its_limit_and_unit(house, read):
     page = house.visitor("adele").get(EDITOR)
-
     typed = fields(page)
     assert typed["validation-rms.limit"] == "3"
     assert typed["parameter-shift.limit"] == ""
@@ -56,7 +50,6 @@ def test_an_administrator_sets_limits_and_the_version_says_what_changed(house, r
     visitor = house.visitor("adele")
     typed = fields(visitor.get(EDITOR)) | {"coverage.limit": "0.25", "action": "set", "reason": "Corners matter."}
     assert visitor.post(EDITOR, **typed).status_code == 303
-
     words = read(visitor.get(EDITOR))
     assert "version 1" in words
     assert "Detector coverage, limit: none → 0.25" in words
@@ -67,7 +60,6 @@ def test_who_is_no_administrator_reads_and_tries_but_does_not_set(house):
     visitor = house.visitor("victor")
     page = visitor.get(EDITOR)
     assert 'value="set" disabled' in page
-
     answer = visitor.post(EDITOR, **(fields(page) | {"coverage.limit": "0.3", "action": "set", "reason": "I wish."}))
     assert answer.status_code == 403
     assert visitor.post(EDITOR, **(fields(page) | {"action": "try"})).status_code == 200
@@ -77,7 +69,6 @@ def test_limits_are_tried_on_past_runs_and_stay_in_the_form(house, read):
     visitor = house.visitor("ada")
     typed = fields(visitor.get(EDITOR)) | {"parameter-shift.limit": "0.5", "parameter-shift.marginal": "0.5"}
     page = visitor.post(EDITOR, **typed, action="try").text
-
     words = read(page)
     assert "These limits would have blocked 2 of the newest 2 runs. Blocked that are not now: #2, #1." in words
     assert fields(page)["parameter-shift.limit"] == "0.5"
@@ -107,14 +98,12 @@ def test_limits_that_somebody_else_changed_meanwhile_are_not_overwritten(house):
     visitor = house.visitor("adele")
     typed = fields(visitor.get(EDITOR)) | {"action": "set", "reason": "Both."}
     assert visitor.post(EDITOR, **(typed | {"coverage.limit": "0.2"})).status_code == 303
-
     answer = visitor.post(EDITOR, **(typed | {"coverage.limit": "0.4"}))
     assert answer.status_code == 412
 
 
 def test_a_set_that_was_not_assessed_says_so_and_can_be(house, read, candidate):
     visitor = house.visitor("ada")
-
     answer = visitor.post(f"/parameter-sets/{candidate}/assess")
     assert answer.headers["location"] == f"/parameter-sets/{candidate}/gates"
     words = read(visitor.get(f"/parameter-sets/{candidate}/gates"))
@@ -135,12 +124,10 @@ def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_and_the_waiver_sta
     assert "cannot be approved: Parameter shift blocks it." in read(page)
     version = re.search(r'name="version" value="(\d+)"', page)[1]
     form = {"gate": "parameter-shift", "code": "known-cause", "days": "30", "version": version, "password": PASSWORD}
-
     short = visitor.post(f"/parameter-sets/{blocked}/waive", **form, reason="Known.")
     assert short.status_code == 422
     assert ">Known.</textarea>" in short.text
     assert PASSWORD not in short.text
-
     assert visitor.post(f"/parameter-sets/{blocked}/waive", **form, reason=REASON).status_code == 303
     words = read(visitor.get(f"/parameter-sets/{blocked}/gates"))
     assert "(1 gate waived)" in words

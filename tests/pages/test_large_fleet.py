@@ -1,7 +1,5 @@
 """The pages that choose sensors, of a fleet of a thousand: as small and as quick as of three hundred, and every sensor in reach."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Iterator
@@ -43,7 +41,6 @@ LAST = "Fleet-0290"  # in either fleet, and beyond the first two hundred by name
 
 
 def furnish(house: House, n: int) -> House:
-    """Add sensors up to n, each with a telemetry set of either purpose; the last named has an alarm."""
     with writing(house.engine) as session:
         first, now = session.get_one(Sensor, 1), utc_now()
         added = [
@@ -73,7 +70,6 @@ def furnish(house: House, n: int) -> House:
 
 @pytest.fixture(scope="module")
 def fleets(furnished: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[int, House]]:
-    """Two stores that differ in how many sensors there are."""
     made = {}
     for n in (300, 1000):
         folder = tmp_path_factory.mktemp(f"fleet-of-{n}") / "data"
@@ -87,24 +83,20 @@ def fleets(furnished: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 @pytest.fixture(autouse=True)
 def one_look(monkeypatch):
-    """Let the top bar's look at the fleet hold for as long as any: what is counted here is what pages ask."""
     monkeypatch.setattr("boresight.console.pages.frame.REST", 1e9)
 
 
 @pytest.fixture
 def ada(fleets):
-    """An analyst of the larger fleet."""
     return fleets[1000].visitor("ada")
 
 
 def selected(page: str, name: str) -> tuple[str, str]:
-    """Return value and words of what is selected in a field."""
     select = page[page.index(f'id="{name}"') :]
     return re.search(r'<option value="(\d+)"[^>]* selected[^>]*>([^<]*)', select[: select.index("</select>")]).groups()
 
 
 def hold(page: str, name: str) -> list[str]:
-    """Return the sensors that a list of fields is about."""
     return re.findall(rf'name="{name}-(\d+)"', page)
 
 

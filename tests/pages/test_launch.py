@@ -1,7 +1,5 @@
 """The launch form."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -57,7 +55,6 @@ def test_the_set_whose_page_one_came_from_is_chosen_for_its_purpose(house, numbe
 
 
 def _chosen(page, field):
-    """Return the value that is selected in a field of the form."""
     select = page[page.index(f'id="{field}"') :]
     return re.search(r'<option value="(\d+)"[^>]*selected', select[: select.index("</select>")])[1]
 

@@ -1,7 +1,5 @@
 """The comparison of methods on one data set."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

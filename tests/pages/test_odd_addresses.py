@@ -12,9 +12,9 @@ from fastapi.routing import APIRoute
 from hypothesis import strategies as st
 
 from boresight.console import pages
-from tests.api.conftest import House, catalogue, house
+from tests.api.conftest import House, house
 
-__all__ = ["catalogue", "house"]
+__all__ = ["house"]
 
 NAMES = (
     "sensor", "sensor_id", "set", "data", "state", "method", "sort", "columns", "before", "runs", "reference", "clone", "preset",

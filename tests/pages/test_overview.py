@@ -1,7 +1,5 @@
 """The fleet at a glance."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 from weakref import WeakKeyDictionary
@@ -22,7 +20,6 @@ def house(house):
 
 
 def submitted(house):
-    """Submit the set of run 1 as the analyst."""
     with writing(house.engine) as session:
         row = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
         submissions.submit(

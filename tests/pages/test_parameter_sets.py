@@ -1,7 +1,5 @@
 """The list of parameter sets and the page of one."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console import transitions
@@ -11,7 +9,6 @@ from boresight.platform.db.sessions import reading
 
 @pytest.fixture
 def candidate(house):
-    """Make a candidate of run 1 and return its address."""
     return house.visitor("ada").post("/runs/1/parameter-set").headers["location"]
 
 

@@ -1,7 +1,5 @@
 """Refusals as pages: each names the problem, the request and the next step; a missing role, who can give it."""
 
-from __future__ import annotations
-
 import pytest
 from starlette.exceptions import HTTPException
 from starlette.requests import Request

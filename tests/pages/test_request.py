@@ -1,7 +1,5 @@
 """Around a request: who opened its evidence, what was said, whom it is asked of, and a signature over the shoulder."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console.approvals import service as approvals
@@ -13,7 +11,6 @@ WORDS = {"decision": "APPROVE", "meaning": "", "comment": "Seen."}
 
 @pytest.fixture
 def address(house) -> str:
-    """The page of a request that Ada submitted."""
     ada = house.visitor("ada")
     place = ada.post("/runs/1/parameter-set").headers["location"]
     version = ada.get(place).split('name="version" value="')[1].split('"')[0]

@@ -1,7 +1,5 @@
 """The run page."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

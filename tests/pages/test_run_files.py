@@ -1,7 +1,5 @@
 """What a run gives to take along."""
 
-from __future__ import annotations
-
 from boresight.console.runs.tables import RunEvent
 from boresight.platform.db.sessions import utc_now, writing
 

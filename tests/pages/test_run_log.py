@@ -1,7 +1,5 @@
 """The log tab: how grave a line is, the filter in the address, and the lines after a line."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -25,7 +23,6 @@ LINES = [
 
 @pytest.fixture
 def run_id(house):
-    """A run with one line of every kind."""
     made = house.add_run(state="FAILED", reason="given up")
     with writing(house.engine) as session:
         for line, *_ in LINES:
@@ -34,7 +31,6 @@ def run_id(house):
 
 
 def shown(page):
-    """The levels of the lines that a page shows, in order."""
     return re.findall(r'<li data-line="\d+" data-level="(\w+)"', page)
 
 

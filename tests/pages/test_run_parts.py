@@ -1,7 +1,5 @@
 """The parts of the run page: trust and matching, each in every state."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -15,7 +13,6 @@ from tests.figures.flown import matching, shadow
 
 @pytest.fixture
 def examined(house, results):
-    """Store a run whose result has an examination and matching; return its result's parts and its number."""
     made = examined_result(results["batch"])
     return made, house.add_run("batch", state="SUCCEEDED", result=made)
 

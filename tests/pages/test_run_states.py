@@ -1,7 +1,5 @@
 """What a run's page says of its state: what it waits for, who stopped it and when, what ended it, what to do next."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict, replace
 
@@ -17,8 +15,6 @@ HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8
 
 @pytest.fixture
 def tell(house):
-    """Write a line of a run's log."""
-
     def write(run_id, line, *, at_utc=None):
         with writing(house.engine) as session:
             session.add(RunEvent(run_id=run_id, attempt=1, at_utc=at_utc or utc_now(), **asdict(line)))

@@ -1,7 +1,5 @@
 """What a reader asks of a run's charts in the address, and the facts that stand beside them."""
 
-from __future__ import annotations
-
 import pytest
 from starlette.datastructures import QueryParams
 

@@ -1,7 +1,5 @@
 """The list of sensors, registering one, and a sensor's page."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -147,7 +145,6 @@ def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(house):
 
 
 def evaluation(**changes):
-    """What a run found on its validation set."""
     return {
         "frames": 16,
         "availability": {"initial": 0.4375, "final": 1.0},
@@ -163,16 +160,13 @@ def evaluation(**changes):
 
 
 def panel_of(page, read):
-    """The words of the panel that compares before and after."""
     return read(page).split("Before and after")[1].split("Parameter sets and baselines")[0]
 
 
 def test_a_sensor_shows_what_its_newest_validated_run_would_change_with_intervals(house, read, results):
     validated = house.add_run("batch", state="SUCCEEDED", result=results["batch"] | {"validation": evaluation()})
     house.add_run("batch", state="SUCCEEDED", result=results["batch"], validation_set_id=None)
-
     panel = panel_of(house.visitor("victor").get("/sensors/1"), read)
-
     assert f"#{validated}" in panel
     assert "on its validation set" in panel
     for words in (
@@ -198,9 +192,7 @@ def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_t
     visitor = house.visitor("ada")
     visitor.post("/sensors", document=EXAMPLE)
     house.add_run("batch", state="SUCCEEDED", result=result, validation_set_id=None, sensor_id=2)
-
     panel = panel_of(visitor.get("/sensors/2"), read)
-
     assert "on its calibration set" in panel
     for words in ("20.0", "98.0", "5.66"):
         assert words in panel
@@ -209,7 +201,5 @@ def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_t
 def test_a_sensor_without_a_finished_run_says_what_to_do(house, read):
     visitor = house.visitor("ada")
     visitor.post("/sensors", document=EXAMPLE)
-
     panel = panel_of(visitor.get("/sensors/2"), read)
-
     assert "No finished run says yet" in panel

@@ -1,7 +1,5 @@
 """Short tables that a press on a heading sorts, the list of sensors, and the sheet that holds them in narrow windows."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -41,7 +39,6 @@ def names_of(page):
 
 @pytest.fixture
 def fleet(house):
-    """Four more sensors, of other detectors and focal lengths; B-3 has the longest, A-2 the most pixels."""
     visitor = house.visitor("ada")
     for name, f_m, rows in (("A-1", 0.02, 500), ("A-2", 0.03, 9000), ("B-3", 0.05, 600), ("B-4", 0.04, 700)):
         document = json.loads(EXAMPLE) | {"name": name}

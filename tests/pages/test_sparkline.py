@@ -1,7 +1,5 @@
 """A sparkline stays in its box and marks the newest value."""
 
-from __future__ import annotations
-
 import re
 
 from hypothesis import given

@@ -1,7 +1,5 @@
 """State words and their levels."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

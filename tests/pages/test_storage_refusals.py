@@ -1,7 +1,5 @@
 """A disk that takes no write is 503 with Retry-After by every form of every page, and no fault of what was typed."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -80,7 +78,6 @@ FORMS = {  # who sends which form to which page
 
 
 def _forms() -> set[str]:
-    """Return the address of every form that a page takes."""
     routes = [route for module in pages.modules() for router in pages.routers(module) for route in router.routes]
     return {route.path for route in routes if isinstance(route, APIRoute) and "POST" in route.methods}
 

@@ -26,7 +26,6 @@ def _in_force(house):
 
 @pytest.fixture
 def defined(house):
-    """The example, in force."""
     answer = house.visitor("ada").post(
         ADDRESS, document=written_as_text(EXAMPLE), reason="First.", action="set", number="0"
     )

@@ -1,7 +1,5 @@
 """Long lists: the address holds the whole view, a heading turns the order, and the file is what is looked at."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -19,12 +17,10 @@ TABLES = {table.name: table for table in (RUNS, TELEMETRY, PARAMETER_SETS, REQUE
 
 
 def rows(answer):
-    """The rows of a CSV."""
     return list(csv.DictReader(io.StringIO(answer.text)))
 
 
 def numbers(page):
-    """The runs of a page of the list, in its order."""
     return [int(found) for found in re.findall(r'<th scope="row"><a href="/runs/(\d+)"', page)]
 
 

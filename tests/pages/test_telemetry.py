@@ -1,7 +1,5 @@
 """The list of telemetry sets, uploading one, and its quality report."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """A sensor's timeline: the answer for a time with who said so, and the events."""
 
-from __future__ import annotations
-
 import re
 from urllib.parse import quote
 

@@ -1,7 +1,5 @@
 """Forms keep what was typed: whatever a form is refused for, its page comes back with the words of whoever filled it in."""
 
-from __future__ import annotations
-
 from html import unescape
 
 import pytest
@@ -53,7 +51,6 @@ FORMS = {  # who sends what to which address, and what of it must be there again
 
 @pytest.fixture
 def office(house, results):
-    """A candidate, set 2, and a set of another run that waits for a signature, set 3 of request 1."""
     run_id = house.add_run(state="SUCCEEDED", result=results["batch"] | {"iterations": 77})
     with writing(house.engine) as session:
         parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)

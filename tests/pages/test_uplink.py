@@ -1,7 +1,5 @@
 """Uplink: the fleet on the ground and on board, and a set's steps to the spacecraft."""
 
-from __future__ import annotations
-
 import re
 from html import unescape
 
@@ -30,7 +28,6 @@ STEPS = "/parameter-sets/1/uplink"
 
 
 def _records(*states: str) -> list[Uplink]:
-    """Records as the store lists them, newest first, in the order given."""
     return [
         Uplink(id=place, onboard_state=state, source="x", recorded_utc=f"2026-01-01T00:00:{place:02}Z", recorded_by=1)
         for place, state in enumerate(states)
@@ -86,7 +83,6 @@ def test_a_mismatch_comes_before_everything(house, read):
 
 @pytest.fixture
 def fleet(house):
-    """Five sensors: one as it was left on the ground, and four whose ground calibrations are at different states on board."""
     visitor = house.visitor("ada")
     climbs = {
         "B-sent": ("SENT",),

@@ -1,7 +1,5 @@
 """People and API keys."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

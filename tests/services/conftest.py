@@ -1,7 +1,5 @@
 """A store with people in it: a real database, copied for each test from one that was filled once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -66,7 +64,6 @@ SENSOR: dict[str, Any] = {
 
 @pytest.fixture(scope="session")
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder whose store every test starts from."""
     folder = tmp_path_factory.mktemp("filled")
     engine = open_migrated(url_in(folder))
     with writing(engine) as session:
@@ -97,7 +94,6 @@ def blobs(tmp_path: Path) -> BlobStore:
 
 @pytest.fixture
 def people(engine: Engine) -> Mapping[str, Actor]:
-    """Everyone, as they act under a log-in."""
     with reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
         return {name: users.actor_of(session, row.id) for name, row in rows.items()}
@@ -105,8 +101,6 @@ def people(engine: Engine) -> Mapping[str, Actor]:
 
 @pytest.fixture
 def finished_run(blobs: BlobStore) -> Callable[..., Run]:
-    """Make a run of the sensor that ended with a result; what the test is about can be given."""
-
     def make(session: Session, launched_by: int | None = None, state: str = "SUCCEEDED", **result: Any) -> Run:
         sensor = session.get_one(Sensor, 1)
         document = _result() | result
@@ -134,7 +128,6 @@ def finished_run(blobs: BlobStore) -> Callable[..., Run]:
 def candidate(
     engine: Engine, blobs: BlobStore, people: Mapping[str, Actor], finished_run: Callable[..., Run]
 ) -> Callable[..., ParameterSet]:
-    """Make a candidate of a run that Ana launched, each with another focal length."""
     made = []
 
     def make(launched_by: str = "ana") -> ParameterSet:
@@ -151,8 +144,6 @@ def candidate(
 def submitted(
     engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> Callable[[], ParameterSet]:
-    """Make a candidate and have Ana submit it."""
-
     def make() -> ParameterSet:
         row = candidate()
         with writing(engine) as session:
@@ -166,8 +157,6 @@ def submitted(
 def approved(
     engine: Engine, people: Mapping[str, Actor], submitted: Callable[[], ParameterSet]
 ) -> Callable[[], ParameterSet]:
-    """Make a submitted set and have Cy sign it."""
-
     def make() -> ParameterSet:
         row = submitted()
         with writing(engine) as session:
@@ -179,7 +168,6 @@ def approved(
 
 
 def _telemetry(session: Session, blobs: BlobStore) -> TelemetrySet:
-    """The one set of telemetry that all these runs are said to have used."""
     if (row := session.get(TelemetrySet, 1)) is not None:
         return row
     sha256 = _stored(session, blobs, b"telemetry")
@@ -204,7 +192,6 @@ def _stored(session: Session, blobs: BlobStore, content: bytes) -> str:
 
 
 def _result() -> dict[str, Any]:
-    """A calibration's JSON, as far as a parameter set takes from it."""
     names = list(SENSOR["initial"])
     sigma = dict.fromkeys(names, 1e-6)
     matrix = [[1e-12 if row == column else 0.0 for column in range(8)] for row in range(8)]

@@ -1,7 +1,5 @@
 """That a set is active is signed: an operator in person, the password again, a meaning, a source."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -35,7 +33,6 @@ MEANING = "I saw this table active in telemetry."
 
 
 def activate(engine: Engine, actor: Actor, **given: Any) -> Uplink:
-    """Sign that set 1 is active, as the actor who saw it as it is."""
     entry = {"source": "TM page STR-2", "meaning": MEANING, "password": PASSWORD} | given
     with writing(engine) as session:
         entry["proof"] = proved(session, actor, entry.pop("password"))
@@ -45,7 +42,6 @@ def activate(engine: Engine, actor: Actor, **given: Any) -> Uplink:
 
 @pytest.fixture
 def verified(engine: Engine, people: People) -> None:
-    """Set 1, verified by its CRC."""
     climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED")
 
 

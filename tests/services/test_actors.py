@@ -1,7 +1,5 @@
 """Actors: who may do what, and that a refusal says who may."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.errors import ForbiddenError

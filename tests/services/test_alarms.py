@@ -1,7 +1,5 @@
 """Alarms come and go by themselves, and leave only by a person: every step allowed or refused, on record."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -35,7 +33,6 @@ BROKEN = chain_condition("broken", "Record 7 is not as it was written.")
 
 @pytest.fixture
 def alarm(session: Session) -> Alarm:
-    """An alarm that was just raised."""
     assert watch.watch_chain(session, BROKEN) == 1
     (row,) = alarms.list_alarms(session)
     return row

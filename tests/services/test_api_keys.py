@@ -1,7 +1,5 @@
 """API keys: shown once, kept hashed, never more than their owner, never beyond their scopes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest

@@ -1,7 +1,5 @@
 """Approvals: a second person, in person, on what was shown; one refusal blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
@@ -36,8 +34,6 @@ People = Mapping[str, Actor]
 def request_of(
     engine: Engine, people: People, candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> Callable[..., Approval]:
-    """Submit a candidate: by whom, of a run that whom launched."""
-
     def make(submitted_by: str = "ana", launched_by: str = "ana") -> Approval:
         row = candidate(launched_by)
         with writing(engine) as session:
@@ -59,7 +55,6 @@ def _sign(engine: Engine, actor: Actor, approval: Approval, decision: str = "APP
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
-    """Return the states of request and set."""
     with reading(engine) as session:
         row = session.get_one(Approval, approval.id)
         return row.state, session.get_one(ParameterSet, row.parameter_set_id).ground_state

@@ -1,7 +1,5 @@
 """The audit log: one chain whoever writes, and a change by hand is found where it was made."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -16,7 +14,6 @@ from tests.stores import triggers_aside
 
 @pytest.fixture
 def log(engine: Engine) -> Engine:
-    """A store with ten records more than it began with."""
     with writing(engine) as session:
         for number in range(10):
             audit.append(session, SYSTEM, "counted", f"numbers/{number}", None, {"ψ": number / 7}, "because")
@@ -24,7 +21,6 @@ def log(engine: Engine) -> Engine:
 
 
 def _by_hand(engine: Engine, statement: str) -> None:
-    """Change the database as somebody who owns the file could."""
     with writing(engine) as session:
         connection = session.connection()
         with triggers_aside(connection):

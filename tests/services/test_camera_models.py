@@ -1,7 +1,5 @@
 """Parameters of every camera model go the whole way to the baseline."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest

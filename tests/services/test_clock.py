@@ -1,7 +1,5 @@
 """A jump of the clock lets no request expire before a person has seen it; the clocks are injected, nobody sleeps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -27,8 +25,6 @@ PASSWORD = "correct horse battery"
 
 
 class Hands:
-    """Two clocks that a test sets."""
-
     def __init__(self) -> None:
         self.wall_s, self.steady_s = 1.8e9, 1000.0
 
@@ -48,7 +44,6 @@ def hands(monkeypatch: pytest.MonkeyPatch) -> Hands:
 def due(
     engine: Engine, people: Mapping[str, Actor], blobs: BlobStore, candidate: Callable[..., ParameterSet]
 ) -> Approval:
-    """A request whose time is over."""
     row = candidate()
     with writing(engine) as session:
         return submissions.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)

@@ -1,7 +1,5 @@
 """Comparisons: what data two runs share decides on the sigma of their difference, and unlike runs are refused."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -22,8 +20,6 @@ NAMES = ["f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", 
 
 @pytest.fixture
 def run_on(session, blobs, finished_run, tmp_path):
-    """Make a run on exposures of these numbers, with f off by `step` and every sigma so large."""
-
     def make(exposures, step=0.0, sigma=1e-6):
         row = finished_run(session)
         place = np.concatenate([np.random.default_rng(number).uniform(0, 1000, (4, 2)) for number in exposures])

@@ -1,7 +1,5 @@
 """Around a request: the second person at another's console, who is asked to decide, what is said, what was opened."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
@@ -30,7 +28,6 @@ People = Mapping[str, Actor]
 
 @pytest.fixture
 def request_id(engine: Engine, submitted: Callable[[], ParameterSet]) -> int:
-    """Have Ana submit a set."""
     row = submitted()
     with reading(engine) as session:
         return approvals.list_approvals(session, parameter_set_id=row.id)[0].id

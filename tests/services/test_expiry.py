@@ -1,7 +1,5 @@
 """Requests that wait too long, and the way back: a request of its own kind with less time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from datetime import datetime
 
@@ -29,8 +27,6 @@ Ask = Callable[..., Approval]
 
 @pytest.fixture
 def ask(engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..., ParameterSet]) -> Ask:
-    """Submit a candidate under a policy."""
-
     def make(policy: Policy = POLICY) -> Approval:
         row = candidate()
         with writing(engine) as session:

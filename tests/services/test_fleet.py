@@ -1,7 +1,5 @@
 """The fleet at a glance: the worst that is known of a sensor, with the sentence why."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

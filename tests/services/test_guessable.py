@@ -1,7 +1,5 @@
 """Which passwords are refused: those guessed early, however they are dressed, and those made of the person's names."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """What is remembered of drift: as good as a judgement made anew, and made anew when anything it rests on changed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How attempts are slowed down: by name and place together, and by places that try many names."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginLimiter, Tried, place_of_address
@@ -9,8 +7,6 @@ from boresight.errors import TooManyAttemptsError
 
 
 class Clock:
-    """A clock that is set by hand."""
-
     def __init__(self) -> None:
         self.now_s = 1000.0
 
@@ -29,7 +25,6 @@ def limiter(clock: Clock) -> LoginLimiter:
 
 
 def _fail(limiter: LoginLimiter, clock: Clock, tried: Tried) -> float:
-    """Fail once as soon as that is possible; returns the seconds that were waited."""
     began_s = clock.now_s
     while True:
         try:
@@ -42,7 +37,6 @@ def _fail(limiter: LoginLimiter, clock: Clock, tried: Tried) -> float:
 
 
 def _tries_in_an_hour(limiter: LoginLimiter, clock: Clock, tried: list[Tried]) -> int:
-    """Try from all these places whenever one of them is let in; returns how many passwords were checked in an hour."""
     tries, end_s = 0, clock.now_s + 3600.0
     while clock.now_s < end_s:
         for one in tried:

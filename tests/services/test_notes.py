@@ -1,7 +1,5 @@
 """Notes are written by people, kept as they are, and on record."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest

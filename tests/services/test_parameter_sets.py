@@ -1,7 +1,5 @@
 """Parameter sets: what they are made of, and who submits and withdraws them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Passwords that somebody else knows: they let a person do nothing but set another, and never stand for a signature."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 
@@ -24,7 +22,6 @@ GIVEN, OWN = "given by the administrator", "known to nobody else"
 
 @pytest.fixture
 def cy(engine: Engine, people: Mapping[str, Actor]) -> Actor:
-    """The approver, whose password the administrator reset."""
     with writing(engine) as session:
         users.change_password(session, people["root"], people["cy"].user_id or 0, new_password(GIVEN))
     return people["cy"]
@@ -100,8 +97,6 @@ RESET = "reset by Root at 2026-11-20 18:00:00 UTC"
 
 
 def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events: tuple[str, str]) -> str | None:
-    """Have a new person's password given and changed at times, and return what a signature would keep of it."""
-
     def at(time: str) -> None:
         monkeypatch.setattr("boresight.platform.audit.chain.utc_now", lambda: f"{time}.000000Z")
 

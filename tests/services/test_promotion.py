@@ -1,7 +1,5 @@
 """Promotion: one is baseline whoever races, what moved is stale, and the way back is a way forward."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 

@@ -1,7 +1,5 @@
 """Read-backs: verified by bytes or by CRC, said which; a mismatch keeps what differs; a signed entry makes a set active."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -34,8 +32,6 @@ Read = Callable[..., Uplink]
 
 @pytest.fixture
 def read(engine: Engine, people: People, blobs: BlobStore) -> Read:
-    """Read a set back, as Dee the operator who saw it as it is."""
-
     def make(what: bytes | str, set_id: int = 1, name: str = "dee", source: str = "TM 4711", **given: Any) -> Uplink:
         with writing(engine) as session:
             seen = given.pop("seen", session.get_one(ParameterSet, set_id).version)
@@ -46,14 +42,12 @@ def read(engine: Engine, people: People, blobs: BlobStore) -> Read:
 
 @pytest.fixture
 def loaded(engine: Engine, people: People) -> bytes:
-    """The bytes of set 1, which is recorded as loaded."""
     define(engine, people["ana"])
     climb(engine, people["dee"], "SENT", "LOADED")
     return sent_table(engine).content
 
 
 def flip(content: bytes, offset: int, mask: int) -> bytes:
-    """Flip bits of one byte."""
     return content[:offset] + bytes([content[offset] ^ mask]) + content[offset + 1 :]
 
 

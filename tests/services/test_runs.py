@@ -1,7 +1,5 @@
 """Launching fixes all that a run needs and refuses what does not belong together; stopping and reading keep to the rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import orjson
@@ -31,8 +29,6 @@ def session(engine, people):  # noqa: ARG001 - people are made in a transaction 
 
 @pytest.fixture
 def add_set(session, blobs, people):
-    """Add telemetry sets; the first is number 1."""
-
     def add(sensor_id=1, **columns):
         sha256 = register_blob(session, blobs, blobs.put(str(columns).encode()), "text/csv").sha256
         number = len(session.query(TelemetrySet).all()) + 1
@@ -54,7 +50,6 @@ def add_set(session, blobs, people):
 
 @pytest.fixture
 def launch(session, people, add_set):
-    """Launch as Ana on the first set unless told otherwise."""
     add_set()
 
     def launch(settings=None, *, actor=people["ana"], sensor_id=1, telemetry_set_id=1, **options):
@@ -221,8 +216,6 @@ def test_the_log_tells_the_run_in_order_and_can_be_followed(session, launch):
 def test_a_result_keeps_the_models_order_however_the_store_sorts_its_keys():
     names = ["f_m", "m0_px", "a1_rad"]
     stored = {"parameter_names": names, "parameters": {"a1_rad": 3, "f_m": 1, "m0_px": 2}, "inputs": {"z": 1}}
-
     ordered = runs._in_model_order(stored)
-
     assert list(ordered["parameters"]) == names
     assert ordered == stored

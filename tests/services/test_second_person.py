@@ -1,7 +1,5 @@
 """A second person for gate limits and table layouts: proposed, confirmed by another, bound to the version in force."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -36,7 +34,6 @@ SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e6, "marginal": 1e6}]}
 
 @pytest.fixture
 def two(engine: Engine) -> People:
-    """Everyone, with a second administrator and a second analyst."""
     with writing(engine) as session:
         for name, role in (("rita", "administrator"), ("ann", "analyst")):
             add_person(session, name, role)
@@ -253,7 +250,6 @@ def test_a_proposal_shows_each_entry_that_it_changes(engine: Engine, propose: Ca
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def race(request: pytest.FixtureRequest, engine: Engine, two: People) -> Any:
-    """A store of either kind with people and a sensor in it."""
     if request.param == "sqlite":
         return engine, two
     other: Engine = request.getfixturevalue("postgresql")

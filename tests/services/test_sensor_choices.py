@@ -1,7 +1,5 @@
 """Choosing a sensor: a small fleet whole, of a large one what is sought and what is kept."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest
@@ -30,7 +28,6 @@ def _add(session: Session, names: list[str]) -> None:
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
-    """A store with more sensors than are looked over."""
     engine = open_migrated(url_in(tmp_path_factory.mktemp("large")))
     with writing(engine) as session:
         _add(session, FLEET)

@@ -1,7 +1,5 @@
 """Sensors: registering one makes its baseline; what it is for life does not change."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
@@ -28,7 +26,6 @@ People = Mapping[str, Actor]
 
 @pytest.fixture
 def document(session: Session) -> dict[str, Any]:
-    """The file of the sensor that is there."""
     return deepcopy(sensors.get_sensor(session, 1).document)
 
 

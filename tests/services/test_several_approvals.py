@@ -1,7 +1,5 @@
 """How many sign: as many as the request needs, two where a gate is waived, and nobody twice over, with four eyes or one pair."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -33,8 +31,6 @@ Ask = Callable[..., Approval]
 
 @pytest.fixture
 def ask(engine: Engine, people: People, blobs: BlobStore, finished_run: Callable[..., Run]) -> Ask:
-    """Submit a set of a run with this result, under a policy, by whoever; or submit one again."""
-
     def make(by: str = "ana", policy: Policy = POLICY, row: ParameterSet | None = None, **result: Any) -> Approval:
         with writing(engine) as session:
             if row is None:
@@ -88,7 +84,6 @@ def test_one_refusal_blocks_whatever_was_approved(engine: Engine, people: People
 
 @pytest.fixture
 def tight(engine: Engine, people: People) -> None:
-    """Set a limit that no set keeps."""
     with writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, TIGHT, "To be tried.", 0)
 
@@ -128,7 +123,6 @@ def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine: Engine, 
 
 
 def _state(engine: Engine, approval: Approval) -> str:
-    """Return the state of a request as it is now."""
     with reading(engine) as session:
         return approvals.get_approval(session, approval.id).state
 

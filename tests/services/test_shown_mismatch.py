@@ -1,7 +1,5 @@
 """A mismatch that a dump showed stands until a dump agrees or the table is sent again, whatever is recorded in between."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
@@ -30,8 +28,6 @@ CLAIMS = ("LOADED", "VERIFIED", "ACTIVE")  # what would say that the right table
 
 
 class Board:
-    """Set 1 on board, and the naive account of whether a mismatch stands."""
-
     def __init__(self, session: Session, dee: Actor, blobs: BlobStore, table: bytes, crc: str) -> None:
         self.session, self.dee, self.blobs = session, dee, blobs
         self.read = {"good dump": table, "bad dump": bytes([table[0] ^ 1]) + table[1:], "good crc": crc, "bad crc": "0"}
@@ -42,7 +38,6 @@ class Board:
         return self.session.get_one(ParameterSet, 1)
 
     def make(self, move: str) -> None:
-        """Make a move, and account for it; a move that is refused changes nothing."""
         seen = self.row.version
         if move == "sign":
             uplinks.activate(
@@ -55,7 +50,6 @@ class Board:
         self.stands = move == "bad dump" or (self.stands and move not in {"good dump", "SENT"})
 
     def try_all(self, moves: Sequence[str]) -> None:
-        """Try one move after another, and hold the claim after each."""
         for move in moves:
             with suppress(ConflictError):
                 self.make(move)
@@ -64,7 +58,6 @@ class Board:
         self.hold_each_claim_to_its_basis()
 
     def hold_each_claim_to_its_basis(self) -> None:
-        """Every VERIFIED rests on a comparison, every ACTIVE on a signature or on one of a set that was active."""
         for record in uplinks.list_uplinks(self.session, parameter_set_id=1):
             assert record.onboard_state != "VERIFIED" or record.method is not None
             assert record.onboard_state != "ACTIVE" or record.method is not None or record.printed_name == "Dee"
@@ -88,7 +81,6 @@ def test_no_sequence_of_records_takes_back_what_a_dump_showed(
 
 @pytest.fixture(autouse=True)
 def defined(engine: Engine, people: People) -> None:
-    """The table of sensor 1."""
     define(engine, people["ana"])
 
 

@@ -1,7 +1,5 @@
 """Who may sign: nobody who submitted the set, launched its run or campaign, or created it, by whatever credential."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
@@ -33,8 +31,6 @@ ALONE = Policy(four_eyes=False)
 def created(
     engine: Engine, people: People, blobs: BlobStore, finished_run: Callable[..., Run]
 ) -> Callable[..., ParameterSet]:
-    """Make a set: of whose run, created by whom."""
-
     def make(creator: Actor | str, launcher: str = "ana") -> ParameterSet:
         actor = people[creator] if isinstance(creator, str) else creator
         with writing(engine) as session:
@@ -46,8 +42,6 @@ def created(
 
 @pytest.fixture
 def ask(engine: Engine, people: People, blobs: BlobStore) -> Callable[..., Approval]:
-    """Submit a set."""
-
     def make(row: ParameterSet, submitter: str = "ana", policy: Policy = POLICY) -> Approval:
         with writing(engine) as session:
             return submissions.submit(session, people[submitter], blobs, row.id, "better", row.version, policy=policy)
@@ -63,7 +57,6 @@ def _sign(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POL
 
 
 def _signers(engine: Engine, approval: Approval, policy: Policy = POLICY) -> dict[str, tuple[str, ...] | None]:
-    """Return who may sign (None) and which parts keep the other approvers from it."""
     with reading(engine) as session:
         found = approvals.who_may_sign(session, approval.id, policy=policy)
     return {one.user.name: one.roles if one.refusal else None for one in found}

@@ -1,7 +1,5 @@
 """What held at a time is the fold of what happened until then, and says who said so."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -48,7 +46,6 @@ def _at(seconds: int) -> str:
 
 
 def _timed(steps: Sequence[Step]) -> Iterator[tuple[str, int, str, int]]:
-    """Give each step its time, in seconds from BEGIN."""
     seconds = 0
     for what, which, state, later in steps:
         seconds += later
@@ -56,7 +53,6 @@ def _timed(steps: Sequence[Step]) -> Iterator[tuple[str, int, str, int]]:
 
 
 def _add_sets(session: Session) -> None:
-    """Sets 2 and up, beside the ground calibration."""
     first = session.get_one(ParameterSet, 1)
     for number in range(1, SETS + 1):
         columns = {"id": 1 + number, "sensor_id": 1, "number": number, "sha256": "0" * 64, "document": first.document}
@@ -65,7 +61,6 @@ def _add_sets(session: Session) -> None:
 
 
 def _write(session: Session, steps: Sequence[Step]) -> None:
-    """Write the rows of a history as the services would leave them."""
     numbers = {"gate profile": 100, "table definition": 100}
     tables = {"gate profile": GateProfile, "table definition": TableDefinition}
     for what, which, state, seconds in _timed(steps):
@@ -84,7 +79,6 @@ def _write(session: Session, steps: Sequence[Step]) -> None:
 
 
 def _replayed(steps: Sequence[Step], until: int) -> Held:
-    """Fold the steps one by one: the naive answer."""
     baseline, on_board, profile, definition = 1, {}, 100, 100
     for what, which, state, seconds in _timed(steps):
         if seconds > until:
@@ -110,7 +104,6 @@ def _answered(known: timeline.AsOf) -> Held:
 
 
 def _folded(events: Sequence[Any]) -> tuple[int | None, dict[int, str]]:
-    """Fold the listed events, oldest first."""
     baseline, on_board = None, {}
     for event in events:
         if event.state == "BASELINE":
@@ -138,7 +131,6 @@ def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(
 
 
 def _paged(session: Session, length: int, until: str) -> list[Any]:
-    """Read the timeline page by page."""
     pages: list[Any] = []
     while page := timeline.events(session, 1, until=until, before_id=pages[-1].id if pages else None, limit=length):
         pages += page
@@ -147,7 +139,6 @@ def _paged(session: Session, length: int, until: str) -> list[Any]:
 
 @pytest.fixture
 def promoted(engine: Engine, people: People, approved: Callable[[], ParameterSet]) -> ParameterSet:
-    """A set that Ana submitted, Cy signed and Dee promoted."""
     row = approved()
     with writing(engine) as session:
         return promotions.promote(session, people["dee"], row.id, row.version)

@@ -1,7 +1,5 @@
 """Uplinks: what is on board is what somebody recorded, step by step; what was when is one question."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -119,7 +117,6 @@ def test_nobody_in_particular_records_nothing(engine: Engine) -> None:
 
 
 def _promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
-    """Bring about the rows of a promotion at a time of the test's choice."""
     incumbent = parameter_sets.baseline_of(session, row.sensor_id)
     assert incumbent is not None
     incumbent.ground_state = "SUPERSEDED"
@@ -132,7 +129,6 @@ def _promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
 
 @pytest.fixture
 def second(engine: Engine, candidate: object) -> ParameterSet:
-    """A second set, promoted an hour from now."""
     row: ParameterSet = candidate()  # type: ignore[operator]
     with writing(engine) as session:
         row = session.get_one(ParameterSet, row.id)

@@ -1,7 +1,5 @@
 """People: passwords, throttled log-ins, roles that only administrators give, and always one of those left."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

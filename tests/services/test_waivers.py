@@ -1,7 +1,5 @@
 """Waivers: in person, with a reason and an end, never of a critical gate, and in the verdict for ever."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from typing import Any
@@ -38,7 +36,6 @@ TIGHT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]
 
 @pytest.fixture
 def blocked(engine, blobs, people, candidate) -> ParameterSet:
-    """A candidate that the shift gate blocks, assessed."""
     row = candidate()
     with writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, TIGHT, "To be tried.", 0)
@@ -49,8 +46,6 @@ def blocked(engine, blobs, people, candidate) -> ParameterSet:
 
 @pytest.fixture
 def waive(engine, people, blocked):
-    """Waive that gate as Ana, but for what is given."""
-
     def act(who: str | Actor = "ana", seen: int | None = blocked.version, **given: Any):
         values = {"gate": "parameter-shift", "code": "known-cause", "reason": REASON, "password": PASSWORD}
         values |= {"expires_utc": utc_after(DAY_S), "parameter_set_id": blocked.id, **given}
@@ -63,7 +58,6 @@ def waive(engine, people, blocked):
 
 
 def document(engine, parameter_set_id: int) -> dict[str, Any]:
-    """A set's report with its waivers."""
     with reading(engine) as session:
         return gates.with_waivers(session, gates.newest_report(session, parameter_set_id))
 
@@ -71,7 +65,6 @@ def document(engine, parameter_set_id: int) -> dict[str, Any]:
 @pytest.mark.parametrize("who", ["ana", "cy", "bo"])
 def test_an_analyst_or_an_approver_waives_in_person(waive, engine, blocked, who):
     waiver = waive(who)
-
     found = document(engine, blocked.id)
     assert (found["blocking"], found["waived"]) == ([], ["parameter-shift"])
     assert found["words"] == "NO-DATA (1 gate waived)"
@@ -153,7 +146,6 @@ def test_a_waiver_that_expires_blocks_again_and_stays_in_the_words(waive, engine
     later = sessions.utc_after(2 * DAY_S)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
-
     found = document(engine, blocked.id)
     assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
     with reading(engine) as session:
@@ -169,7 +161,6 @@ def test_waiving_makes_an_open_request_stale_and_the_next_one_needs_two_approval
         seen = transitions.get_parameter_set(session, blocked.id).version
     assert first.needed == 1
     waive(seen=seen)
-
     with writing(engine) as session:
         assert approvals.get_approval(session, first.id).state == "STALE"
         row = transitions.get_parameter_set(session, blocked.id)
@@ -207,7 +198,6 @@ def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_ove
         assert f"<h2>Gates: {shown}</h2>" in packed.read("verification_sheet.html").decode()
     assert (said["words"], said["verdict"], said["waived"]) == (shown, "NO-DATA", ["parameter-shift"])
     assert said["document"]["verdict"] == "FAIL", "the report itself stays as its hash has it"
-
     later = sessions.utc_after(2 * DAY_S)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
     with writing(engine) as session:

@@ -1,7 +1,5 @@
 """Secrets of webhooks at rest: ciphertext in the database and its backups, readable with a key outside both."""
 
-from __future__ import annotations
-
 import base64
 import stat
 from collections.abc import Mapping
@@ -29,7 +27,6 @@ def box(tmp_path: Path) -> SecretBox:
 
 
 def _plain(engine: Engine, actor: Actor) -> int:
-    """Store a webhook as an older version did."""
     with writing(engine) as session:
         row = Webhook(label="Chat", url=URL, actions=[], secret=OLD, created_utc=utc_now())
         session.add(row)

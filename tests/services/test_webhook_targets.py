@@ -1,7 +1,5 @@
 """Webhook targets: every address of a name is judged, whatever form it is written in."""
 
-from __future__ import annotations
-
 import ipaddress
 import socket
 from typing import Any

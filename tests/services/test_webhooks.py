@@ -1,7 +1,5 @@
 """Webhooks: every record that was asked for becomes one message, is signed, is tried eight times and can be sent again."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import hmac

@@ -1,7 +1,5 @@
 """Names are stored in one form: what looks alike is alike, and nothing in them is hidden."""
 
-from __future__ import annotations
-
 import unicodedata
 
 import pytest

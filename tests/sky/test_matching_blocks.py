@@ -31,7 +31,6 @@ def test_blocks_and_threads_change_no_bit_of_the_matches(matched, monkeypatch, t
     monkeypatch.setattr(matching, "FRAMES", 7)
     with computing_on(threads):
         in_parts = matched()
-
     for field in dataclasses.fields(whole):
         np.testing.assert_array_equal(getattr(in_parts, field.name), getattr(whole, field.name), strict=True)
     assert (whole.star_id > 0).mean() > 0.9

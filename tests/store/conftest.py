@@ -1,7 +1,5 @@
 """Databases to act on: that of the engine the tests run on, and a SQLite file for what is said of both engines."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,7 +23,6 @@ def engine(url: str) -> Iterator[Engine]:
 
 @pytest.fixture
 def sqlite(tmp_path: Path) -> Iterator[Engine]:
-    """A migrated SQLite file, whatever the tests run on."""
     engine = open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
     yield engine
     engine.dispose()

@@ -1,7 +1,5 @@
 """One row of nearly every table, for the tests of the schema: what is referred to comes first."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from boresight.console.access.tables import User
@@ -21,7 +19,6 @@ NOW = "2026-11-21T00:00:00.000000Z"
 
 
 def parameter_set(number: int, ground_state: str) -> ParameterSet:
-    """A set of sensor 1."""
     return ParameterSet(
         name=f"PS-ST1-{number}",
         sensor_id=1,
@@ -34,14 +31,12 @@ def parameter_set(number: int, ground_state: str) -> ParameterSet:
 
 
 def alarm() -> Alarm:
-    """An alarm of sensor 1."""
     return Alarm(
         source="sensors/1/AGE", sensor_id=1, kind="AGE", level="caution", sentence="s", evidence={}, raised_utc=NOW
     )
 
 
 def rows_of_tables() -> list[Any]:
-    """One row of nearly every table, what is referred to first."""
     blob = BlobRow(sha256="b" * 64, size_bytes=3_000_000_000, media_type="text/csv", created_utc=NOW)
     telemetry = TelemetrySetRow(
         sensor_id=1,

@@ -1,7 +1,5 @@
 """Any number of keys, bound as one value: the rows that Python would keep, by an index of their column."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 
@@ -18,7 +16,6 @@ ANALYZE many
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn."""
     store: Engine = request.getfixturevalue(request.param)
     return store
 

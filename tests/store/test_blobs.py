@@ -1,7 +1,5 @@
 """Blobs: named by what is in them, whole or absent, whoever puts them at once."""
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A stored file is held against its address by whoever reads it, and a changed one is refused, never used."""
 
-from __future__ import annotations
-
 import os
 import random
 import time
@@ -20,7 +18,6 @@ def blobs(tmp_path: Path) -> BlobStore:
 
 
 def _rest(path: Path) -> None:
-    """Let a file be one that nobody has written to lately, as far as this process can tell."""
     while time.time_ns() - path.stat().st_ctime_ns < integrity.FRESH_NS:
         time.sleep(0.005)
 

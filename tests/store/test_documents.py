@@ -1,7 +1,5 @@
 """Documents: one spelling each."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

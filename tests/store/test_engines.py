@@ -1,7 +1,5 @@
 """Several servers on one database: simultaneous starts, locks of one database, and what is said when it does not answer."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -35,13 +33,11 @@ SERVERS = 3
 
 @pytest.fixture
 def postgresql_server() -> Server:
-    """The server that has the databases; the test is skipped where there is no PostgreSQL."""
     return server()
 
 
 @pytest.fixture
 def two(postgresql_server: Server) -> Iterator[list[Engine]]:
-    """Two databases on one server."""
     names = ("beside-1", "beside-2")
     opened = [open_engine(postgresql_server.make(name)) for name in names]
     yield opened
@@ -103,7 +99,6 @@ def test_a_writer_whose_server_died_gives_the_lock_back(two: list[Engine], monke
 
 
 def _outlast(engine: Engine, dead: Session) -> None:
-    """Write while another writer says nothing more: waits until that is ended."""
     with writing(engine) as session:
         chain.append_own(session, "wrote", "here/1")
     dead.execute(sa.text("SELECT 1"))
@@ -153,7 +148,6 @@ def test_after_a_restart_of_postgresql_the_next_request_is_answered(
 
 
 def _cut_off(session: Session, place: Server) -> None:
-    """Write, and lose the database before the commit."""
     chain.append_own(session, "cut off", "here/1")
     place.stop()
 

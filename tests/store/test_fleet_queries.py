@@ -1,7 +1,5 @@
 """The queries on alarms, notes and trends answer alike on both engines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -21,7 +19,6 @@ from tests.missions import add_run, add_set, make_baseline
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn, with a sensor that drifts and its alarm."""
     store: Engine = request.getfixturevalue(request.param)
     rng = np.random.default_rng(4)
     with writing(store) as session:

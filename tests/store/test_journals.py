@@ -1,7 +1,5 @@
 """Log lines of runs and messages of webhooks edited, put in or removed by hand are told, and so are triggers; on both engines."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 
@@ -22,7 +20,6 @@ NOW = "2026-11-21T00:00:00.000000Z"
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn, with a run of six lines, of which three are in the audit log, and three messages."""
     store: Engine = request.getfixturevalue(request.param)
     with writing(store) as session:
         session.add(Sensor(name="ST1", document={}, created_utc=NOW))
@@ -66,7 +63,6 @@ def store(request: pytest.FixtureRequest) -> Engine:
 
 
 def _by_hand(store: Engine, statement: str) -> None:
-    """Edit the database as its owner could, the triggers out of the way for the moment."""
     with store.begin() as connection:
         if connection.dialect.name == "postgresql":
             connection.exec_driver_sql("SET LOCAL session_replication_role = replica")

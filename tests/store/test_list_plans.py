@@ -1,7 +1,5 @@
 """The lists as SQLite means to read them: the first views sort nothing, and the filters of every day have their index."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.console import list_queries as lists
@@ -21,7 +19,6 @@ FIRST = {
 
 @pytest.fixture
 def session(tmp_path):
-    """An empty store: what is planned does not depend on rows that were never counted."""
     engine = open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
     with reading(engine) as opened:
         yield opened
@@ -29,7 +26,6 @@ def session(tmp_path):
 
 
 def plan(session, name, asked):
-    """How the database means to answer."""
     query = lists._ids(session, LISTS[name], asked).limit(51)
     text = str(query.compile(session.get_bind(), compile_kwargs={"literal_binds": True}))
     return [row[3] for row in session.connection().exec_driver_sql(f"EXPLAIN QUERY PLAN {text}")]

@@ -1,7 +1,5 @@
 """A mark moves with every commit of anybody, and with nothing else, on either engine."""
 
-from __future__ import annotations
-
 import time
 
 import pytest
@@ -13,7 +11,6 @@ from boresight.platform.db.sessions import open_engine, reading, writing
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request):
-    """Each engine in turn."""
     return request.getfixturevalue(request.param)
 
 

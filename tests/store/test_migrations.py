@@ -1,7 +1,5 @@
 """Migrations: the way up and down, on data, ends in the tables the models say; the database guards its own rules."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
@@ -25,7 +23,6 @@ from .furniture import NOW, alarm, parameter_set, rows_of_tables
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn, migrated."""
     store: Engine = request.getfixturevalue(request.param)
     return store
 

@@ -1,7 +1,5 @@
 """Blobs in an object store: a real S3 server in this process, fetched once, right or not at all, refusals in one sentence."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import time
@@ -27,14 +25,12 @@ Open = Callable[..., ObjectBlobStore]
 
 @pytest.fixture(scope="module")
 def s3() -> Iterator[str]:
-    """The address of an S3 server with a bucket."""
     with serving_s3("flight") as address:
         yield address
 
 
 @pytest.fixture
 def blobs(s3: str, tmp_path: Path) -> Open:
-    """Open the bucket as a machine with an empty cache does."""
     assert s3
 
     def machine(name: str = "here", bucket: str = "flight", limit_bytes: int = PLENTY) -> ObjectBlobStore:

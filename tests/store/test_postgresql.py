@@ -1,7 +1,5 @@
 """The whole way on PostgreSQL: what the services promise on SQLite holds there with the same code."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -57,7 +55,6 @@ def people(postgresql: Engine) -> Mapping[str, Actor]:
 
 
 def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: float) -> ParameterSet:
-    """Upload, and make a candidate of a run that ended with a focal length."""
     (folder / "a.csv").write_text(CSV, encoding="utf-8")
     names = list(NAMES)
     result = {
@@ -92,7 +89,6 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
 
 
 def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blobs: BlobStore) -> int:
-    """Have a candidate submitted and signed, and return its version."""
     with writing(engine) as session:
         approval = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approve(session, people["cy"], approval)

@@ -1,7 +1,5 @@
 """Seals: whatever a transaction changed is in its audit records, and nothing changes past them."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 
@@ -23,7 +21,6 @@ def _user(name: str = "ana") -> User:
 
 @pytest.fixture
 def inhabited(engine: Engine) -> Engine:
-    """A store with a person and a key, sealed."""
     with writing(engine) as session:
         session.add(_user())
         session.flush()
@@ -124,7 +121,6 @@ def test_what_was_rolled_back_leaves_neither_records_nor_seals(inhabited: Engine
 
 
 def _run(engine: Engine) -> None:
-    """Launch run 1 and have it under way."""
     with writing(engine) as session:
         session.add(Sensor(name="ST1", document={}, created_utc=NOW))
         session.flush()

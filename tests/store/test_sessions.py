@@ -1,7 +1,5 @@
 """Transactions: one writer at a time, one state for a reader, refusals that leave nothing or what they must."""
 
-from __future__ import annotations
-
 import threading
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta, timezone
@@ -29,7 +27,6 @@ def _count(session: Session) -> int:
 
 
 def _blob(name: str = "0") -> Blob:
-    """A row of a table that is not sealed."""
     return Blob(sha256=name, size_bytes=1, media_type="text/plain", created_utc=utc_now())
 
 
@@ -103,7 +100,6 @@ def test_a_reader_sees_one_state_while_others_write(engine: Engine) -> None:
 
 
 def _count_up(engine: Engine, times: int) -> None:
-    """Read a number and write one more, as every rule of the services does."""
     for _ in range(times):
         with writing(engine) as session:
             number = _count(session)

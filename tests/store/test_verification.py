@@ -1,7 +1,5 @@
 """Holding rows against the chain, on both engines: what was changed, removed or inserted by hand is named."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 from sqlalchemy.orm import Session as UnsealedSession
@@ -23,7 +21,6 @@ MALLORY = (
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn, with three people and a sensor of ψ, whose rows were sealed one after another."""
     store: Engine = request.getfixturevalue(request.param)
     for name in ("ana", "bo", "cy"):
         with writing(store) as session:
@@ -36,7 +33,6 @@ def store(request: pytest.FixtureRequest) -> Engine:
 
 
 def _by_hand(store: Engine, *statements: str) -> None:
-    """Edit the database as its owner could, with the triggers out of the way."""
     with store.begin() as connection:
         drop_triggers(connection)
         for statement in statements:

@@ -1,7 +1,5 @@
 """Stars on one line say nothing across it, and the quality report says so before any run."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -13,7 +11,6 @@ from tests.telemetry.troubles import ROWS, STARS, Stars, calm_telemetry, codes, 
 def test_stars_on_one_line_everywhere_are_serious(sensor):
     place = np.arange(ROWS) % STARS
     troubled = dataclasses.replace(calm_telemetry(), row_px=10.0 + 50 * place, col_px=20.0 + 80.0 * place)
-
     assert finding(quality_report(troubled, sensor, Stars()), "ON_ONE_LINE")["severity"] == "SERIOUS"
 
 

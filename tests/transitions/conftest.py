@@ -22,7 +22,6 @@ SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
 
 @pytest.fixture(scope="session")
 def evidence(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Evidence:
-    """Simulate and calibrate once."""
     path: Path = tmp_path_factory.mktemp("evidence") / "telemetry.csv"
     telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
     write_csv(telemetry, path)

@@ -48,38 +48,31 @@ BETWEEN = {"api_keys": ("last_used_utc",)}  # columns that no transition writes
 
 
 class Board:
-    """A server with one set in each place."""
-
     def __init__(self, installation: Installation) -> None:
         self.installation = installation
         self.sets: dict[str, int] = {}
         self.clients: dict[str, httpx.Client] = {}
 
     def close(self) -> None:
-        """Close what was opened."""
         for client in self.clients.values():
             client.close()
         self.installation.engine.dispose()
 
     def actor(self, name: str) -> Actor:
-        """Return a person as they act under a log-in."""
         return self.installation.actor(name)
 
     def client(self, name: str) -> httpx.Client:
-        """Return the client of an actor, by log-in or by key."""
         if name not in self.clients:
             owner = name.removeprefix("key of the ")
             self.clients[name] = self.installation.client(name) if owner == name else self.installation.key(owner)
         return self.clients[name]
 
     def request_of(self, place: str) -> Approval | None:
-        """Return the newest request for the set in a place."""
         with reading(self.installation.engine) as session:
             return next(iter(approvals.list_approvals(session, parameter_set_id=self.sets[place])), None)
 
     @cache  # noqa: B019 - no move of this file is made, and one board is made
     def seen(self, place: str, kind: str) -> tuple[str, int]:
-        """Return address and version of the set in a place, or of its request."""
         if kind == "set":
             row = self.installation.set_of(self.sets[place])
             return f"/api/v1/parameter-sets/{row.id}", row.version
@@ -88,11 +81,9 @@ class Board:
 
     @cached_property
     def asked(self) -> int:
-        """Return the person whom an assignment asks."""
         return self.actor("approver").user_id or 0
 
     def try_move(self, move: Move, headers: dict[str, str] | None = None, **params: str) -> httpx.Response:
-        """Ask the server for a move, with the version as it is unless other headers are given."""
         address, version = self.seen(move.place, "request" if move.transition in OF_REQUEST else "set")
         name, over_the_shoulder, _ = move.transition.partition("-over-the-shoulder")
         body: dict[str, Any] | None = {"reason": "It moved."}
@@ -108,7 +99,6 @@ class Board:
         return client.post(f"{address}:{name}", json=body, headers=headers, params=params)
 
     def digest(self) -> str:
-        """Digest every row of every table."""
         digest = hashlib.sha256()
         with self.installation.engine.connect() as connection:
             for query in _everything():
@@ -118,7 +108,6 @@ class Board:
 
 @cache
 def _everything() -> list[str]:
-    """The queries of every row of every table, in an order of their own."""
     queries = []
     for table in Base.metadata.sorted_tables:
         named = ", ".join(column.name for column in table.columns if column.name not in BETWEEN.get(table.name, ()))
@@ -128,7 +117,6 @@ def _everything() -> list[str]:
 
 
 def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | None = None) -> ParameterSet:
-    """Have a candidate that the creator made of the launcher's run submitted by the submitter."""
     house = board.installation
     row = house.candidate(sensor_id or house.sensor(), board.actor("launcher"), board.actor("creator"))
     board.sets[place] = row.id
@@ -139,7 +127,6 @@ def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | No
 
 
 def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
-    """Have the signer sign the request in a place."""
     request = board.request_of(place)
     assert request is not None
     with writing(board.installation.engine) as session:
@@ -149,7 +136,6 @@ def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
 
 
 def _promote(board: Board, place: str) -> None:
-    """Have the set in a place signed and promoted."""
     _sign(board, place)
     row = board.installation.set_of(board.sets[place])
     with writing(board.installation.engine) as session:
@@ -160,7 +146,6 @@ POLICIES = {"EXPIRED": Policy(approval_days=0.0), "HALF": Policy(approvals=2)}
 
 
 def _place(board: Board, place: str) -> None:
-    """Bring a set, of a sensor of its own, into a place."""
     house = board.installation
     if place == "CANDIDATE":
         board.sets[place] = house.candidate(house.sensor(), board.actor("launcher"), board.actor("creator")).id
@@ -184,7 +169,6 @@ def _place(board: Board, place: str) -> None:
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory, evidence: Evidence, catalogue: Catalogue) -> Iterator[Board]:
-    """Serve a store with a set in each place."""
     settings = settings_in(tmp_path_factory.mktemp("moves"), login_attempts="1000")
     made = Board(Installation(settings, evidence, PEOPLE))
     for place in PLACES:
@@ -216,7 +200,6 @@ def test_the_list_has_every_transition_that_the_document_has() -> None:
 
 
 def _transitions_of_the_document() -> list[str]:
-    """Return the addresses of the transitions of sets and requests."""
     paths = [path for path, methods in OPENAPI["paths"].items() if "post" in methods and ":" in path]
     return [path for path in paths if path.startswith(("/api/v1/parameter-sets", "/api/v1/approvals"))]
 

@@ -1,7 +1,5 @@
 """A table definition with a slip in it is refused, and the refusal names the place."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest
@@ -95,7 +93,6 @@ def test_a_slip_is_refused_where_it_stands(name):
     change, sentence = WRONG[name]
     document = copy.deepcopy(definition_of())
     change(document)
-
     with pytest.raises(RefusedInputError, match=sentence):
         parse_definition(document, sensor_of())
 
@@ -110,7 +107,6 @@ def test_a_type_that_pus_has_no_code_for_is_refused_there_only():
     document = definition_of()
     document["fields"][1] |= {"type": "uint20", "scale": 1e-3}
     parse_definition(document, sensor_of())
-
     with pytest.raises(RefusedInputError, match=r"TC\[20,3\] cannot be made of whole bytes"):
         parse_definition(document | {"pus": {"parameter_ids": IDS}}, sensor_of())
 

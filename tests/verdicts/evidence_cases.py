@@ -1,7 +1,5 @@
 """Evidence made by hand: a sound set of a sensor, and anything that a test wants otherwise."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,6 @@ SIGMA = 0.02 * SENSOR.typical_sigma
 
 
 def a_set(**changed: Any) -> dict[str, Any]:
-    """A set a tenth of a typical sigma from the start, known to a fiftieth of one."""
     start = ground_set(SENSOR)
     sigma = SIGMA
     return {
@@ -31,7 +28,6 @@ def a_set(**changed: Any) -> dict[str, Any]:
 
 
 def a_result(**changed: Any) -> dict[str, Any]:
-    """What a sound run says of itself, as far as gates read it."""
     test = {"dof": 1000, "lower": 0.91, "upper": 1.09, "consistent": True}
     return {
         "method": "batch",
@@ -49,7 +45,6 @@ def a_result(**changed: Any) -> dict[str, Any]:
 
 
 def evidence(**changed: Any) -> Evidence:
-    """Evidence for a sound set against the ground calibration, without held-out frames."""
     values: dict[str, Any] = {
         "sensor": SENSOR,
         "candidate": a_set(),

@@ -1,7 +1,5 @@
 """Held-out frames: how often a sound set is failed, that a worse one always is, and that every door gives the same scores."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -23,13 +21,11 @@ TRUTH = st16_truth(1)
 
 
 def known(x):
-    """Parameters as a set that is sure of them."""
     covariance = {"names": list(NAMES), "matrix": np.diag((1e-3 * SENSOR.typical_sigma) ** 2).tolist()}
     return {**ground_set(SENSOR), "parameters": dict(zip(NAMES, x.tolist(), strict=True)), "covariance": covariance}
 
 
 def frames_of(number, frames, catalogue):
-    """Simulate held-out frames anew."""
     scenario = dataclasses.replace(validation_scenario(1), frames=frames)
     return simulate(scenario, np.random.default_rng(number), catalogue)
 
@@ -39,7 +35,6 @@ def scores(incumbent, candidate, number, catalogue, frames=30):
 
 
 def status(name, score, **entry):
-    """Judge one score by a profile."""
     measured = Measurement(score["value"], "", interval=ends(score["interval"]))
     report = judge(parse_profile({"gates": [{"name": name, **entry}]}), {name: measured})
     return next(one["status"] for one in report["gates"] if one["name"] == name)
@@ -49,7 +44,6 @@ def test_a_set_exactly_at_the_limit_is_failed_no_more_often_than_once_in_forty_t
     better, worse = known(TRUTH), known(TRUTH + 0.02 * SENSOR.typical_sigma)
     limit = scores(better, worse, 1, catalogue, frames=1500)["validation-rms-incumbent"]["value"]
     assert limit > 1.1
-
     failed = [
         status("validation-rms-incumbent", found["validation-rms-incumbent"], limit=limit, marginal=limit) == "FAIL"
         for found in (scores(better, worse, number, catalogue) for number in range(100, 160))
@@ -63,7 +57,6 @@ def test_a_set_as_good_as_the_incumbent_is_never_failed_by_the_default_and_a_wor
         alike = [known(TRUTH + 0.005 * SENSOR.typical_sigma * rng.normal(size=8)) for _ in range(2)]
         found = scores(*alike, number, catalogue)
         assert {status(name, found[name]) for name in found if name != "frames"} <= {"PASS", "MARGINAL"}
-
         worse = scores(alike[0], known(TRUTH + 0.3 * SENSOR.typical_sigma), number, catalogue)
         assert status("validation-rms-incumbent", worse["validation-rms-incumbent"]) == "FAIL"
 
@@ -78,7 +71,6 @@ def test_a_set_that_loses_frames_and_stars_fails_against_the_incumbent_and_the_o
 
 
 def in_runs(rng, n, share, length):
-    """Which of n frames are hit, when hits come in runs of a length, at a share of all."""
     return np.repeat(rng.random(n // length) < share, length)
 
 
@@ -116,7 +108,6 @@ def test_a_runs_own_validation_gives_the_scores_that_seeing_the_frames_again_giv
     telemetry = simulate(scenario, np.random.default_rng(11), catalogue)
     held_out = frames_of(12, 20, catalogue)
     result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=held_out)
-
     own = of_result(result)
     assert own == held_out_scores(held_out, SENSOR, catalogue, ground_set(SENSOR), result, GIVEN)
     incumbent = ground_set(SENSOR)

@@ -16,13 +16,11 @@ NUMBERS = st.floats(0.0, 1.0)
 
 
 def answer(name, measured, **entry):
-    """The answer of one gate under a profile that differs from the default in it."""
     report = judge(parse_profile({"gates": [{"name": name, **entry}]}), {name: measured})
     return next(one for one in report["gates"] if one["name"] == name)
 
 
 def sound(**changed):
-    """Measurements of a set that passes every gate of the default profile, but for what is given."""
     good = {"below": 0.0, "around": 1.0}
     return {
         name: Measurement(None, "Met.", met="PASS") if gate.direction == "met"

@@ -1,7 +1,5 @@
 """What each gate measures of a set, of its run and of the number format on board."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -229,7 +227,6 @@ JUNK = st.one_of(
 
 
 def places(document, path=()):
-    """Every place in a document, as a path of keys."""
     for key, value in document.items():
         yield (*path, key)
         if isinstance(value, dict):
@@ -237,7 +234,6 @@ def places(document, path=()):
 
 
 def spoiled(document, path, junk):
-    """A copy of a document with junk in one place."""
     return {
         key: junk if path == (key,) else spoiled(value, path[1:], junk) if path[:1] == (key,) else value
         for key, value in document.items()

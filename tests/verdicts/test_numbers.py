@@ -1,7 +1,5 @@
 """Numbers as they are printed: to the digits that are known."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -16,7 +16,6 @@ SERVER = Path(__file__).parent / "server.py"
 
 @pytest.fixture
 def start_server():
-    """Start server processes; end them in order at the end."""
     started = []
 
     def start(store):

@@ -9,7 +9,6 @@ from boresight.workers.reconcile import RUNS, Lookout
 
 @pytest.fixture
 def look(make_store):
-    """Make a lookout that has noted some runs."""
     store = make_store()
 
     def make(count, state="SUCCEEDED"):

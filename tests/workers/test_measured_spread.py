@@ -1,7 +1,5 @@
 """The measurement of a batch over two workers, in small: what it compares is the same to the last bit, kill or no kill."""
 
-from __future__ import annotations
-
 import time
 from types import SimpleNamespace
 
@@ -20,7 +18,6 @@ KILL = {"worker": "tcp://one", "happened": True, "after_s": 3.0, "groups_done": 
 
 def test_one_worker_two_and_two_of_which_one_is_killed_find_the_same_bits():
     found = spread.measure(lambda *_: None, frames=FRAMES)
-
     runs = found["runs"]
     assert found["same_bits"] == {"one_worker": True, "two_workers": True, "one_of_two_killed": True}
     assert set(found["largest_difference_sigma"].values()) == {0.0}
@@ -35,14 +32,11 @@ def test_a_kill_that_shows_nothing_keeps_no_promise_and_says_why(changed, kept):
     runs = {name: {"seconds": 2.0, "document": DOCUMENT} for name in ("one_worker", "two_workers", "one_of_two_killed")}
     runs["one_of_two_killed"]["kill"] = KILL | changed
     limit = spread._found(100, runs)["limits"]["answer_of_one_of_two_killed"]
-
     assert limit["kept"] is kept
     assert ("why" in limit) is not kept
 
 
 class _Client:
-    """A cluster whose worker has computed ten groups, and two more each time it is asked."""
-
     def __init__(self):
         self.done = 8
 
@@ -60,7 +54,6 @@ def test_a_worker_is_killed_once_at_its_time_and_what_it_had_is_told(monkeypatch
     for _ in range(3):
         late.look()
         now.look()
-
     assert killed == [(7, spread.signal.SIGKILL)]
     assert not late.told(began_s)["happened"]
     told = now.told(began_s)

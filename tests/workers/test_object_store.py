@@ -17,7 +17,6 @@ BUCKET = "s3://flight/blobs"
 
 @pytest.fixture(scope="module")
 def flying(make_store, start_engine, tmp_path_factory):
-    """An engine whose blobs are in a bucket, and whose workers keep files in a folder of their own."""
     with serving_s3("flight"), pytest.MonkeyPatch.context() as environment:
         own = tmp_path_factory.mktemp("worker")
         environment.setenv("BORESIGHT_DATA_FOLDER", str(own))

@@ -22,8 +22,6 @@ def store(make_store):
 
 @pytest.fixture
 def make_rows(store):
-    """Make owners of runs; a negative lease has lapsed when it begins."""
-
     def make(lease_s=30.0, max_attempts=3):
         return Reconciler(store.database, f"owner-{next(NUMBERS)}", lease_s, max_attempts)
 
@@ -31,14 +29,12 @@ def make_rows(store):
 
 
 def take_one(rows, run_id):
-    """Claim one run."""
     with writing(rows.database) as session:
         claimed = runs.claim(session, rows.owner, rows.lease_s, 1, [run_id])
     return [(run.run_id, run.attempt) for run in claimed]
 
 
 def success(held):
-    """Make the end of a good attempt."""
     address = f"{held[0]:032x}{held[1]:032x}"
     return End(*held, "SUCCEEDED", None, address, {"status": "converged"}, 2, [Line.log("done")])
 

@@ -1,7 +1,5 @@
 """What is told of a course on its way: every point once, few at a time, whatever happened to the reports between."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from typing import Any
@@ -18,7 +16,6 @@ HELD = (7, 1)
 
 
 def course(frames: list[int]) -> dict[str, Any]:
-    """A filter's history over some frames, each column told apart by its frame."""
     return {
         "frame": frames,
         "parameters": [[float(frame), 0.0] for frame in frames],
@@ -31,7 +28,6 @@ def course(frames: list[int]) -> dict[str, Any]:
 
 
 def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HELD) -> Report:
-    """A report as it comes from a worker."""
     partial = orjson.dumps({"status": "running", "history": course(frames) if frames else None})
     return Report(*held, fraction, f"frame {frames[-1:]}", 1.0, partial)
 

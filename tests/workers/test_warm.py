@@ -1,7 +1,5 @@
 """Warming: afterwards no run waits for the compiler."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -72,7 +70,6 @@ def test_the_demonstration_compiles_at_the_end_of_the_installation_where_it_look
 
 @pytest.fixture
 def folder_used(tmp_path, monkeypatch):
-    """Say which folder is used for kernels, in an environment of its own with a data folder."""
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "environment"))
 
     def used(given: str | None = None) -> str:
