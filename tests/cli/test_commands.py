@@ -15,7 +15,7 @@ from boresight.cli.output import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
 
 COMMANDS = (
-    "calibrate", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table", "bench",
+    "calibrate", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table",
     "serve", "demo", "warm", "migrate", "backup", "restore", "user", "audit",
 )  # fmt: skip
 PASSWORD = "correct horse battery"

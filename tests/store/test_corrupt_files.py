@@ -97,7 +97,7 @@ def test_twenty_flips_in_files_of_any_size_are_all_noticed(blobs: BlobStore) -> 
 
 def test_only_the_store_knows_where_a_file_of_an_address_lies() -> None:
     sources = Path(integrity.__file__).parent
-    known = {"store/blobs.py", "store/object_blobs.py"}
+    known = {"platform/blobs/folder.py", "platform/blobs/bucket.py"}
     readers = {
         str(path.relative_to(sources))
         for path in sources.rglob("*.py")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from boresight.errors import ForbiddenError
-from boresight.platform.db.documents import utc_after, utc_text
+from boresight.platform.db.times import utc_after, utc_text
 
 SCOPES = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
 

@@ -39,9 +39,11 @@ from boresight.platform.db.sessions import Engine, Session, only_try, reading, w
 from boresight.platform.web.drawn import Drawn
 from boresight.platform.web.openapi import refuses
 from boresight.platform.web.origins import SAFE_METHODS
-from boresight.platform.web.paging import row_number
+from boresight.platform.web.paging import register, row_number
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue
+
+register()  # what a parameter in a path may be, before the first route is made: every module of routes or pages imports this one
 
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
 CSRF_HEADER = "X-CSRF-Token"

@@ -25,8 +25,8 @@ from boresight.console.transitions import require_seen, subject_of
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role
 from boresight.platform.audit import log as audit
-from boresight.platform.db.documents import read_time
 from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.db.times import read_time
 from boresight.platform.web.words import refuse_control_characters
 
 __all__ = [

@@ -58,8 +58,9 @@ from boresight.platform.actors import Actor, require_person, require_role, requi
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.working_tables import table_path
-from boresight.platform.db.documents import read_time, sha256_of
+from boresight.platform.db.documents import sha256_of
 from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.db.times import read_time
 from boresight.platform.web.words import refuse_control_characters
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import Sensor, parse_sensor

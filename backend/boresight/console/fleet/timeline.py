@@ -32,8 +32,8 @@ from boresight.console.transitions import get_sensor
 from boresight.console.uplinks import queries as uplink_rows
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import RefusedInputError
-from boresight.platform.db.documents import read_time
 from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.db.times import read_time
 
 METHODS = {"bytes": "compared byte by byte", "crc": "compared by CRC"}
 

@@ -36,8 +36,9 @@ from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role, require_scope, require_user
 from boresight.platform.audit import log as audit
-from boresight.platform.db.documents import read_time, sha256_of
+from boresight.platform.db.documents import sha256_of
 from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.db.times import read_time
 from boresight.platform.web.words import refuse_control_characters
 
 

@@ -29,7 +29,8 @@ from sqlalchemy.orm import ORMExecuteState, Session
 
 from boresight.platform.audit import seals as journals
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.db.documents import canonical, seconds_between, utc_now
+from boresight.platform.db.documents import canonical
+from boresight.platform.db.times import seconds_between, utc_now
 
 FIRST_HASH = "0" * 64
 TEXTS = ("at_utc", "actor", "credential", "action", "object", "reason", "request_id")

@@ -23,9 +23,9 @@ from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.audit.verification import Findings, Misfit
 from boresight.platform.blobs import files
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.documents import read_time
 from boresight.platform.db.lists import newest_rows
 from boresight.platform.db.sessions import Session
+from boresight.platform.db.times import read_time
 
 FIRST_HASH = chain.FIRST_HASH
 BAD_FILES_NAMED = 20

@@ -47,8 +47,8 @@ from boresight.platform.audit import seals as journals
 from boresight.platform.blobs import files
 from boresight.platform.blobs.folder import CHUNK_BYTES, BlobStore
 from boresight.platform.db.declared import Base
-from boresight.platform.db.documents import utc_now
 from boresight.platform.db.sessions import Engine, migrate, open_engine
+from boresight.platform.db.times import utc_now
 
 ROWS = 500  # at once
 

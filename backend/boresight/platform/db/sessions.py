@@ -24,8 +24,8 @@ from sqlalchemy.orm import Session as OrmSession
 from boresight.errors import BoresightError, ConflictError, RefusedInputError
 from boresight.platform.audit.chain import forget, seal, seal_everything, write_before_reading
 from boresight.platform.audit.seals import chain_new, note_flushed, refuse_bulk
-from boresight.platform.db.documents import utc_after, utc_now, utc_text
 from boresight.platform.db.engines import be_the_only_writer, open_engine
+from boresight.platform.db.times import utc_after, utc_now, utc_text
 from boresight.resources import folder
 
 __all__ = [

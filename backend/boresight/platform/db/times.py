@@ -1,0 +1,43 @@
+"""Times as the store writes them: text in one form, `2026-11-21T03:04:05.123456Z`, which sorts as time."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+from boresight.errors import RefusedInputError
+
+
+def utc_now() -> str:
+    """Return the time as the store writes it, `2026-11-21T03:04:05.123456Z`; sorts as time."""
+    return utc_after(0.0)
+
+
+def utc_after(seconds: float) -> str:
+    """Return the time so many seconds from now, in the same form; negative seconds are in the past."""
+    return utc_text(datetime.now(UTC) + timedelta(seconds=seconds))
+
+
+def seconds_between(earlier: str, later: str) -> float:
+    """Return the seconds from one time of the store to another."""
+    first, second = (datetime.fromisoformat(text) for text in (earlier, later))
+    return (second - first).total_seconds()
+
+
+def utc_text(moment: datetime) -> str:
+    """Return a moment as the store writes it; one without a zone is UTC already."""
+    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    return f"{moment.replace(tzinfo=None).isoformat(timespec='microseconds')}Z"  # strftime writes the year 33 with two digits
+
+
+def read_time(text: str) -> str:
+    """Read a time that was given, ISO 8601 and UTC where it names no zone, as the store writes it.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is no time, or its zone takes it out of the calendar of the years 1 to 9999.
+    """
+    try:
+        return utc_text(datetime.fromisoformat(text.strip()))
+    except (ValueError, OverflowError) as error:
+        raise RefusedInputError(f"{text[:40]!r} is no time; write it like 2026-11-21T03:04:05Z.") from error
