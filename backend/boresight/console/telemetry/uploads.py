@@ -85,8 +85,9 @@ class _Form(MultiPartParser):
     def on_headers_finished(self) -> None:
         """Open the part."""
         super().on_headers_finished()
-        if self._current_part.file is not None:
-            self._current_part.file = _OnDisk(self._file, filename=self._current_part.file.filename)
+        if (spooled := self._current_part.file) is not None:
+            spooled.file.close()
+            self._current_part.file = _OnDisk(self._file, filename=spooled.filename)
 
     def on_end(self) -> None:
         """Note that the end came."""
