@@ -91,7 +91,7 @@ $(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
 $(NODE_MODULES): frontend/package-lock.json | $(MADE)/dev
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/npm ci --prefix frontend --ignore-scripts --no-audit --no-fund --prefer-offline
 
-$(COMPILED): $(MADE)/runtime $(wildcard backend/boresight/kernels/*.py)
+$(COMPILED): $(MADE)/runtime $(wildcard backend/boresight/kernels/*.py backend/boresight/cameras/*.py)
 	@$(BIN)/boresight warm --data .demo
 	@touch $@
 
