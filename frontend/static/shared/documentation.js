@@ -8,15 +8,14 @@ async function token() {
   return answer.ok ? ((await answer.json()).csrf_token ?? "") : "";
 }
 
-const { SwaggerUIBundle } = /** @type {any} */ (globalThis);
-SwaggerUIBundle({
+window.SwaggerUIBundle?.({
   url: "/api/v1/openapi.json",
   dom_id: "#documentation",
   docExpansion: "none",
   filter: true,
   tryItOutEnabled: true,
   validatorUrl: null,
-  requestInterceptor: async (/** @type {any} */ request) => {
+  requestInterceptor: async (request) => {
     const method = (request.method ?? "GET").toUpperCase();
     if (!SAFE.includes(method) && !request.headers.Authorization) {
       request.headers["X-CSRF-Token"] = await token();

@@ -13,7 +13,7 @@ router = APIRouter(include_in_schema=False)
 @router.get("/docs")
 def documentation() -> HTMLResponse:
     """Show every operation, and let who is logged in or has a key try it."""
-    return HTMLResponse((folder("frontend") / "templates" / "shared" / "documentation.html").read_text())
+    return HTMLResponse((folder("frontend") / "templates" / "shared/documentation.html").read_text())
 
 
 @router.get("/api/v1/docs")
