@@ -123,7 +123,7 @@ def _filled(folder: Path, address: str, report: Report, sizes: tuple[int, int, i
 def table_sizes(engine: Engine) -> dict[str, tuple[int, int]]:
     """Rows, and bytes with indexes, of every table."""
     with engine.connect() as connection:
-        sizes: dict[str, int] = dict(connection.execute(sa.text(SIZES[engine.dialect.name])).tuples().all())
+        sizes: dict[str, int] = {row[0]: row[1] for row in connection.execute(sa.text(SIZES[engine.dialect.name]))}
         tables = Base.metadata.tables.items()
         counts = {name: connection.scalar(sa.select(sa.func.count()).select_from(table)) for name, table in tables}
     return {name: (count or 0, int(sizes.get(name, 0))) for name, count in counts.items()}
