@@ -77,9 +77,9 @@ class _Form(MultiPartParser):
 
     def __init__(self, request: Request, place: Path) -> None:
         super().__init__(
-            request.headers, request.stream(), max_files=1, max_fields=MOST_FIELDS, max_part_size=LONGEST_FIELD_BYTES
+            request.headers, request.stream(), max_files=2, max_fields=MOST_FIELDS, max_part_size=LONGEST_FIELD_BYTES
         )
-        self.is_whole = False
+        self.has_file = self.is_whole = False
         self._file = place.open("wb")
 
     def on_headers_finished(self) -> None:
@@ -87,6 +87,9 @@ class _Form(MultiPartParser):
         super().on_headers_finished()
         if (spooled := self._current_part.file) is not None:
             spooled.file.close()
+            if self.has_file:
+                raise RefusedInputError("One file at a time: send each telemetry file by itself.")
+            self.has_file = True
             self._current_part.file = _OnDisk(self._file, filename=spooled.filename)
 
     def on_end(self) -> None:
