@@ -42,6 +42,8 @@ _CURVATURE = 0.1
 
 _FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
 _jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+#: For the steps of one frame, which take tuples of many arrays: handing these to a function of its own costs a fifth of the whole.
+_step = numba.njit(nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
 
 
 class Scratch(NamedTuple):
@@ -891,7 +893,7 @@ def match_frames(frame_start, row_start, seen, observer, guides, hints, rules, a
                 _learn(e, q, i0, i1, seen, answer, frame)  # the other exposures learn from all stars of this one
 
 
-@_jit
+@_step
 def _start_from_given(e, q, i0, i1, seen, rules, answer, frame):
     """Attitude of exposure e from its given matches, after they have voted out the wrong ones."""
     s, G, direction, use, named = seen.s[i0:i1], seen.G[i0:i1], answer.direction[i0:i1], frame.use[q], frame.named[q]
@@ -916,7 +918,7 @@ def _start_from_given(e, q, i0, i1, seen, rules, answer, frame):
         use[:n] = False
 
 
-@_jit
+@_step
 def _start_from_hints(e, e0, e1, i0, i1, seen, observer, guides, hints, rules, answer, frame):
     """Attitude of exposure e from the frame's other exposure, else from its hint; what the given matches said stands otherwise."""
     q, use, attitude = e - e0, frame.use[e - e0], answer.attitude[e]
@@ -945,7 +947,7 @@ def _start_from_hints(e, e0, e1, i0, i1, seen, observer, guides, hints, rules, a
             answer.star_id[i], answer.direction[i] = seen.given[i], seen.given_s[i]
 
 
-@_jit
+@_step
 def _vote(e, q, i0, i1, radius, kind, wanted, seen, observer, guides, rules, answer, frame):
     """Find the first stars of exposure e by voting about where its attitude says, at least so many; whether that solved it."""
     s, sigma, use, attitude = seen.s[i0:i1], seen.sigma[i0:i1], frame.use[q], answer.attitude[e]
@@ -967,7 +969,7 @@ def _vote(e, q, i0, i1, radius, kind, wanted, seen, observer, guides, rules, ans
     return frame.solved[q]
 
 
-@_jit
+@_step
 def _near(e, i0, i1, cone, seen, observer, guides, rules, answer, frame):
     """List the guide stars within `cone` of the boresight of exposure e, with their directions; returns how many."""
     frame.axis[:] = answer.attitude[e, 2]
@@ -983,7 +985,7 @@ def _near(e, i0, i1, cone, seen, observer, guides, rules, answer, frame):
     return m
 
 
-@_jit
+@_step
 def _learn(e, q, i0, i1, seen, answer, frame):
     """Take what the used stars of exposure e say of attitude and parameters, and of the parameters alone."""
     Lambda, eta, r = frame.Lambda[q], frame.eta[q], frame.r
@@ -999,7 +1001,7 @@ def _learn(e, q, i0, i1, seen, answer, frame):
     _marginal(Lambda, eta, d, frame.L, frame.shared[q], frame.shared_eta[q], frame.work)
 
 
-@_jit
+@_step
 def _know(q, n_exposures, frame):
     """Add up what is known when exposure q is matched: its own first stars, the start's parameters, and the other exposures."""
     total, total_eta = frame.total, frame.total_eta
@@ -1014,7 +1016,7 @@ def _know(q, n_exposures, frame):
                     total[3 + a, 3 + b] += frame.shared[other, a, b]
 
 
-@_jit
+@_step
 def _blank(e, i0, i1, answer):
     """Say that nothing of exposure e is matched."""
     answer.star_id[i0:i1] = 0
@@ -1023,7 +1025,7 @@ def _blank(e, i0, i1, answer):
     answer.covariance[e] = np.nan
 
 
-@_jit
+@_step
 def _take(i0, n, m, wanted, unwanted, value, guides, answer, frame):
     """Mark the candidates that are the stars of the detections in one mask and not in another as taken, or not."""
     for i in range(n):
@@ -1033,7 +1035,7 @@ def _take(i0, n, m, wanted, unwanted, value, guides, answer, frame):
                     frame.taken[j] = value
 
 
-@_jit
+@_step
 def _match_exposure(e, q, i0, i1, seen, observer, guides, rules, answer, frame):
     """Match exposure e: drop first stars that the others reject, take further ones, verify, and judge by what the file names."""
     n, work, use, named, before = i1 - i0, frame.work, frame.use[q], frame.named[q], frame.work.before
@@ -1079,7 +1081,7 @@ def _match_exposure(e, q, i0, i1, seen, observer, guides, rules, answer, frame):
     answer.valid[e] = _count(use, n) >= rules.minimum_stars
 
 
-@_jit
+@_step
 def _contradicted(e, q, i0, i1, seen, answer, frame):
     """Whether neither what the file says nor what the detector shows agrees with an attitude from given matches."""
     n_named, n_kept = 0, 0
