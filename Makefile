@@ -17,16 +17,17 @@ export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/kernels
 COMPILED := $(VENV)/kernels/compiled
 export PYTHONUNBUFFERED := 1
 
+# What checks the types of the pages' modules; node comes with the virtual environment and is needed for nothing else.
+NODE_MODULES := frontend/node_modules/.package-lock.json
+TSC := $(BIN)/node frontend/node_modules/typescript/bin/tsc --project frontend
+
 # Debian keeps PostgreSQL's own programs off the path.
-PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10
-# What starts processes, kills them or drives a browser has the machine for itself; the rest shares it.
-PARALLEL := --numprocesses 2 --dist loadfile
-ALONE := tests/workers tests/measurements tests/browser tests/test_wheel.py tests/transitions/test_race.py tests/transitions/test_killed_server.py
+PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10 --numprocesses 2
 
 REQUESTS ?= 100000
 SEED ?= 1
 
-.PHONY: help demo test lint pytest bench postgresql search fuzz clean lock machine
+.PHONY: help demo test lint pytest full bench postgresql search fuzz clean lock machine
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## */  \1\t/' | expand -t 14
@@ -36,31 +37,30 @@ demo: $(COMPILED)  ## install, make a simulated fleet and serve it on http://127
 
 test: $(MADE)/dev lint machine pytest  ## install everything and run every check: lint, types, import contracts, tests
 
-lint: $(MADE)/dev  ## style, format, types and import contracts
+lint: $(MADE)/dev $(NODE_MODULES)  ## style, format, types (of the pages' modules too) and import contracts
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(TSC)
 
-pytest: $(MADE)/dev
+pytest: $(MADE)/dev $(COMPILED)
 	@mkdir -p artefacts
-	failed=0; \
-	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --junit-xml=artefacts/tests.xml || failed=1; \
-	$(PYTEST) $(wildcard $(ALONE)) --junit-xml=artefacts/tests-alone.xml || failed=1; \
-	exit $$failed
+	@for part in backend tests benchmarks; do echo "$$part: $$(find $$part -name '*.py' -print0 | xargs -0 cat | wc -l) lines"; done
+	$(PYTEST) --junit-xml=artefacts/tests.xml
+
+full: $(MADE)/dev $(COMPILED)  ## run the tests with every slow one and all with many examples (an hour)
+	$(PYTEST) --full
 
 bench: $(MADE)/dev  ## measure everything beside its peers and write docs/benchmarks.md and docs/capacity.md anew (an hour, on an idle machine)
-	$(BIN)/python docs/measure.py
+	$(BIN)/python -m benchmarks.pages
 
-postgresql: $(MADE)/dev  ## run the tests on PostgreSQL instead of SQLite (a quarter of an hour)
+postgresql: $(MADE)/dev $(COMPILED)  ## run the tests on PostgreSQL instead of SQLite
 	@.ci/machine postgresql
-	failed=0; \
-	$(PYTEST) $(PARALLEL) $(addprefix --ignore=,$(ALONE)) --store postgresql || failed=1; \
-	$(PYTEST) $(filter-out tests/test_wheel.py,$(wildcard $(ALONE))) --store postgresql || failed=1; \
-	exit $$failed
+	$(PYTEST) --ignore tests/test_wheel.py --store postgresql
 
-search: $(MADE)/dev  ## look for new counterexamples to every property (half an hour)
-	$(PYTEST) $(PARALLEL) -m hypothesis --hypothesis-profile search
+search: $(MADE)/dev $(COMPILED)  ## look for new counterexamples to every property (half an hour)
+	$(PYTEST) -m hypothesis --hypothesis-profile search
 
 fuzz: $(MADE)/dev  ## send made-up requests to every operation and documents that are nearly right (REQUESTS=100000, SEED=1)
 	@mkdir -p artefacts
@@ -88,7 +88,10 @@ $(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
 	$(INSTALL) --no-deps --editable .
 	@mkdir -p $(MADE) && touch $@
 
-$(COMPILED): $(MADE)/runtime $(wildcard backend/boresight/kernels/*.py)
+$(NODE_MODULES): frontend/package-lock.json | $(MADE)/dev
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/npm ci --prefix frontend --ignore-scripts --no-audit --no-fund --prefer-offline
+
+$(COMPILED): $(MADE)/runtime $(wildcard backend/boresight/kernels/*.py backend/boresight/cameras/*.py)
 	@$(BIN)/boresight warm --data .demo
 	@touch $@
 

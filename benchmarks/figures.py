@@ -1,6 +1,6 @@
 """Figures and pages of long runs: time and size of every figure over REST, against the same figure unthinned.
 
-    python benchmarks/figures.py --frames 100000 --runs 200 --overlaid 20 --browser --json figures.json
+    python -m benchmarks.figures --frames 100000 --runs 200 --overlaid 20 --browser --json figures.json
 
 A simulated set of `--frames` frames is calibrated by the square-root filter. Its result, with noise of each run's own, becomes the
 result of `--overlaid` runs in a store of `--runs` runs, and a server of its own is started on it. Every figure is asked for alone
@@ -11,38 +11,55 @@ The peer is the same figure unthinned. A result keeps at most 1,000 points of a 
 one point an update; figure and peer are drawn in turn in this process, and the table has their ratios.
 
 With `--browser` pages are opened in Chromium: *interactive* is from the last byte of the server's answer until a click would be
-answered for the first time, *blocked* the longest time in the
-8 seconds after that during which one would not be, while figures are drawn.
+answered for the first time, *blocked* the longest time in the 8 seconds after that during which one would not be.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
+import copy
 import shutil
-import socket
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import click
 import httpx
 import numpy as np
+import orjson
 from playwright.sync_api import sync_playwright
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.accuracy import peak_rss_mb
+from benchmarks.servers import Server, serving
+from benchmarks.stores import PASSWORD, analysts, opened, settings_in
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.options import CalibrationSettings
+from boresight.cli.output import json_option, write_json
+from boresight.console.fleet import service as sensors
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import FIGURES, Trace, figure_json
-from boresight.figures.thinning import thinning
-from long_runs import PASSWORD, drawn_out, furnish
+from boresight.figures.style.thinning import thinning
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.db.sessions import migrate, utc_now, writing
+from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.sky.catalogue import load_catalogue
+from boresight.telemetry.sensors import sensor_document
+from boresight.verdicts.summary import summary_of
+
+Rows = dict[str, dict[str, Any]]
 
 ENDPOINT_MS, PAYLOAD_BYTES, INTERACTIVE_MS = 100.0, 500_000, 1000.0
 PEERS = ("convergence", "rms", "innovations", "methods")
-REPEATS, LOOKED_AT_S, READY_POLL_S = 5, 8, 0.1
+REPEATS, LOOKED_AT_S = 5, 8
 WATCH = """() => {
     window.watched = { free: null, blocked: 0 };
     new PerformanceObserver(list => { for (const task of list.getEntries()) if (watched.free !== null)
@@ -52,64 +69,95 @@ WATCH = """() => {
 }"""
 
 
-class Server:
-    """A server of its own on the store."""
+def with_noise(result: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """The result of another run: parameters and their history moved by one sigma's noise."""
+    moved = copy.deepcopy(dict(result))
+    step = {name: rng.normal() * (sigma or 0.0) for name, sigma in result["sigma"].items()}
+    moved["parameters"] = {name: value + step[name] for name, value in result["parameters"].items()}
+    moved["history"]["parameters"] = (np.array(result["history"]["parameters"]) + np.array([*step.values()])).tolist()
+    for key in ("tail_rms_rad", "aggregate_rms_rad"):
+        values = np.array(result["history"][key], dtype=float)
+        moved["history"][key] = (values * (1 + 1e-3 * rng.normal(size=len(values)))).tolist()
+    return moved
 
-    def __init__(self, folder):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        named = {"DATA_FOLDER": str(folder / "data"), "PORT": str(port), "WORKERS": "0", "MODE": "SIM"}
-        environment = os.environ | {f"BORESIGHT_{name}": value for name, value in named.items()}
-        self.address = f"http://127.0.0.1:{port}"
-        self.process = subprocess.Popen([sys.executable, "-m", "boresight", "serve"], env=environment)
-        self.client = httpx.Client(base_url=self.address, timeout=120, headers={"Accept-Encoding": "gzip"})
-        for _ in range(3000):
-            try:
-                if self.client.get("/healthz").status_code == httpx.codes.OK:
-                    break
-            except httpx.TransportError:
-                time.sleep(READY_POLL_S)
-        self.client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).raise_for_status()
 
-    def get(self, path, **headers):
-        """The answer, and the milliseconds it took."""
+def drawn_out(result: Mapping[str, Any], updates: int, rng: np.random.Generator) -> dict[str, Any]:
+    """The result with a history of so many updates, between its own points."""
+    history = result["history"]
+    place = np.linspace(0, len(history["frame"]) - 1, updates)
+    near = place.astype(int)
+    long = {key: np.array(values, dtype=float)[near] for key, values in history.items() if key != "time_utc" and values}
+    long["frame"] = np.interp(place, np.arange(len(history["frame"])), history["frame"])
+    long["nis"] = rng.chisquare(long["nis_dof"])
+    series = result["trust"]["nis_over_time"]
+    values = {key: [series[key][0]] * updates for key in ("lower", "upper")}
+    values |= {"frame": long["frame"].tolist(), "nis_per_dof": (long["nis"] / long["nis_dof"]).tolist()}
+    return {
+        **result,
+        "history": {key: found.tolist() for key, found in long.items()} | {"time_utc": None},
+        "trust": {**result["trust"], "nis_over_time": {**series, **values}},
+    }
+
+
+def furnish(folder: Path, frames: int, runs: int, overlaid: int) -> dict[str, Any]:
+    """Make a store of one real calibration and as many runs like it; returns the result that all runs come from."""
+    scenario, settings = (
+        replace(calibration_scenario(1), frames=frames),
+        CalibrationSettings(method="sqrf", match="given"),
+    )
+    catalogue = load_catalogue(settings_in(folder).catalogue_folder)
+    telemetry = simulate(scenario, np.random.default_rng(1), catalogue)
+    document = calibrate(telemetry, scenario.sensor, catalogue, settings)
+    result: dict[str, Any] = orjson.loads(orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY))
+    blobs, rng = open_blobs(settings_in(folder).blob_place), np.random.default_rng(2)
+    results = [with_noise(result, rng) for _ in range(overlaid)]
+    addresses = [blobs.put(orjson.dumps(one)) for one in results]
+    table, now = blobs.put(b"the table itself is not needed"), utc_now()
+    with opened(folder) as engine:
+        migrate(engine)
+        person = analysts(engine, 1)[0]
+        with writing(engine) as session:
+            sensor = sensors.register_sensor(session, person, sensor_document(scenario.sensor))
+            for sha256 in (table, *addresses):
+                register_blob(session, blobs, sha256, "application/json")
+            made = TelemetrySet(
+                sensor_id=sensor.id, name="TS-1", purpose="calibration", original_sha256=table, table_sha256=table,
+                frames=frames, stars=result["stars"], quality={"exposures": result["exposures"], "warnings": []},
+                uploaded_utc=now,
+            )  # fmt: skip
+            session.add(made)
+            session.flush()
+            session.add_all(
+                Run(
+                    sensor_id=sensor.id, telemetry_set_id=made.id, method="sqrf", settings=settings.document(),
+                    sensor_document=sensor.document, label=f"run {number + 1}", state="SUCCEEDED", launched_utc=now,
+                    started_utc=now, ended_utc=now, launched_by=person.user_id, result_sha256=addresses[number % overlaid],
+                    summary=summary_of(results[number % overlaid]),
+                )
+                for number in range(runs)
+            )  # fmt: skip
+    return result
+
+
+def endpoints(server: Server, client: httpx.Client, overlaid: int) -> Rows:
+    """Time and size of every figure, alone and overlaid."""
+
+    def asked(path: str, headers: Mapping[str, str] | None = None) -> tuple[httpx.Response, float]:
         begun = time.perf_counter()
-        answer = self.client.get(path, headers=headers)
+        answer = client.get(path, headers=headers)
         took = 1e3 * (time.perf_counter() - begun)
-        assert answer.status_code in {200, 304}, answer.text
+        if answer.status_code not in {httpx.codes.OK, httpx.codes.NOT_MODIFIED}:
+            answer.raise_for_status()
         return answer, took
 
-    def cpu_ms(self):
-        """The processor time that the server has used so far, in ticks of 10 ms: it does not wait for other programs."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return 1e3 * (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    def memory_mb(self):
-        """The most memory the server has held so far."""
-        status = Path(f"/proc/{self.process.pid}/status").read_text()
-        return int(status.split("VmHWM:")[1].split()[0]) / 1e3
-
-    def stop(self):
-        """End it."""
-        self.process.terminate()
-        self.process.wait(30)
-
-
-def endpoints(server, options):
-    """Time and size of every figure, alone and overlaid."""
-    others = ",".join(str(number) for number in range(2, options.overlaid + 1))
-    rows = {}
-    for runs, query in ((1, ""), (options.overlaid, f"?compare={others}")):
+    rows: Rows = {}
+    for runs, query in ((1, ""), (overlaid, f"?compare={','.join(map(str, range(2, overlaid + 1)))}")):
         for name in track(FIGURES, f"{runs} runs", console=Console(stderr=True)):
             path = f"/api/v1/runs/1/figures/{name}{query}"
-            begun_ms = server.cpu_ms()
-            first, first_ms = server.get(path)
-            cpu_ms = server.cpu_ms() - begun_ms
-            again = statistics.median(server.get(path)[1] for _ in range(REPEATS))
-            kept = statistics.median(
-                server.get(path, **{"If-None-Match": first.headers["etag"]})[1] for _ in range(REPEATS)
-            )
+            begun_s = server.processor_s()
+            first, first_ms = asked(path)
+            cpu_ms, known = 1e3 * (server.processor_s() - begun_s), {"If-None-Match": first.headers["etag"]}
+            again, kept = (statistics.median(asked(path, one)[1] for _ in range(REPEATS)) for one in (None, known))
             rows[f"{name} x {runs}"] = {
                 "first_ms": first_ms, "first_cpu_ms": cpu_ms, "again_ms": again, "not_modified_ms": kept,
                 "bytes": len(first.content),
@@ -117,19 +165,21 @@ def endpoints(server, options):
     return rows
 
 
-def peers(result, options):
+def peers(result: Mapping[str, Any], frames: int, overlaid: int) -> Rows:
     """Ratios of the same figures unthinned over thinned, both drawn here in turn from one point an update."""
-    rows, rng = {}, np.random.default_rng(3)
-    for runs, updates in ((1, options.frames), (options.overlaid, options.frames // options.overlaid)):
+    rows: Rows = {}
+    rng = np.random.default_rng(3)
+    for runs, updates in ((1, frames), (overlaid, frames // overlaid)):
         traces = [Trace(f"Run {k}", drawn_out(result, updates, rng)) for k in range(runs)]
         for name in track(PEERS, f"unthinned, {runs} runs", console=Console(stderr=True)):
-            times, sizes = {True: [], False: []}, {}
+            times: dict[bool, list[float]] = {True: [], False: []}
+            sizes: dict[bool, int] = {}
             for _ in range(3):
-                for whole in (False, True):
+                for whole, taken in times.items():
                     begun = time.perf_counter()
                     with thinning(whole=whole):
                         sizes[whole] = len(figure_json(FIGURES[name].draw(traces)))
-                    times[whole].append(1e3 * (time.perf_counter() - begun))
+                    taken.append(1e3 * (time.perf_counter() - begun))
             thinned, unthinned = min(times[False]), min(times[True])
             rows[f"{name} x {runs}"] = {
                 "updates": updates, "ms": thinned, "unthinned_ms": unthinned, "time_ratio": unthinned / thinned,
@@ -138,21 +188,21 @@ def peers(result, options):
     return rows
 
 
-def pages(server, options):
+def pages(client: httpx.Client, overlaid: int) -> Rows:
     """Milliseconds until each page answers a click, and the longest time that it then does not."""
-    chosen = ",".join(str(number) for number in range(1, options.overlaid + 1))
+    compare = f"/compare?runs={','.join(map(str, range(1, overlaid + 1)))}"
     named = {
-        "overview": "/", "runs": "/runs", "run": "/runs/1", "convergence": "/runs/1?part=convergence",
-        "compare": f"/compare?runs={chosen}", "compare, band": f"/compare?runs={chosen}&overlay=band",
-        "compare, tables": f"/compare?runs={chosen}&overlay=table",
+        "overview": "/", "runs": "/runs", "run": "/runs/1", "convergence": "/runs/1?part=convergence", "compare": compare,
+        "compare, band": f"{compare}&overlay=band", "compare, tables": f"{compare}&overlay=table",
     }  # fmt: skip
-    rows, chromium = {}, next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
+    rows: Rows = {}
+    chromium = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
-        context = browser.new_context(base_url=server.address, viewport={"width": 1280, "height": 800})
+        context = browser.new_context(base_url=str(client.base_url), viewport={"width": 1280, "height": 800})
         context.add_init_script(f"({WATCH})()")
-        cookies = [{"name": c.name, "value": c.value, "url": server.address} for c in server.client.cookies.jar]
-        context.add_cookies(cookies)
+        for cookie in client.cookies.jar:
+            context.add_cookies([{"name": cookie.name, "value": cookie.value or "", "url": str(client.base_url)}])
         for name, address in named.items():
             page = context.new_page()
             page.goto(address, wait_until="domcontentloaded")
@@ -169,7 +219,7 @@ def pages(server, options):
     return rows
 
 
-def show(title, rows):
+def show(title: str, rows: Rows) -> Rows:
     """Print a table of measured numbers, and return them."""
     table = Table(title=title)
     keys = list(next(iter(rows.values())))
@@ -177,19 +227,18 @@ def show(title, rows):
         table.add_column(column, justify="left" if column == "what" else "right")
     for name, row in rows.items():
         table.add_row(name, *(f"{row[key]:,.1f}" if isinstance(row[key], float) else f"{row[key]:,}" for key in keys))
-    Console(width=160).print(table)
+    Console(width=160, stderr=True).print(table)
     return rows
 
 
-def judged(report):
+def judged(report: Mapping[str, Any]) -> dict[str, Any]:
     """Whether each promise is kept, in numbers."""
     figures = report["endpoints"].values()
-    found = {
-        "median_first_ms": statistics.median(row["first_ms"] for row in figures),
-        "median_first_cpu_ms": statistics.median(row["first_cpu_ms"] for row in figures),
-        "median_again_ms": statistics.median(row["again_ms"] for row in figures),
-        "largest_bytes": max(row["bytes"] for row in figures),
+    found: dict[str, Any] = {
+        f"median_{key}": statistics.median(row[key] for row in figures)
+        for key in ("first_ms", "first_cpu_ms", "again_ms")
     }
+    found["largest_bytes"] = max(row["bytes"] for row in figures)
     kept = found["median_first_ms"] < ENDPOINT_MS and found["largest_bytes"] < PAYLOAD_BYTES
     if report["pages"]:
         found["slowest_interactive_ms"] = max(row["interactive_ms"] for row in report["pages"].values())
@@ -197,36 +246,29 @@ def judged(report):
     return {**found, "kept": kept}
 
 
-def main(arguments=None):
+@click.command(help=__doc__)
+@click.option("--frames", default=100_000)
+@click.option("--runs", default=200)
+@click.option("--overlaid", default=20)
+@click.option("--browser", is_flag=True, help="Open pages in Chromium too.")
+@json_option
+def main(*, frames: int, runs: int, overlaid: int, browser: bool, json_file: str | None) -> None:
     """Make the store, measure, print, and write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--overlaid", type=int, default=20)
-    parser.add_argument(
-        "--calibration", type=Path, help="JSON of boresight calibrate --method sqrf, in place of making one"
-    )
-    parser.add_argument("--browser", action="store_true", help="open pages in Chromium too")
-    parser.add_argument("--json", type=Path, help="write the numbers here")
-    options = parser.parse_args(arguments)
+    report: dict[str, Any] = {"frames": frames, "runs": runs, "overlaid": overlaid}
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        result = furnish(folder, options)
-        server = Server(folder)
-        try:
-            report = {"frames": options.frames, "runs": options.runs, "overlaid": options.overlaid}
-            report["endpoints"] = show("Figures over REST", endpoints(server, options))
-            report["pages"] = show("Pages", pages(server, options)) if options.browser else {}
-            report["server_peak_mb"] = server.memory_mb()
-        finally:
-            server.stop()
-        report["peers"] = show("Unthinned over thinned", peers(result, options))
+        result = furnish(Path(name), frames, runs, overlaid)
+        with serving(Path(name), workers=0, mode="SIM") as server:
+            with httpx.Client(base_url=server.address, timeout=120, headers={"Accept-Encoding": "gzip"}) as client:
+                log_in = {"name": "analyst-0", "password": PASSWORD}
+                client.post("/api/v1/sessions", json=log_in).raise_for_status()
+                report["endpoints"] = show("Figures over REST", endpoints(server, client, overlaid))
+                report["pages"] = show("Pages", pages(client, overlaid)) if browser else {}
+            report["server_peak_mb"] = peak_rss_mb(server.pid)
+    report["peers"] = show("Unthinned over thinned", peers(result, frames, overlaid))
     report["judged"] = judged(report)
-    Console(width=160).print(report["judged"], f"server at most {report['server_peak_mb']:.0f} MB")
-    if options.json:
-        options.json.write_text(json.dumps(report, indent=2))
-    return 0 if report["judged"]["kept"] else 1
+    write_json(report, json_file or "-")
+    sys.exit(not report["judged"]["kept"])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

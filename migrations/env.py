@@ -1,10 +1,10 @@
-"""How Alembic runs the revisions: on the connection that `boresight.store.sessions` opened, inside its transaction."""
+"""How Alembic runs the revisions: on the connection that `boresight.platform.db.sessions` opened, inside its transaction."""
 
 from __future__ import annotations
 
 from alembic import context
 
-from boresight.store.tables import Base
+from boresight.platform.db.declared import Base
 
 context.configure(
     connection=context.config.attributes["connection"],

@@ -1,38 +1,68 @@
-"""What holds for every test: which engine the store is on, slow Monte Carlo only when asked for, no stopwatch on properties."""
-
-from __future__ import annotations
+"""What holds for every test: which engine the store is on, how much is tried, cheap hashes, no stopwatch on properties."""
 
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
-from boresight.store.sessions import Engine, open_engine
+from boresight.platform.db.sessions import Engine, open_engine
+from boresight.sky.catalogue import Catalogue, load_catalogue
+from tests import effort, stores
 from tests import postgresql as postgresql_programs
-from tests import stores
+from tests.passwords import PRODUCT, use_hasher
 
 # The first example of a property may compile kernels; how long one takes says nothing about it. The suite tries the same
 # examples every time, so that a failure always is somebody's change; `make search` looks for new ones.
-hypothesis.settings.register_profile("house", hypothesis.settings(), deadline=None, derandomize=True)
+hypothesis.settings.register_profile("house", hypothesis.settings(), deadline=None, derandomize=True, max_examples=25)
+hypothesis.settings.register_profile("full", hypothesis.settings(), deadline=None, derandomize=True)
 hypothesis.settings.register_profile("search", hypothesis.settings(), deadline=None, max_examples=2000)
-hypothesis.settings.load_profile("house")
 _numbers = count(1)
+TESTS = Path(__file__).parent
+FIRST = ("browser", "workers", "benchmarks", "transitions", "fuzz")  # what waits for processes and takes longest begins
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--full", action="store_true", help="also run the tests marked `full`: slow Monte Carlo")
+    parser.addoption("--full", action="store_true", help="run the tests marked `full` too, and all with many examples")
     words = "the engine that stores are on; PostgreSQL is started for the tests"
     parser.addoption("--store", choices=("sqlite", "postgresql"), default="sqlite", help=words)
 
 
 def pytest_configure(config: pytest.Config) -> None:
     stores.choose(config.getoption("--store"))
+    effort.choose(full=config.getoption("--full"))
+    hypothesis.settings.load_profile("full" if config.getoption("--full") else "house")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def cheap_hashes() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        use_hasher(patch)
+        yield
+
+
+@pytest.fixture
+def product_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_hasher(monkeypatch, PRODUCT)
+
+
+class ByFile(LoadScopeScheduling):
+    def _split_scope(self, nodeid: str) -> str:
+        return "tests/browser" if nodeid.startswith("tests/browser/") else nodeid.partition("::")[0]
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
+    config.option.loadscopereorder = False
+    return ByFile(config, log)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    slow = pytest.mark.skip(reason="slow Monte Carlo; run it with --full")
+    place = {name: number for number, name in enumerate(FIRST)}
+    items.sort(key=lambda item: place.get(item.path.relative_to(TESTS).parts[0], len(FIRST)))
+    slow = pytest.mark.skip(reason="takes its time; run it with --full")
     for item in items:
         if "full" in item.keywords and not config.getoption("--full"):
             item.add_marker(slow)
@@ -43,7 +73,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item) -> Iterator[None]:
-    """Remove the databases that stood for a test's own folder."""
     folder: Path | None = getattr(item, "funcargs", {}).get("tmp_path")
     yield
     if folder is not None:
@@ -54,9 +83,18 @@ def pytest_sessionfinish() -> None:
     postgresql_programs.remove_server()
 
 
+@pytest.fixture(scope="session")
+def catalogue_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("sky") / "catalogue"
+
+
+@pytest.fixture(scope="session")
+def catalogue(catalogue_folder: Path) -> Catalogue:
+    return load_catalogue(catalogue_folder)
+
+
 @pytest.fixture
 def postgresql() -> Iterator[Engine]:
-    """A migrated PostgreSQL database with nothing in it; the test is skipped where there is no PostgreSQL."""
     server, name = postgresql_programs.server(), f"of-a-test-{next(_numbers)}"
     engine = open_engine(server.make(name))
     yield engine

@@ -1,11 +1,9 @@
 """Single exposures for the tests of the matching loops: stars measured without noise, and where an error would put them."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.kernels import matching as loops
 from tests.estimation.fields import COLUMNS, GROUND, NOISE_PX, PITCH, ROWS, SCALE
 
@@ -17,8 +15,6 @@ RIGHT = np.zeros(11)
 
 
 class Exposure:
-    """Stars on the detector as measured without noise, their rows, and where they would be in ICRS under an error y."""
-
     def __init__(self, rng, n=12, spread=1.0):
         middle = np.array([(ROWS - 1) / 2, (COLUMNS - 1) / 2])
         self.pixels = middle + spread * (rng.uniform(size=(n, 2)) - 0.5) * [ROWS, COLUMNS]
@@ -30,12 +26,10 @@ class Exposure:
         self.C = Rotation.random(rng=rng).as_matrix()
 
     def stars(self, y=RIGHT):
-        """ICRS directions (n, 3) that the true attitude and the true parameters give these pixels."""
         true = INVERTED_WANG.directions(GROUND + ROOT @ y[3:], *self.pixels.T, PITCH)
         return true @ Rotation.from_rotvec(-y[:3]).as_matrix() @ self.C
 
     def information(self, use, y=RIGHT):
-        """Lambda and eta of the used stars and the prior, dense, residuals linear in y."""
         weight = 1 / (self.sigma**2 + loops._CURVATURE**2 * np.sum((self.A @ y) ** 2, axis=1))
         Lambda = np.diag([loops._DIFFUSE] * 3 + [1.0] * 8)
         Lambda += np.einsum("n,nri,nrj->ij", weight[use], self.A[use], self.A[use])

@@ -1,18 +1,20 @@
 """A mission in the store: calibrations of a sensor over months, drawn about a truth that may drift, as if they had been run."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
 
-from boresight.services import audit
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.candidates import _add as add_parameter_set
-from boresight.store import parameter_sets as rows
-from boresight.store.sessions import Session, utc_now, utc_text
-from boresight.store.tables import Blob, Promotion, Run, Sensor, TelemetrySet
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import queries as rows
+from boresight.console.parameter_sets.service import _add as add_parameter_set
+from boresight.console.parameter_sets.tables import Promotion
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import Session, utc_now, utc_text
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 HOURS = 2.0
@@ -20,7 +22,6 @@ STARS = 4000
 
 
 def covariance_of(sensor: Sensor, share: float) -> np.ndarray:
-    """A full covariance, its sigmas a share of the typical ones, neighbours correlated by a half."""
     sigma = share * np.array(list(sensor.document["typical_sigma"].values()))
     k = len(sigma)
     return np.outer(sigma, sigma) * 0.5 ** np.abs(np.subtract.outer(np.arange(k), np.arange(k)))
@@ -35,7 +36,6 @@ def add_set(
     timed: bool = True,
     stars: int = STARS,
 ) -> TelemetrySet:
-    """Add two hours of telemetry of a day of the mission."""
     number = session.query(TelemetrySet).count() + 1
     sha256 = f"{number:064x}"
     begins = START + timedelta(days=day)
@@ -70,7 +70,6 @@ def add_run(
     method: str = "batch",
     **trend: Any,
 ) -> Run:
-    """Add a calibration of a set, drawn about the ground calibration moved by `shift` (k,) typical sigmas."""
     sensor = session.get_one(Sensor, telemetry.sensor_id)
     names, initial = list(sensor.document["initial"]), np.array(list(sensor.document["initial"].values()))
     typical, C = np.array(list(sensor.document["typical_sigma"].values())), covariance_of(sensor, share)
@@ -113,7 +112,6 @@ def add_run(
 
 
 def make_baseline(session: Session, run: Run) -> int:
-    """Make a run's estimate the baseline as if it had been approved long ago; return the set's number."""
     sensor = session.get_one(Sensor, run.sensor_id)
     entry = (run.summary or {})["trend"]
     sigma = np.sqrt(np.diag(np.array(entry["covariance"]))).tolist()

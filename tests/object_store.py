@@ -1,7 +1,5 @@
 """An S3 server in this process, with a bucket, and the environment that leads there."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +12,6 @@ SECRET = "secret-of-the-test"
 
 @contextmanager
 def serving_s3(bucket: str) -> Iterator[str]:
-    """Serve a bucket, and let this process and its children find it; the test is skipped where moto is not installed."""
     moto = pytest.importorskip("moto.server")
     logging.getLogger("werkzeug").setLevel(logging.ERROR)
     server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)

@@ -1,23 +1,48 @@
-"""Passwords in tests that call the services: made and proven where it is convenient, inside a transaction if need be."""
-
-from __future__ import annotations
+"""People in tests that call the services: their passwords are made and proven inside a transaction if need be."""
 
 from functools import cache
+from typing import Any
 
-from boresight.services import passwords
-from boresight.services.actors import Actor
-from boresight.services.passwords import NewPassword, PasswordProof
-from boresight.store.sessions import Session
+import pytest
+from argon2 import PasswordHasher
+
+from boresight.console.access import passwords, users
+from boresight.console.access.passwords import NewPassword, PasswordProof
+from boresight.console.access.tables import User
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.db.sessions import Session
+
+PASSWORD = "correct horse battery"
+
+# The product's hashes are slow on purpose, and thousands of tests log somebody in; argon2's own tests take the product's.
+CHEAP = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
+PRODUCT = passwords._HASHER
+
+
+def use_hasher(patch: pytest.MonkeyPatch, hasher: PasswordHasher = CHEAP) -> None:
+    patch.setattr(passwords, "_HASHER", hasher)
+    patch.setattr(passwords, "_UNKNOWN", hasher.hash("nobody has this password"))
 
 
 @cache
 def new_password(password: str) -> NewPassword:
-    """Hash a password once for all tests of a process."""
     return passwords.prepare_unjudged(password)
 
 
 def proved(session: Session, who: Actor | str, password: str) -> PasswordProof:
-    """Check the password of a person, or of a log-in name."""
     if isinstance(who, str):
         return passwords.check(passwords.stored_under(session, who), password)
     return passwords.check(passwords.stored_of(session, who.user_id), password)
+
+
+def add_person(session: Session, name: str, *roles: str, printed_name: str | None = None) -> User:
+    named = {"name": name, "printed_name": printed_name or name.title(), "password": new_password(PASSWORD)}
+    return users.create_user(session, COMMAND_LINE, **named, roles=roles)
+
+
+def approve(session: Session, actor: Actor, approval: Approval, *, password: str = PASSWORD, **given: Any) -> Signature:
+    given = {"meaning": "I approve", "comment": "", "seen_version": approval.version} | given
+    proof = proved(session, actor, password)
+    return approvals.sign(session, actor, approval.id, "APPROVE", proof=proof, **given)

@@ -3,17 +3,18 @@
 Tests name the folder and open what `url_in` returns, so each of them runs on either engine.
 """
 
-from __future__ import annotations
-
 import hashlib
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import sqlalchemy as sa
 
-from boresight.store.tables import Base
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, migrate, open_engine
 from tests.postgresql import server
 
 FILE = "boresight.sqlite3"  # the name that an installation gives it
@@ -23,17 +24,14 @@ _chosen = ["sqlite"]
 
 
 def choose(engine: str) -> None:
-    """Say which engine the tests run on, `sqlite` or `postgresql`."""
     _chosen[0] = engine
 
 
 def on_postgresql() -> bool:
-    """Whether the tests run on PostgreSQL."""
     return _chosen[0] == "postgresql"
 
 
 def url_in(folder: Path) -> str:
-    """Return the address of a folder's store: no file yet, or a database that is migrated already."""
     if not on_postgresql():
         return f"sqlite:///{folder}/{FILE}"
     folder = folder.resolve()
@@ -43,13 +41,28 @@ def url_in(folder: Path) -> str:
     return server().url(_of_folders[folder])
 
 
+def open_migrated(url: str) -> Engine:
+    if url.startswith("sqlite"):
+        path = Path(url.removeprefix("sqlite:///"))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(_migrated())
+    return open_engine(url)
+
+
+@cache
+def _migrated() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        engine = open_engine(f"sqlite:///{folder}/{FILE}")
+        migrate(engine)
+        engine.dispose()  # the last connection folds the write-ahead log into the file
+        return Path(folder, FILE).read_bytes()
+
+
 def environment_in(folder: Path) -> dict[str, str]:
-    """Return what the environment must say besides the data folder, so that an installation uses `url_in(folder)`."""
     return {"BORESIGHT_DATABASE_URL": url_in(folder)} if on_postgresql() else {}
 
 
 def copied(source: Path, target: Path) -> str:
-    """Copy a folder's store, which nobody has open, to another folder; return its address there."""
     if not on_postgresql():
         target.mkdir(parents=True, exist_ok=True)
         shutil.copy(source / FILE, target / FILE)
@@ -60,14 +73,12 @@ def copied(source: Path, target: Path) -> str:
 
 
 def drop_under(folder: Path) -> None:
-    """Remove the databases of a folder and of those in it."""
     folder = folder.resolve()
     for made in [path for path in _of_folders if path.is_relative_to(folder)]:
         server().drop(_of_folders.pop(made))
 
 
 def drop_triggers(connection: sa.Connection) -> None:
-    """Take what guards the rows out of the way, as the database's owner could."""
     if connection.dialect.name == "sqlite":
         for name in connection.exec_driver_sql("SELECT name FROM sqlite_master WHERE type = 'trigger'").scalars().all():
             connection.exec_driver_sql(f"DROP TRIGGER {name}")
@@ -78,7 +89,6 @@ def drop_triggers(connection: sa.Connection) -> None:
 
 @contextmanager
 def triggers_aside(connection: sa.Connection) -> Iterator[None]:
-    """Take what guards the rows out of the way for a moment, as a careful owner of the database would."""
     query = "SELECT sql FROM sqlite_master WHERE type = 'trigger'"
     on_sqlite = connection.dialect.name == "sqlite"
     triggers = connection.exec_driver_sql(query).scalars().all() if on_sqlite else ()

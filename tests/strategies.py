@@ -1,13 +1,11 @@
 """One home for Hypothesis strategies: rotations, directions, sensors, telemetry tables."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Telemetry
 from boresight.telemetry.sensors import Sensor
 
@@ -15,13 +13,11 @@ _FLOAT_OPTIONS = {"allow_nan": False, "allow_infinity": False, "width": 64}
 
 
 def unit_vectors():
-    """(3,) unit vectors, uniform enough to reach the poles and axes."""
     components = npst.arrays(float, 3, elements=st.floats(-1.0, 1.0, **_FLOAT_OPTIONS))
     return components.filter(lambda v: np.linalg.norm(v) > 1e-3).map(lambda v: v / np.linalg.norm(v))
 
 
 def rotations():
-    """(3, 3) proper rotation matrices, from unit quaternions."""
     components = npst.arrays(float, 4, elements=st.floats(-1.0, 1.0, **_FLOAT_OPTIONS))
     return components.filter(lambda q: np.linalg.norm(q) > 1e-3).map(_matrix_of_quaternion)
 
@@ -34,7 +30,6 @@ def _matrix_of_quaternion(quaternion):
 
 @st.composite
 def sensors(draw):
-    """Believable sensors of every camera model, within three typical sigmas of a distortion-free lens."""
     model = CAMERA_MODELS[draw(st.sampled_from(sorted(CAMERA_MODELS)))]
     rows, columns = draw(st.integers(256, 4096)), draw(st.integers(256, 4096))
     pitch = draw(st.floats(2e-6, 2e-5, **_FLOAT_OPTIONS))
@@ -64,7 +59,6 @@ def sensors(draw):
 
 @st.composite
 def telemetry_tables(draw):
-    """Valid telemetry: any choice of optional columns, any cells absent that may be, text of all kinds beside."""
     sizes = draw(st.lists(st.lists(st.integers(1, 5), min_size=1, max_size=2), min_size=1, max_size=4))
     frame = np.concatenate([np.full(sum(exposures), number) for number, exposures in enumerate(sizes)])
     exposure = np.concatenate([np.repeat(np.arange(len(exposures)), exposures) for exposures in sizes])
@@ -89,12 +83,10 @@ def telemetry_tables(draw):
 
 
 def _cells(n, low, high):
-    """(n,) floats of which some are absent."""
     return npst.arrays(float, n, elements=st.floats(low, high, **_FLOAT_OPTIONS) | st.just(np.nan))
 
 
 def _times(n):
-    """(n,) microseconds between 1990 and 2099, some absent."""
     low, high = (int(np.datetime64(day, "us").astype(np.int64)) for day in ("1990-01-01", "2099-12-31"))
     stamps = st.integers(low, high).map(lambda stamp: np.datetime64(stamp, "us")) | st.just(np.datetime64("NaT", "us"))
     return st.lists(stamps, min_size=n, max_size=n).map(lambda values: np.array(values, dtype="datetime64[us]"))

@@ -1,16 +1,15 @@
 """No compiled loop asks for memory frame by frame: one call makes its space once, however many frames it is given."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
+from benchmarks.stars import star_frames, synthetic
 from boresight import kernels
-from boresight.calibration.rematch import ground_covariance, rematch
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.matching.rematch import ground_covariance, rematch
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.blocks import FRAMES
@@ -21,8 +20,6 @@ from boresight.estimation.singular_values import APART, DETERMINED
 from boresight.kernels.flight import agreeing_matches
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky.catalogue import load_catalogue
-from boresight.studies.speed import synthetic
-from boresight.studies.star_frames import star_frames
 
 SENSOR = st16_sensor(1)
 X, SCALE, FREE = SENSOR.initial, SENSOR.typical_sigma, np.arange(8)
@@ -58,7 +55,6 @@ CALLS = {
 
 @pytest.fixture(scope="module")
 def counted():
-    """Number of arrays that compiled code makes during a call."""
     were_on = _nrt_python.memsys_stats_enabled()
     _nrt_python.memsys_enable_stats()
 

@@ -1,7 +1,5 @@
 """The house rules that no linter knows: files say what they are, nothing leaks, decisions can be quoted."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib
@@ -20,7 +18,6 @@ SECTIONS = ["Context", "Decision", "Consequences", "Alternatives"]
 
 
 def _walk(folder: Path) -> Iterator[Path]:
-    """Every file below a folder that .gitignore does not set aside."""
     for path in sorted(folder.iterdir()):
         if path.name == ".git" or any(path.match(pattern) for pattern in SET_ASIDE):
             continue
@@ -31,7 +28,6 @@ def _walk(folder: Path) -> Iterator[Path]:
 
 
 def _files(*suffixes: str) -> list[Path]:
-    """Every file of the project, or those with one of these suffixes."""
     return [path for path in _walk(ROOT) if not suffixes or path.suffix in suffixes]
 
 
@@ -40,14 +36,12 @@ def _name(path: Path) -> str:
 
 
 def _texts() -> Iterator[tuple[str, str]]:
-    """Every text file of the project, except the licence."""
     for path in _files():
         if path.suffix not in {".png", ".webp", ".parquet", ".npz"}:
             yield _name(path), path.read_text()
 
 
 def _breaking(pattern: str) -> list[str]:
-    """Places in the project where a pattern is found."""
     return [
         f"{name}:{number}: {line.strip()}"
         for name, text in _texts()
@@ -84,7 +78,6 @@ def test_decisions_are_numbered_without_gaps():
 def test_a_decision_has_its_number_its_sections_and_one_line_to_quote(path):
     text = path.read_text()
     quoted = text.partition("## Decision\n\n")[2].partition("\n\n## ")[0]
-
     assert text.startswith(f"# {int(path.name[:4])}. ")
     assert re.findall(r"^## (.*)$", text, re.MULTILINE) == SECTIONS
     assert re.fullmatch(r"> .{20,320}\.", quoted)
@@ -100,14 +93,19 @@ def test_a_module_opens_by_saying_what_it_is(path):
 
 def test_no_module_has_a_name_that_says_nothing():
     named = [*_files(".py", ".js"), *(path for path in ROOT.glob("backend/boresight/**/") if path.is_dir())]
-
     assert [_name(path) for path in named if path.stem in VAGUE_NAMES] == []
 
 
 @pytest.mark.parametrize("folder", sorted(path for path in (ROOT / "tests").iterdir() if path.is_dir()), ids=_name)
 def test_test_folders_mirror_the_source(folder):
-    kinds = {"browser", "fuzz", "transitions", "vectors", "__pycache__"}
-
+    kinds = {"benchmarks", "browser", "fuzz", "transitions", "vectors", "__pycache__"} | {
+        "api",
+        "gates",
+        "pages",
+        "services",
+        "store",
+        "studies",
+    }
     assert folder.name in kinds or (ROOT / "backend" / "boresight" / folder.name).is_dir()
 
 
@@ -120,7 +118,6 @@ def test_an_exception_from_a_rule_says_why():
         for number, line in enumerate(path.read_text().splitlines(), 1)
         if bare.search(line)
     ]
-
     assert found == []
 
 
@@ -135,8 +132,7 @@ def test_only_the_store_commits():
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "commit"
     ]
-
-    assert set(committing) == {"backend/boresight/store/sessions.py"}
+    assert set(committing) == {"backend/boresight/platform/db/sessions.py"}
 
 
 def test_no_path_of_one_machine_stands_in_the_project():
@@ -160,7 +156,6 @@ def test_nothing_is_left_for_later():
 
 def test_every_dependency_is_locked_and_both_files_agree():
     runs, tests = _locked("requirements.lock"), _locked("requirements-dev.lock")
-
     assert {_package(name) for name in PROJECT["dependencies"]} <= set(runs)
     assert _packages() <= set(tests)
     assert runs.items() <= tests.items()
@@ -169,7 +164,6 @@ def test_every_dependency_is_locked_and_both_files_agree():
 @pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
 def test_every_locked_package_has_a_hash(name):
     entries = re.findall(r"^[a-z0-9-]+==\S+ (?:; [^\\\n]+ )?(.*)\n +(\S+)", (ROOT / name).read_text(), re.MULTILINE)
-
     assert len(entries) == len(_locked(name))
     assert all(rest == "\\" and hashed.startswith("--hash=sha256:") for rest, hashed in entries)
 
@@ -189,7 +183,6 @@ def test_every_locked_package_has_a_hash(name):
 def test_a_page_holds_no_script_and_no_style_of_its_own(path):
     text = re.sub(r"\{#.*?#\}", "", path.read_text(), flags=re.DOTALL)
     scripts = re.findall(r"<script\b[^>]*>", text)
-
     assert all(re.search(r'\bsrc=|type="application/json"', script) for script in scripts)
     assert not re.search(r"<style\b", text)
     assert re.findall(r"<[^>]*?\s(?:on[a-z]+|style)\s*=", text) == []
@@ -199,5 +192,13 @@ def test_a_page_holds_no_script_and_no_style_of_its_own(path):
 @pytest.mark.parametrize("path", _files(".js"), ids=lambda path: path.name)
 def test_a_browser_module_is_a_module(path):
     text = path.read_text()
-
     assert not re.search(r"\beval\(|innerHTML\s*\+?=[^=]|document\.write|\bvar ", text)
+
+
+def test_types_of_arrays_and_the_smallest_exposure_are_declared_once():
+    declared = re.compile(r"^((?:Float|Int|Bool|Time)Array|MINIMUM_STARS) = ", re.MULTILINE)
+    found = {name: declared.findall((ROOT / name).read_text()) for name in map(_name, _files(".py"))}
+    assert {name: names for name, names in found.items() if names} == {
+        "backend/boresight/arrays.py": ["FloatArray", "IntArray", "BoolArray", "TimeArray"],
+        "backend/boresight/estimation/__init__.py": ["MINIMUM_STARS"],
+    }

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from boresight.estimation.attitude import attitudes
-from boresight.estimation.rotations import rotation_vector
+from boresight.estimation.attitude import attitudes, rotation_vector
 from boresight.kernels import matching as loops
 from tests.exposures import GATE, SIGMA, Exposure
 
@@ -16,7 +15,6 @@ WORK = loops.scratch(40, 11, 50)
 
 
 def off_by(field, i, V, sigmas, turn):
-    """Where a star would be whose residual at detection i lies so many sigmas of V (2, 2) away in a direction."""
     delta = sigmas * np.linalg.cholesky(V) @ [np.cos(turn), np.sin(turn)]
     c = (field.s[i] - delta @ field.T[i]) @ field.C
     return c / np.linalg.norm(c)
@@ -44,7 +42,6 @@ def test_a_star_is_taken_inside_the_gate_of_the_conditioned_gaussian_and_not_out
 
 
 def pruned(field, c, named, use):
-    """What the joint fit keeps, and the tolerances."""
     r, Lambda, eta = np.empty(2), np.diag([loops._DIFFUSE] * 3 + [1.0] * 8), np.zeros(11)
     for i in np.flatnonzero(use):
         loops._residual(field.s[i], field.T[i], field.C, c[i], r)
@@ -91,9 +88,7 @@ def test_arcs_agree_within_the_gate_of_their_own_variance(seed, parameters, shar
         return  # the arc is too short for a first-order answer
     axis = np.cross(*s) / np.linalg.norm(np.cross(*s))
     c = np.array([s[0], Rotation.from_rotvec(share * allowed * axis).apply(s[1])]) @ field.C
-
     answers = [loops._arcs_agree(s, G, field.sigma, 0, 1, c, 0, 1, GATE, widest) for widest in (np.inf, 1e-9)]
-
     assert answers == [abs(share) < 1, False]
 
 
@@ -110,12 +105,10 @@ def test_the_attitude_covariance_is_that_of_many_draws_of_noise_and_parameters(n
     rng = np.random.default_rng(n)
     field, covariance, draws = Exposure(rng, n), np.empty((3, 3)), 3000
     loops._attitude_covariance(field.A, field.sigma, np.ones(n, np.bool_), covariance, WORK)
-
     true = np.stack([field.stars(np.r_[np.zeros(3), w]) for w in 0.2 * rng.normal(size=(draws, 8))])
     noise = 0.2 * SIGMA * rng.normal(size=(draws, n, 2))
     seen = field.s + np.einsum("dnr,nra->dna", noise, field.T)
     found = attitudes(np.arange(draws + 1) * n, seen.reshape(-1, 3), true.reshape(-1, 3), np.full(draws * n, SIGMA))
     theta = rotation_vector(Rotation.from_matrix(found.C @ field.C.T).as_quat())
-
     root = np.linalg.inv(np.linalg.cholesky(0.04 * covariance))
     np.testing.assert_allclose(root @ np.cov(theta.T) @ root.T, np.eye(3), atol=0.12)

@@ -11,6 +11,7 @@ from boresight.kernels import matching as loops
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import load_catalogue
 from boresight.sky.guide_stars import guide_stars, observer_motion
+from tests.effort import effort
 from tests.exposures import SIGMA, Exposure
 
 #: Space for exposures of thirty detections, eight parameters and fifty guide stars.
@@ -19,7 +20,7 @@ WORK = loops.scratch(30, 11, 50)
 # Wahba.
 
 
-@settings(max_examples=60)
+@settings(max_examples=effort(12, 60))
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 14), noise=st.sampled_from([0.0, 1e-5, 1e-3]))
 def test_newton_steps_from_a_triad_reach_the_rotation_of_the_singular_values(seed, n, noise):
     rng = np.random.default_rng(seed)
@@ -28,9 +29,7 @@ def test_newton_steps_from_a_triad_reach_the_rotation_of_the_singular_values(see
     s /= np.linalg.norm(s, axis=1, keepdims=True)
     sigma = SIGMA * rng.uniform(0.5, 2, n)
     c, C = field.stars(), np.empty((3, 3))
-
     assert loops._wahba(s, c, 1 / sigma**2, np.ones(n, np.bool_), C, WORK)
-
     # what a nearly flat cost leaves open is bounded by the weakest axis; the rest is rounding
     plain = wahba(s, c, sigma)
     weakest = np.sqrt(np.linalg.eigvalsh(plain.covariance)[-1]) / SIGMA
@@ -42,9 +41,7 @@ def test_stars_that_are_not_used_do_not_pull():
     field, C = Exposure(np.random.default_rng(1), 8), np.empty((3, 3))
     c = field.stars()
     c[3] = -c[3]
-
     loops._wahba(field.s, c, 1 / field.sigma**2, np.arange(8) != 3, C, WORK)
-
     np.testing.assert_allclose(C, field.C, atol=1e-12)
 
 
@@ -73,7 +70,6 @@ def test_the_short_form_of_apparent_place_agrees_with_the_standard_one(date):
             stars.place, stars.motion, stars.parallax_rad, j,
             motion.years[0], motion.earth_au[0], motion.beta[0], c[j],
         )  # fmt: skip
-
     n = len(stars.hip)
     standard = apparent_directions(
         catalogue, catalogue.index_of(stars.hip), np.repeat(time, n), np.repeat(velocity, n, 0)
@@ -127,9 +123,7 @@ def test_what_stars_say_of_the_parameters_is_the_schur_complement(seed):
     field = Exposure(rng, 7)
     Lambda, eta = field.information(np.ones(7, np.bool_), rng.normal(size=11) * ([1e-3] * 3 + [1] * 8))
     M, m, L = np.empty((8, 8)), np.empty(8), np.empty((11, 11))
-
     loops._marginal(np.tril(Lambda), eta, 11, L, M, m, WORK)
-
     a, b, c = Lambda[:3, :3], Lambda[3:, :3], Lambda[3:, 3:]
     np.testing.assert_allclose(M, c - b @ np.linalg.solve(a, b.T), rtol=1e-7, atol=1e-10 * np.abs(c).max())
     np.testing.assert_allclose(m, eta[3:] - b @ np.linalg.solve(a, eta[:3]), rtol=1e-6, atol=1e-10 * np.abs(eta).max())
@@ -139,11 +133,9 @@ def test_a_star_taken_into_the_information_and_out_again_leaves_it_as_it_was():
     field = Exposure(np.random.default_rng(4))
     Lambda, eta = field.information(np.arange(12) < 6)
     again, eta_again = np.tril(Lambda), eta.copy()
-
     loops._add(again, eta_again, field.A[7], 1e-4, -2e-4, 3e8, 11)
     with_it = again.copy()
     loops._add(again, eta_again, field.A[7], 1e-4, -2e-4, -3e8, 11)
-
     np.testing.assert_allclose(with_it, np.tril(Lambda + 3e8 * field.A[7].T @ field.A[7]), atol=1e-12 * with_it.max())
     np.testing.assert_allclose(again, np.tril(Lambda), atol=1e-12 * with_it.max())
     np.testing.assert_allclose(eta_again, eta, atol=1e-10)
@@ -153,13 +145,11 @@ def test_a_star_taken_into_the_information_and_out_again_leaves_it_as_it_was():
 
 
 def sky_patch(rng, n=24):
-    """Directions (n, 3) in ten degrees of sky."""
     s = np.column_stack([rng.uniform(-0.09, 0.09, (n, 2)), np.ones(n)]) @ Rotation.random(rng=rng).as_matrix()
     return s / np.linalg.norm(s, axis=1, keepdims=True)
 
 
 def refracted(s, zenith, strength=3e-4):
-    """Directions lifted towards the zenith by strength tan(z)."""
     up = zenith - (s @ zenith)[:, None] * s
     lifted = s + strength * up / (s @ zenith)[:, None]
     return lifted / np.linalg.norm(lifted, axis=1, keepdims=True)
@@ -172,10 +162,8 @@ def test_refraction_is_carried_from_named_stars_to_the_others(named):
     aside = np.cross(c[0], c[5])
     shifted = refracted(c, (c[0] + aside / np.linalg.norm(aside)) / np.sqrt(2))
     twin = np.where(np.arange(24) < named, np.arange(24), -1)
-
     moved = c.copy()
     assert loops._affine(24, moved, shifted, twin, twin >= 0, SIGMA, WORK)
-
     assert np.linalg.norm(c - shifted, axis=1).min() > 1e-4
     assert np.linalg.norm(moved - shifted, axis=1).max() < 0.2 * SIGMA
 

@@ -1,7 +1,5 @@
 """The README and the changelog tell what is there and nothing that is not: settings, commands, nouns, contracts, dependencies."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterator
@@ -11,13 +9,14 @@ import click
 import pytest
 
 import boresight
-from boresight.api.routes import NOUNS, PREFIX
-from boresight.calibration.settings import MATCHES, METHODS, VARIANTS
+from boresight.calibration.options import OPTIONS, listed
+from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.console.access.tables import ROLES
+from boresight.console.operation import PREFIX
+from boresight.console.routes import NOUNS, routers
 from boresight.figures import FIGURES
 from boresight.settings import SETTINGS
-from boresight.store.tables import ROLES
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -31,7 +30,6 @@ SENSOR_FIELDS = (
 
 
 def _commands(group: click.Group, words: tuple[str, ...] = ("boresight",)) -> Iterator[str]:
-    """The full name of every command that does something."""
     for name, command in group.commands.items():
         if isinstance(command, click.Group):
             yield from _commands(command, (*words, name))
@@ -40,7 +38,6 @@ def _commands(group: click.Group, words: tuple[str, ...] = ("boresight",)) -> It
 
 
 def _packages() -> set[str]:
-    """Everything the project depends on, development included."""
     extras = PROJECT["optional-dependencies"].values()
     return {re.match(r"[A-Za-z0-9-]+", name)[0] for group in (PROJECT["dependencies"], *extras) for name in group}
 
@@ -48,13 +45,15 @@ def _packages() -> set[str]:
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
 def test_the_readme_tells_every_setting_as_the_table_has_it(setting):
     default = f"`{setting.default}`" if setting.default else ""
-
     assert f"| `{setting.variable}` | {default} | {setting.unit} | {setting.sentence} |" in README
+
+
+def test_the_readme_lists_every_choice_of_a_calibration_as_it_is_declared():
+    assert listed() in README
 
 
 def test_the_readme_names_no_setting_that_does_not_exist():
     named = set(re.findall(r"BORESIGHT_[A-Z_]+", README))
-
     assert named <= {setting.variable for setting in SETTINGS}
 
 
@@ -65,18 +64,16 @@ def test_the_readme_names_exactly_the_commands_there_are():
         if re.search(rf"^\| `{re.escape(command)}[ `]", README, re.MULTILINE)
     }  # fmt: skip
     rows = re.findall(r"^\| `boresight ", README, re.MULTILINE)
-
     assert told == set(_commands(main))
     assert len(rows) == len(told)
 
 
 def test_the_readme_names_exactly_the_nouns_of_the_api():
-    paths = [route.path for noun in NOUNS for route in noun.router.routes]
-    nouns = {"/" + re.split("[/:]", path)[1] for path in paths}
+    paths = [route.path for noun in NOUNS for router in routers(noun) for route in router.routes]
+    nouns = {"/" + re.split("[/:]", path.removeprefix(PREFIX))[1] for path in paths}
     told = {
         noun for row in re.findall(r"^\| (`/[^|]*) \|", README, re.MULTILINE) for noun in re.findall("`(.*?)`", row)
     }
-
     assert told == nouns
     assert PREFIX in README
 
@@ -94,18 +91,18 @@ def test_the_readme_names_every_word_of_the_contracts(word):
     assert word in README
 
 
-@pytest.mark.parametrize(("option", "words"), [("method", METHODS), ("variant", VARIANTS), ("match", MATCHES)], ids=str)
+@pytest.mark.parametrize(
+    ("option", "words"), [(name, tuple(OPTIONS[name].words)) for name in ("method", "variant", "match")], ids=str
+)
 def test_the_readme_names_every_choice_of_a_calibration(option, words):
     (row,) = re.findall(r"^\| `boresight calibrate .*", README, re.MULTILINE)
-
     assert f"`--{option} {words[0]}`" in row
     assert all(f"`{word}`" in row for word in words[1:])
 
 
 def test_the_readme_gives_a_reason_for_every_dependency_and_for_no_other():
-    told = set(re.findall(r"^\| `([a-z0-9-]+)` \| .+ \|$", README, re.MULTILINE))
+    told = set(re.findall(r"^\| `([a-z][a-z0-9-]*)` \| .+ \|$", README, re.MULTILINE))
     paragraph = README.partition("For development:")[2].partition("\n\n")[0]
-
     assert told | set(re.findall(r"`([a-z-]+)`", paragraph)) == _packages()
 
 

@@ -1,7 +1,5 @@
 """The security page holds every section of the standard against the product, and names tests that exist."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache
@@ -20,7 +18,6 @@ WITHOUT = {(1, 3), (1, 13), (3, 6), (10, 1)}
 
 @cache
 def _tests_of(name: str) -> frozenset[str]:
-    """Names of the functions of a test file."""
     tree = ast.parse((ROOT / name).read_text())
     return frozenset(node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
 
@@ -37,13 +34,11 @@ def test_the_page_judges_every_section_of_the_standard_once() -> None:
         for section in range(1, sections + 1)
         if (chapter, section) not in WITHOUT
     ]
-
     assert [(int(chapter), int(section)) for chapter, section, *_ in ROWS] == expected
 
 
 def test_a_section_that_fails_names_the_requirement_that_is_not_met() -> None:
     failing = [reason for _, _, verdict, reason, _ in ROWS if verdict == "fail"]
-
     assert failing
     assert all(re.search(r"Not met[^(]*\([^)]*\d+\.\d+\.\d+", reason) for reason in failing)
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight import kernels
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import angular, singular_values
 from boresight.estimation.arcs import angular_sigma
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.filters.angular import AllPairs
 from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import STAR_MODELS, Selection
@@ -20,14 +20,12 @@ SUBSETS = [(1,), (2,), (3,), (1, 2), (1, 3), (2, 3), (1, 2, 3)]
 
 
 def _frame(seed=1, mean_stars=9.0):
-    """The stars of one frame of two exposures: start, directions, errors, measured directions and ds/dx."""
     field = star_field(np.random.default_rng(seed), frames=1, mean_stars=mean_stars)
     s, D = INVERTED_WANG.directions_and_jacobian(GROUND, field.row_px, field.col_px, field.pitch)
     return field.star_start, field.s_i, angular_sigma(INVERTED_WANG, TRUTH, field), s, D
 
 
 def _plain_values(frame, selection):
-    """Residuals, scaled Jacobian and covariance of each exposure, all rows."""
     star_start, s_i, sigma, s, D = frame
     for first, last in pairwise(star_start):
         stars = slice(first, last)
@@ -46,7 +44,6 @@ def _plain_pairs(frame):
 
 
 def _normal(e, H, inverse):
-    """Information, its right-hand side and chi-square of rows with an inverse covariance."""
     return H.T @ inverse @ H, H.T @ inverse @ e, e @ inverse @ e
 
 
@@ -60,10 +57,8 @@ def _same(found, expected):
 def test_compiled_values_slopes_and_weights_equal_the_plain_ones(model, values):
     frame, selection = _frame(), Selection(model, values)
     reference = SingularValues(selection, FREE, SCALE)
-
     dof = reference.weigh(*frame[:3])
     e, H = reference.rows(*frame[3:])
-
     expected = [np.zeros((8, 8)), np.zeros(8), 0.0]
     kept = 0
     for plain_e, plain_H, R in _plain_values(frame, selection):
@@ -81,7 +76,6 @@ def test_unwhitened_rows_equal_the_plain_ones_on_any_stars(seed, model, mean_sta
     frame, selection = _frame(seed, mean_stars), Selection(model)
     reference = SingularValues(selection, FREE, SCALE)
     reference.weigh(*frame[:3])
-
     for e, H, (plain_e, plain_H, _) in zip(
         *reference.unwhitened(*frame[3:]), _plain_values(frame, selection), strict=True
     ):
@@ -94,7 +88,6 @@ def test_an_exposure_hands_over_the_covariance_of_its_rows():
     frame = _frame(2)
     reference = SingularValues(Selection(), FREE, SCALE)
     reference.weigh(*frame[:3])
-
     for (e, H, R), (plain_e, plain_H, plain_R) in zip(
         reference.exposures(*frame[3:]), _plain_values(frame, Selection()), strict=True
     ):
@@ -121,10 +114,8 @@ def test_the_determined_part_of_the_covariance_is_what_an_eigen_decomposition_ke
 def test_compiled_pairs_equal_the_plain_ones():
     frame = _frame(4)
     reference = AllPairs(FREE, SCALE)
-
     dof = reference.weigh(*frame[:3])
     found = _normal(*reference.rows(*frame[3:]), np.eye(2 * frame[0][-1]))
-
     expected = [np.zeros((8, 8)), np.zeros(8), 0.0]
     for e, H, R in _plain_pairs(frame):
         parts = _normal(e, H, np.linalg.pinv(R, rcond=1e-10, hermitian=True))
@@ -137,7 +128,6 @@ def test_a_filled_covariance_can_be_inverted_and_says_the_same():
     frame = _frame(5)
     reference = AllPairs(FREE, SCALE)
     reference.weigh(*frame[:3])
-
     for (e, H, R), (plain_e, plain_H, plain_R) in zip(
         reference.exposures(*frame[3:]), _plain_pairs(frame), strict=True
     ):
@@ -155,9 +145,7 @@ def test_the_information_update_equals_the_covariance_form():
     root = rng.normal(size=(5, 9))
     P_prior = root @ root.T
     z, posterior, P = np.empty(5), np.empty((5, 5)), np.empty((5, 5))
-
     nis = kernels.information_update(np.linalg.inv(P_prior), z_prior, z_at, e, H, z, posterior, P)
-
     innovation, W = e + H @ (z_prior - z_at), H @ P_prior @ H.T + np.eye(20)
     K = P_prior @ H.T @ np.linalg.inv(W)
     np.testing.assert_allclose(z, z_prior - K @ innovation, rtol=1e-9)

@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import os
 import re
-import signal
-import socket
 import subprocess
 import sys
 import sysconfig
-import time
 import venv
 import zipfile
 from collections.abc import Iterator
@@ -24,6 +21,7 @@ import httpx
 import pytest
 
 import boresight
+from benchmarks.servers import Server
 from boresight.figures import FIGURES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,36 +78,12 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installe
 
 @pytest.fixture(scope="module")
 def address(installed: Installed) -> Iterator[str]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [installed.bin / "boresight", "serve", "--port", str(port)]
-    log = (installed.folder / "server.log").open("w+b")
-    with (
-        log,
-        subprocess.Popen(
-            command, cwd=installed.folder, env=installed.environment, stdout=log, stderr=subprocess.STDOUT
-        ) as server,
-    ):
-        try:
-            base = f"http://127.0.0.1:{port}"
-            _wait_until_healthy(base, server, installed.folder / "server.log")
-            yield base
-        finally:
-            server.send_signal(signal.SIGTERM)
-            server.wait(START_S)
-
-
-def _wait_until_healthy(base: str, server: subprocess.Popen[bytes], log: Path) -> None:
-    until_s = time.monotonic() + START_S
-    while time.monotonic() < until_s and server.poll() is None:
-        try:
-            httpx.get(f"{base}/healthz", timeout=5, trust_env=False).raise_for_status()
-        except httpx.TransportError:
-            time.sleep(0.1)
-        else:
-            return
-    pytest.fail(f"the server did not answer:\n{log.read_text()}")
+    server = Server(installed.folder, installed.environment, command=[str(installed.bin / "boresight")])
+    try:
+        server.wait_until_ready("/healthz")
+        yield server.address
+    finally:
+        server.stop()
 
 
 def _members(wheel: Path) -> set[str]:
@@ -120,7 +94,7 @@ def _members(wheel: Path) -> set[str]:
 def test_the_wheel_carries_every_file_of_the_pages_and_every_migration(wheel):
     expected = {
         f"boresight/{path.relative_to(ROOT).as_posix()}"
-        for folder in ("frontend", "migrations")
+        for folder in ("frontend/static", "frontend/templates", "migrations")
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and not path.name.startswith(".") and "__pycache__" not in path.parts
     }
@@ -177,7 +151,7 @@ def test_figures_come_from_the_wheel(installed):
     ("path", "kind", "least_bytes"),
     [
         ("/login", "text/html", 500),
-        ("/static/style.css", "text/css", 500),
+        ("/static/shared/style.css", "text/css", 500),
         ("/static/plotly.min.js", "text/javascript", 1_000_000),
         ("/healthz", "application/json", 2),
         ("/api/v1/openapi.json", "application/json", 10_000),

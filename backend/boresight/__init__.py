@@ -83,4 +83,6 @@ References
 Where a printed equation is wrong, the docstring that implements it says what is right and why; "erratum" marks the place.
 """
 
+from __future__ import annotations
+
 __version__ = "0.1.0"

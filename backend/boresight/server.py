@@ -30,45 +30,40 @@ from starlette.responses import Response
 from starlette.types import Scope
 
 import boresight
-from boresight import pages
-from boresight.api import routes as api_routes
-from boresight.api import static_files
-from boresight.api.bodies import Pace
-from boresight.api.broadcast import Broadcast
-from boresight.api.changes import Changes
-from boresight.api.codings import Codings
-from boresight.api.connections import Connections, open_file_limit
-from boresight.api.cookies import LogInCookie
-from boresight.api.credentials import Memory, carries_credentials, identify, on_the_spot, prove
-from boresight.api.deliveries import Deliveries
-from boresight.api.drawn import Drawn
-from boresight.api.gate import Gate, Limits
-from boresight.api.heads import Heads
-from boresight.api.heartbeat import Heartbeat
-from boresight.api.keeping import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, Keeping
-from boresight.api.methods import answer_options, with_allow
-from boresight.api.metrics import Metrics
-from boresight.api.middleware import Border
-from boresight.api.openapi import DESCRIPTION, TAGS, corrected
-from boresight.api.origins import OwnPages
-from boresight.api.passwords import Passwords
-from boresight.api.problems import problem_of, problem_response
-from boresight.api.ready import Answering, Proof, Ready
-from boresight.api.upkeep import KeptHeads, Upkeep
-from boresight.api.watched import Watched
-from boresight.api.wellformed import WellFormed
+from boresight.console import pages
+from boresight.console import routes as api_routes
+from boresight.console.access.credentials import LogInCookie, Memory, carries_credentials, identify, on_the_spot, prove
+from boresight.console.access.password_checks import Passwords
+from boresight.console.jobs.broadcast import Broadcast
+from boresight.console.jobs.deliveries import Deliveries
+from boresight.console.jobs.heartbeat import Heartbeat
+from boresight.console.jobs.upkeep import KeptHeads, Upkeep
+from boresight.console.pages.frame import FleetMemory
+from boresight.console.pages.problem import bare_problem_page, is_page, problem_page
+from boresight.console.runs import service as runs
+from boresight.console.runs.dry_runs import Sight
+from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
-from boresight.pages.fleet import FleetMemory
-from boresight.pages.problem import bare_problem_page, is_page, problem_page
-from boresight.services import runs
-from boresight.services.forecasts import Sight
-from boresight.services.webhook_secrets import encrypt_all
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.db.marks import Kept, Marks
+from boresight.platform.db.sessions import migrate, open_engine, reading
+from boresight.platform.web import static_files
+from boresight.platform.web.bodies import Pace, WellFormed
+from boresight.platform.web.changes import Changes
+from boresight.platform.web.connections import Connections, open_file_limit
+from boresight.platform.web.drawn import Drawn
+from boresight.platform.web.gate import Gate, Limits
+from boresight.platform.web.keeping import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, Keeping
+from boresight.platform.web.metrics import Metrics
+from boresight.platform.web.middleware import Border, Codings, Heads, answer_options, with_allow
+from boresight.platform.web.openapi import DESCRIPTION, TAGS, corrected
+from boresight.platform.web.origins import OwnPages
+from boresight.platform.web.problems import problem_of, problem_response
+from boresight.platform.web.ready import Answering, Proof, Ready
+from boresight.platform.web.watched import Watched
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.store.blobs import open_blobs
-from boresight.store.marks import Kept, Marks
-from boresight.store.sessions import migrate, open_engine, reading
 from boresight.workers.engine import Engine
 
 log = logging.getLogger(__name__)
@@ -84,7 +79,7 @@ SWITCH_S = (
     0.001  # after so long a thread that computes lets another go on; the event loop waits for that with each answer
 )
 COLLECTIONS = (20_000, 20, 50)  # an answer makes thousands of objects, nearly all of which are let go one by one
-THREADS = 12  # of requests: those whose turn it is, and those that take long (`boresight.api.turns`)
+THREADS = 12  # of requests: those whose turn it is, and those that take long (`boresight.platform.web.gate`)
 
 
 def create_app(settings: Settings, *, limits: Limits | None = None, pace: Pace | None = None) -> FastAPI:

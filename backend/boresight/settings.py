@@ -15,13 +15,12 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
-from boresight.services.actors import Policy
-from boresight.services.kept_heads import refuse_place
-from boresight.services.session_limits import SessionLimits
-from boresight.services.webhook_targets import Targets, read_hosts
-from boresight.store.blob_places import BlobPlace, parse_address
-from boresight.store.secret_box import SecretBox
-from boresight.telemetry.limits import Limits
+from boresight.platform.actors import Policy, SessionLimits
+from boresight.platform.audit.kept_heads import refuse_place
+from boresight.platform.blobs.places import BlobPlace, parse_address
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.web.targets import Targets, read_hosts
+from boresight.telemetry.read.limits import Limits
 
 log = logging.getLogger(__name__)
 

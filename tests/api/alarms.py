@@ -1,7 +1,5 @@
 """Alarms to handle and things to write notes on, for requests about them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -13,7 +11,6 @@ Made = tuple[str, dict[str, Any]]  # who asks, and path values with request opti
 
 
 def alarm(house: House) -> dict[str, Any]:
-    """Have a read-back of a new sensor's set fail; return the alarm that it raises."""
     row = onboard.at(house, "SENT", "MISMATCH")
     found = house.person("ada").get("/api/v1/alarms", params={"sensor_id": row["sensor_id"], "kind": "MISMATCH"})
     (raised,) = found.json()["items"]

@@ -1,7 +1,5 @@
 """Presets and campaigns as the tests of every route make them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -12,33 +10,28 @@ _numbers = itertools.count(1)
 
 
 def new_preset(house: House) -> tuple[str, dict[str, Any]]:  # noqa: ARG001 - every maker of requests is given the house
-    """A preset to save, with a new name."""
     return "ada", {
         "json": {"name": f"Ours {next(_numbers)}", "sentence": "On Mondays.", "settings": {"robust": "huber"}}
     }
 
 
 def preset(house: House) -> tuple[str, dict[str, Any]]:
-    """A saved preset."""
     made = house.person("ada").post("/api/v1/presets", **new_preset(house)[1])
     assert made.status_code == 201, made.text
     return "ada", {"preset_id": made.json()["id"], "headers": {"If-Match": made.headers["etag"]}}
 
 
 def launch(house: House, **given: Any) -> tuple[str, dict[str, Any]]:
-    """A campaign to launch, over a sensor of its own with telemetry."""
     return "ada", {"json": {"label": "Monday", "sensors": [{"sensor_id": house.ready_sensor()[0]}], **given}}
 
 
 def campaign(house: House, **given: Any) -> tuple[str, dict[str, Any]]:
-    """A campaign whose run waits."""
     made = house.person("ada").post("/api/v1/campaigns", **launch(house, **given)[1])
     assert made.status_code == 202, made.text
     return "ada", {"campaign_id": made.json()["id"], "headers": {"If-Match": made.headers["etag"]}}
 
 
 def failed(house: House) -> tuple[str, dict[str, Any]]:
-    """A campaign whose run failed."""
     who, options = campaign(house)
     address = f"/api/v1/campaigns/{options['campaign_id']}/results"
     house.end(house.person("ada").get(address).json()["items"][0]["run_id"], "FAILED")

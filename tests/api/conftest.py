@@ -3,8 +3,6 @@
 Nothing computes behind it (no workers): a run stays QUEUED until a test ends it. The calibration is a real one.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import threading
@@ -20,23 +18,23 @@ import numpy as np
 import orjson
 import pytest
 
-from boresight.api.connections import Connections
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
+from boresight.console.runs.run_events import Line, write_event
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import writing
+from boresight.platform.web.connections import Connections
 from boresight.server import _Server, configured, create_app
-from boresight.services import audit, users
-from boresight.services.actors import COMMAND_LINE, SYSTEM
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.store.blobs import register_blob
-from boresight.store.run_events import write_event
-from boresight.store.sessions import migrate, open_engine, writing
-from boresight.store.tables import Run
-from boresight.telemetry.readers import write_csv
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
-from tests.passwords import new_password
-from tests.stores import environment_in
+from tests.passwords import add_person
+from tests.stores import environment_in, open_migrated
 
 PASSWORD = "correct horse battery"
 PEOPLE = {
@@ -52,7 +50,6 @@ _numbers = itertools.count(100)
 
 
 def settings_in(folder: Path, **given: str) -> Settings:
-    """Return settings with a folder of their own and no workers."""
     named = {f"BORESIGHT_{name.upper()}": value for name, value in given.items()}
     own = {"BORESIGHT_DATA_FOLDER": str(folder), "BORESIGHT_WORKERS": "0", **environment_in(folder)}
     return read_settings({**own, **named})
@@ -62,7 +59,6 @@ def settings_in(folder: Path, **given: str) -> Settings:
 def serving(
     settings: Settings, catalogue: Catalogue | None = None, connections: Connections | None = None, **given: Any
 ) -> Iterator[tuple[str, Any]]:
-    """Serve on a free port; yields the address and the application."""
     app = create_app(settings, **given)
     app.state.catalogue = lambda: catalogue
     server = _Server(configured(app, dataclasses.replace(settings, host="127.0.0.1", port=0), connections))
@@ -82,8 +78,6 @@ def serving(
 
 @dataclass
 class House:
-    """A server and what a test needs of it."""
-
     address: str
     app: Any
     telemetry_csv: bytes = field(repr=False)
@@ -92,13 +86,11 @@ class House:
     opened: list[httpx.Client] = field(default_factory=list)
 
     def person(self, name: str) -> httpx.Client:
-        """Return the client of a person who logged in once for all tests."""
         if name not in self.clients:
             self.clients[name] = self.log_in(name)
         return self.clients[name]
 
     def log_in(self, name: str) -> httpx.Client:
-        """Log a person in anew; the client sends cookie and CSRF token by itself."""
         client = self.anybody()
         answer = client.post("/api/v1/sessions", json={"name": name, "password": PASSWORD})
         assert answer.status_code == 201, answer.text
@@ -106,7 +98,6 @@ class House:
         return client
 
     def new_person(self, *roles: str) -> tuple[str, int]:
-        """Add a person; returns log-in name and number."""
         name = f"person-{next(_numbers)}"
         body = {"name": name, "printed_name": name.title(), "password": PASSWORD, "roles": roles}
         answer = self.person("adele").post("/api/v1/users", json=body)
@@ -114,31 +105,26 @@ class House:
         return name, answer.json()["id"]
 
     def anybody(self, **headers: str) -> httpx.Client:
-        """Return a client that nobody knows."""
         client = httpx.Client(base_url=self.address, headers=headers, timeout=30)
         self.opened.append(client)
         return client
 
     def key(self, owner: str, *scopes: str) -> httpx.Client:
-        """Make an API key of a person and return a client that uses it."""
         client = self.person(owner)
         answer = client.post("/api/v1/api-keys", json={"label": "test", "scopes": list(scopes)})
         assert answer.status_code == 201, answer.text
         return self.anybody(Authorization=f"Bearer {answer.json()['secret']}")
 
     def sensor_file(self, **changed: Any) -> dict[str, Any]:
-        """Return a sensor file with a new name."""
         return {**sensor_document(SCENARIO.sensor), "name": f"ST-{next(_numbers)}", **changed}
 
     def new_sensor(self) -> dict[str, Any]:
-        """Register a sensor."""
         client = self.person("ada")
         return client.post("/api/v1/sensors", json=self.sensor_file()).json()
 
     def upload(
         self, client: httpx.Client, sensor_id: int, content: bytes | None = None, **fields: Any
     ) -> httpx.Response:
-        """Upload telemetry."""
         headers = fields.pop("headers", {})
         name = fields.pop("file_name", "telemetry.csv")
         return client.post(
@@ -149,7 +135,6 @@ class House:
         )
 
     def ready_sensor(self) -> tuple[int, int]:
-        """Register a sensor with a telemetry set; return both numbers."""
         sensor = self.new_sensor()
         client = self.person("ada")
         answer = self.upload(client, sensor["id"])
@@ -157,7 +142,6 @@ class House:
         return sensor["id"], answer.json()["id"]
 
     def launched(self, launcher: str = "ada", **changed: Any) -> dict[str, Any]:
-        """Launch a run."""
         sensor_id, set_id = self.ready_sensor()
         client = self.person(launcher)
         order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "settings": {"method": "batch"}, **changed}
@@ -166,30 +150,26 @@ class House:
         return answer.json()
 
     def end(self, run_id: int, state: str = "SUCCEEDED") -> None:
-        """End a run as a worker would, with the real calibration as its result."""
         blobs = self.app.state.blobs
         with writing(self.app.state.engine) as session:
             sha256 = blobs.put(orjson.dumps(self.result))
             register_blob(session, blobs, sha256, "application/json")
             run = session.get_one(Run, run_id)
             run.state, run.result_sha256 = state, sha256
-            write_event(session, run_id, 1, "state", f"{state}: ended by the test")
+            write_event(session, run_id, 1, Line.moved(state, "ended by the test"))
             audit.append(session, SYSTEM, "ended", f"runs/{run_id}", None, {"state": state})
 
     def finished(self, launcher: str = "ada") -> int:
-        """Return a run that has a result."""
         run = self.launched(launcher)
         self.end(run["id"])
         return run["id"]
 
     def candidate(self, launcher: str = "ada") -> dict[str, Any]:
-        """Return a candidate parameter set."""
         run_id = self.finished(launcher)
         client = self.person("ada")
         return client.post("/api/v1/parameter-sets", json={"run_id": run_id}).json()
 
     def submitted(self, submitter: str = "ada", launcher: str = "ada") -> dict[str, Any]:
-        """Return an open request for approval."""
         row = self.candidate(launcher)
         client = self.person(submitter)
         answer = client.post(
@@ -201,7 +181,6 @@ class House:
         return answer.json()
 
     def sign(self, name: str, approval: dict[str, Any], decision: str = "approve", **changed: Any) -> httpx.Response:
-        """Sign a request as a person."""
         body = {"meaning": "I approve this set for baseline.", "password": PASSWORD, "comment": "Seen.", **changed}
         client = self.person(name)
         return client.post(
@@ -211,7 +190,6 @@ class House:
         )
 
     def approved(self) -> dict[str, Any]:
-        """Return a parameter set that was approved."""
         approval = self.submitted()
         assert self.sign("alan", approval).status_code == 200
         client = self.person("ada")
@@ -219,31 +197,15 @@ class House:
 
 
 def add_people(settings: Settings) -> None:
-    """Make the store with the people of PEOPLE."""
-    engine = open_engine(settings.database_url)
-    migrate(engine)
+    engine = open_migrated(settings.database_url)
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name.title(),
-                password=new_password(PASSWORD),
-                roles=roles,
-            )
+            add_person(session, name, *roles)
     engine.dispose()
-
-
-@pytest.fixture(scope="session")
-def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
-    """Load the star catalogue once."""
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
 
 
 @contextmanager
 def house_in(folder: Path, catalogue: Catalogue) -> Iterator[House]:
-    """Serve a furnished store in a folder."""
     telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
     write_csv(telemetry, folder / "telemetry.csv")
     result = calibrate(telemetry, SCENARIO.sensor, catalogue, CalibrationSettings(method="batch"))
@@ -258,6 +220,5 @@ def house_in(folder: Path, catalogue: Catalogue) -> Iterator[House]:
 
 @pytest.fixture(scope="session")
 def house(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Iterator[House]:
-    """Serve a furnished store for all tests; each makes its own sensor, runs and sets."""
     with house_in(tmp_path_factory.mktemp("house"), catalogue) as made:
         yield made

@@ -1,7 +1,5 @@
 """A server and commands on a small disk of their own that is filled; `test_full_disk` runs it in a mount namespace."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -13,7 +11,6 @@ from tests.api.conftest import PASSWORD, House, add_people, serving, settings_in
 
 
 def _fill(disk: Path) -> Path:
-    """Take all that is free."""
     ballast = disk / "ballast"
     with ballast.open("wb") as file:
         for size in (1 << 20, 4096, 1):
@@ -30,7 +27,6 @@ def _files(folder: Path) -> list[str]:
 
 
 def main(disk: Path) -> None:
-    """Serve from the disk, fill it, ask, make room, ask again; then the same with a disk for reading only."""
     data, told = disk / "data", {}
     tempfile.tempdir = str(disk.parent)
     settings = settings_in(data)

@@ -1,10 +1,8 @@
 """Sets that their gates block, for requests about gates."""
 
-from __future__ import annotations
-
 from typing import Any
 
-from boresight.store.sessions import utc_after
+from boresight.platform.db.sessions import utc_after
 
 from .conftest import PASSWORD, House
 
@@ -14,7 +12,6 @@ TIGHT = {"name": "parameter-shift", "limit": 0.001, "marginal": 0.001}  # blocks
 
 
 def tight_profile(house: House, sensor_id: int) -> None:
-    """Give a sensor the limit that blocks its sets."""
     body = {"gates": [TIGHT], "reason": "To be tried."}
     address, headers = f"/api/v1/sensors/{sensor_id}/gate-profiles", {"If-Match": '"v0"'}
     answer = house.person("adele").post(address, json=body, headers=headers)
@@ -22,7 +19,6 @@ def tight_profile(house: House, sensor_id: int) -> None:
 
 
 def blocked(house: House) -> dict[str, Any]:
-    """Return a candidate that its gates block, with a report."""
     row = house.candidate()
     tight_profile(house, row["sensor_id"])
     report = house.person("ada").post(f"/api/v1/parameter-sets/{row['id']}:assess")
@@ -31,7 +27,6 @@ def blocked(house: House) -> dict[str, Any]:
 
 
 def a_waiver(**changed: Any) -> dict[str, Any]:
-    """Return the body of a waiver of that limit."""
     body = {
         "gate": TIGHT["name"],
         "code": "limit-too-tight",

@@ -1,13 +1,11 @@
 """Sets on their way to the spacecraft, for requests about what is on board."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 
-from boresight.services import table_definitions
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import writing
+from boresight.console.uplinks import table_definitions
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import writing
 
 from .conftest import PASSWORD, House
 
@@ -19,7 +17,6 @@ def _versioned(row: dict[str, Any]) -> dict[str, str]:
 
 
 def at(house: House, *states: str) -> dict[str, Any]:
-    """Bring a new sensor's ground calibration to a state on board, by statement; return the set."""
     found = house.person("ada").get("/api/v1/parameter-sets", params={"sensor_id": house.new_sensor()["id"]})
     row, client = found.json()["items"][0], house.person("olga")
     for state in states:
@@ -30,7 +27,6 @@ def at(house: House, *states: str) -> dict[str, Any]:
 
 
 def table(house: House, row: dict[str, Any]) -> bytes:
-    """Give a set's sensor a table definition; return the set's table."""
     names = list(row["document"]["parameters"])
     fields = [
         {"name": name, "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
@@ -50,7 +46,6 @@ def read_back(house: House) -> Made:
 
 
 def verified(house: House) -> dict[str, Any]:
-    """Bring a new sensor's ground calibration to VERIFIED, by a dump; return the set."""
     who, options = read_back(house)
     client, set_id = house.person(who), options.pop("parameter_set_id")
     assert client.post(f"/api/v1/parameter-sets/{set_id}:read-back", **options).json()["onboard_state"] == "VERIFIED"

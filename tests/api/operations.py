@@ -3,8 +3,6 @@
 An operation that is not in GOOD fails by name, so a new route cannot come without its test.
 """
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Callable
@@ -12,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from pydantic import BaseModel
 
-from boresight.api import schemas
-from boresight.api.paging import Page
+from boresight.platform.web.paging import Page
 from boresight.server import create_app
 
 from . import alarms, campaigns, gates, onboard, proposals
@@ -289,7 +287,6 @@ GOOD: dict[str, Callable[[House], Made]] = {
 
 
 def ask(client: httpx.Client, name: str, options: dict[str, Any]) -> httpx.Response:
-    """Send a request for an operation; of an endless answer only the head is read."""
     operation = OPERATIONS[name]
     inside = re.findall(r"{(\w+)}", operation["path"])
     path = operation["path"].format(**{key: options.get(key, 1) for key in inside})
@@ -300,9 +297,16 @@ def ask(client: httpx.Client, name: str, options: dict[str, Any]) -> httpx.Respo
         return answer
 
 
+def _shapes(shape: type[BaseModel] = BaseModel) -> dict[str, type[BaseModel]]:
+    found = {one.__name__: one for one in shape.__subclasses__() if one.__module__.startswith("boresight.")}
+    return found | {name: each for one in shape.__subclasses__() for name, each in _shapes(one).items()}
+
+
+SHAPES = _shapes()
+
+
 def documented_shape(name: str, status: int) -> Any:
-    """Return the model that the OpenAPI document gives for an answer; None where it gives none."""
     content = OPERATIONS[name]["responses"][str(status)].get("content", {})
     named = content.get("application/json", {}).get("schema", {}).get("$ref", "").rsplit("/", 1)[-1]
     listed = re.fullmatch(r"Page_(\w+)_", named)
-    return Page[getattr(schemas, listed[1])] if listed else getattr(schemas, named, None)
+    return Page[SHAPES[listed[1]]] if listed else SHAPES.get(named)

@@ -1,13 +1,12 @@
 """Changes that wait for a second person, for requests about them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
-from boresight.services import second_person, users
-from boresight.services.actors import Policy
-from boresight.store.sessions import reading, writing
+from boresight.console.access import users
+from boresight.console.change_proposals import service as second_person
+from boresight.platform.actors import Policy
+from boresight.platform.db.sessions import reading, writing
 
 from .conftest import House
 
@@ -16,7 +15,6 @@ TIGHT = {"gates": [{"name": "coverage", "limit": 0.25}]}
 
 
 def proposed(house: House, who: str = "ada") -> dict[str, Any]:
-    """Return a table layout that was proposed as if the setting were on: its number, its version and its sensor."""
     row = house.new_sensor()
     fields = [
         {"name": f"F{place}", "parameter": name, "offset_bytes": 4 * place, "type": "float32"}

@@ -1,20 +1,17 @@
 """Idempotency: the same request twice has one effect and one answer."""
 
-from __future__ import annotations
-
 import uuid
 
 import pytest
 
-from boresight.store.sessions import reading, utc_after, writing
-from boresight.store.tables import IdempotentResponse
+from boresight.platform.audit.tables import IdempotentResponse
+from boresight.platform.db.sessions import reading, utc_after, writing
 
 from .conftest import House
 
 
 @pytest.fixture
 def once() -> dict[str, str]:
-    """Return a header with a key that nobody used."""
     return {"Idempotency-Key": uuid.uuid4().hex}
 
 

@@ -1,15 +1,13 @@
 """From candidate to baseline over REST: two people, versions, and what a key may never do."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 
 import orjson
 import pytest
 
-from boresight.store.idempotent_responses import response_under
-from boresight.store.sessions import reading
+from boresight.console.idempotent_responses import response_under
+from boresight.platform.db.sessions import reading
 
 from .conftest import PASSWORD, House
 
@@ -108,7 +106,6 @@ def test_a_password_that_is_only_tried_counts_all_the_same(house: House) -> None
 
 
 def _failures(house: House, name: str) -> int:
-    """How many wrong passwords of a person count now, wherever they came from."""
     counts = house.app.state.passwords._limiter._counts
     return sum(count.failures for key, count in counts.items() if isinstance(key, tuple) and key[0] == name)
 

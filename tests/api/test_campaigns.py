@@ -1,7 +1,5 @@
 """Campaigns and presets over REST: queued once, dry-run, followed, stopped, and a dry run of a run that foretells."""
 
-from __future__ import annotations
-
 import pytest
 
 from . import campaigns
@@ -12,7 +10,6 @@ def test_a_dry_run_foretells_the_sigmas_that_the_run_then_has(house: House) -> N
     sensor_id, set_id = house.ready_sensor()
     order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "settings": {"method": "batch"}, "validate_only": True}
     said = house.person("ada").post("/api/v1/runs", json=order).json()
-
     forecast = said["forecast"]
     assert forecast["sentence"].startswith("8 parameters, ")
     assert forecast["weak"] == sum(sigma > 0.5 for sigma in house.result["observability"]["sigma_of_direction"])
@@ -26,7 +23,6 @@ def test_a_campaign_is_launched_once_under_one_key_and_followed_where_it_says(ho
     client = house.key("ada", "runs")
     order = campaigns.launch(house)[1]
     first, second = (client.post("/api/v1/campaigns", **order, headers={"Idempotency-Key": "one"}) for _ in range(2))
-
     assert (first.status_code, second.json()) == (202, first.json())
     assert second.headers["idempotent-replayed"] == "true"
     read = client.get(first.headers["location"])
@@ -39,7 +35,6 @@ def test_a_campaign_is_launched_once_under_one_key_and_followed_where_it_says(ho
 def test_a_key_without_the_scope_launches_no_campaign(house: House) -> None:
     client = house.key("ada", "telemetry-sets")
     answer = client.post("/api/v1/campaigns", **campaigns.launch(house)[1])
-
     assert answer.status_code == 403
     assert "lacks the scope runs" in answer.json()["detail"]
 
@@ -48,7 +43,6 @@ def test_a_dry_run_of_a_campaign_names_who_would_be_left_out(house: House) -> No
     bare, ready = house.new_sensor(), house.ready_sensor()[0]
     order = campaigns.launch(house, sensors=[{"sensor_id": bare["id"]}, {"sensor_id": ready}], validate_only=True)[1]
     said = house.person("ada").post("/api/v1/campaigns", **order).json()
-
     assert (said["sensors"], said["runs"]) == (2, 1)
     assert said["refused"] == [
         {
@@ -63,7 +57,6 @@ def test_a_preset_is_chosen_by_its_key_and_settings_go_over_its_own(house: House
     number = campaigns.preset(house)[1]["preset_id"]
     _, options = campaigns.campaign(house, preset=str(number), settings={"minimum_stars": 5})
     read = house.person("victor").get(f"/api/v1/campaigns/{options['campaign_id']}").json()
-
     assert (read["settings"]["robust"], read["settings"]["minimum_stars"]) == ("huber", 5)
     assert read["preset"].endswith("version 1")
 
@@ -72,7 +65,6 @@ def test_cancelling_a_campaign_ends_its_runs_and_moves_its_tag(house: House) -> 
     _, options = campaigns.campaign(house)
     client, address = house.person("ada"), f"/api/v1/campaigns/{options['campaign_id']}"
     stopped = client.post(f"{address}:cancel", headers=options["headers"], json={"reason": "Monday is over."})
-
     assert (stopped.status_code, stopped.json()["state"]) == (200, "CANCELLED")
     assert stopped.headers["etag"] != options["headers"]["If-Match"]
     line = client.get(f"{address}/results").json()["items"][0]
@@ -86,7 +78,6 @@ def test_results_come_in_pages(house: House) -> None:
     client, address = house.person("victor"), f"/api/v1/campaigns/{options['campaign_id']}/results"
     first = client.get(address, params={"limit": 2}).json()
     second = client.get(address, params={"limit": 2, "cursor": first["next"]}).json()
-
     assert [line["sensor_id"] for line in (*first["items"], *second["items"])] == [one["sensor_id"] for one in sensors]
     assert second["next"] is None
 
@@ -96,7 +87,6 @@ def test_boresights_presets_come_first_and_archived_ones_only_where_asked(house:
     client = house.person("ada")
     listed = client.get("/api/v1/presets").json()["items"]
     client.post(f"/api/v1/presets/{options['preset_id']}:archive", headers=options["headers"])
-
     assert listed[0]["key"] == "first-calibration"
     assert listed[0]["id"] is None
     keys = [

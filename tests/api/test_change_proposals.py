@@ -1,7 +1,5 @@
 """Proposed changes over REST: 202 where a second person is asked for, and only that person puts them into force."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -13,7 +11,6 @@ from .proposals import TIGHT
 
 @pytest.fixture
 def asking(house: House) -> Iterator[House]:
-    """The server, with the setting on."""
     state = house.app.state
     before = state.policy
     state.policy = replace(before, second_person=True)

@@ -1,12 +1,10 @@
 """`Accept-Encoding` as RFC 9110, 12.5.3 has it, on every kind of route."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.api.codings import takes_gzip
+from boresight.platform.web.middleware import takes_gzip
 
 from .conftest import House
 
@@ -34,7 +32,7 @@ TABLE = {
     "gzip;q=nan": False,
     "gzip;q=2": False,
 }
-ROUTES = ("/static/style.css", "/metrics", "/api/v1/runs", "/runs", "/api/v1/openapi.json")
+ROUTES = ("/static/shared/style.css", "/metrics", "/api/v1/runs", "/runs", "/api/v1/openapi.json")
 
 
 @pytest.mark.parametrize(("accepted", "taken"), TABLE.items())
@@ -63,4 +61,4 @@ def test_every_route_sends_what_is_accepted(house: House, path: str) -> None:
 
 def test_a_header_given_in_two_lines_is_one_list(house: House) -> None:
     lines = [("Accept-Encoding", "br"), ("Accept-Encoding", "gzip;q=0")]
-    assert "content-encoding" not in house.anybody().get("/static/style.css", headers=lines).headers
+    assert "content-encoding" not in house.anybody().get("/static/shared/style.css", headers=lines).headers

@@ -1,14 +1,13 @@
 """A stored file with a flipped bit is refused in one sentence by every address that reads it, and nothing is made of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from boresight.store.tables import Run, TelemetrySet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
 
 from .conftest import House
 
@@ -17,7 +16,6 @@ CORRUPT = "urn:boresight:problem:corrupt-file"
 
 @contextmanager
 def _flipped(path: Path, bit: int = 100) -> Iterator[None]:
-    """Flip a bit of a file for a while."""
     content = path.read_bytes()
     path.write_bytes(content[: bit // 8] + bytes([content[bit // 8] ^ 1 << bit % 8]) + content[bit // 8 + 1 :])
     yield
@@ -30,7 +28,6 @@ def _stored(house: House, sha256: str | None) -> Path:
 
 @pytest.fixture(scope="module")
 def run(house: House) -> Run:
-    """A run with a result of its own: no answer about it stands ready."""
     house.result["label"] = "of this module"
     run_id = house.finished()
     with house.app.state.engine.connect() as connection:

@@ -1,14 +1,12 @@
 """A server whose PostgreSQL goes and comes back: refusals in one sentence meanwhile, and no restart of its own."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
 import httpx
 import sqlalchemy as sa
 
-from boresight.store.sessions import Engine
+from boresight.platform.db.sessions import Engine
 from tests.postgresql import server
 
 from .conftest import PASSWORD, add_people, serving, settings_in

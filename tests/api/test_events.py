@@ -1,7 +1,5 @@
 """The feed over a real connection: typed events with ids, replay after a break, a listener that is too slow."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json
@@ -16,12 +14,11 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.api.broadcast import QUEUE_LENGTH, Broadcast, Telling
-from boresight.api.feed import Place, events_after
-from boresight.services import audit
-from boresight.services.actors import SYSTEM
-from boresight.store.sessions import migrate, open_engine, reading, writing
-from tests.stores import url_in
+from boresight.console.jobs.broadcast import QUEUE_LENGTH, Broadcast, Place, Telling, events_after
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import open_engine, reading, writing
+from tests.stores import open_migrated, url_in
 
 from .conftest import House, add_people, serving, settings_in
 
@@ -30,7 +27,6 @@ Told = dict[str, Any]
 
 @contextmanager
 def following(client: httpx.Client, last_event_id: str | None = None, **params: Any) -> Iterator[Iterator[Told]]:
-    """Open the stream; yields its events as they come, the greeting first."""
     headers = {"Last-Event-ID": last_event_id} if last_event_id else {}
     with client.stream("GET", "/api/v1/events", params=params, headers=headers, timeout=10) as answer:
         assert answer.status_code == 200, answer.read()
@@ -50,7 +46,6 @@ def _events(lines: Iterator[str]) -> Iterator[Told]:
 
 
 def _until(events: Iterator[Told], **wanted: Any) -> Told:
-    """Return the first event whose data has these values."""
     return next(told for told in events if wanted.items() <= (told.get("data") or {}).items())
 
 
@@ -125,7 +120,6 @@ def test_an_id_that_is_none_begins_now(house: House) -> None:
 
 
 def _until_told(house: House) -> None:
-    """Wait until the feed has told what is stored: who begins to listen before that hears it, for it comes after their place."""
     broadcast = house.app.state.broadcast
     with reading(house.app.state.engine) as session:
         stored = Place.now(session, broadcast.progress)
@@ -156,7 +150,7 @@ def test_a_key_may_listen_and_nobody_unknown(house: House) -> None:
 
 
 def test_silence_is_filled_with_comments(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("boresight.api.routes.events.PING_S", 0.2)
+    monkeypatch.setattr("boresight.console.jobs.routes.PING_S", 0.2)
     with following(house.person("victor"), run=10**9) as events:
         next(events)
         assert "ping" in next(events)["comment"]
@@ -197,8 +191,7 @@ def test_stopping_the_server_ends_the_streams_at_once(tmp_path: Path) -> None:
 
 
 def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path: Path) -> None:
-    engine = open_engine(url_in(tmp_path))
-    migrate(engine)
+    engine = open_migrated(url_in(tmp_path))
     broadcast = Broadcast(engine)
 
     async def fall_behind() -> list[Telling | None]:
@@ -223,9 +216,8 @@ def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path: Path) -> No
 def test_pages_of_missed_records_follow_one_another_without_a_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("boresight.api.feed.PAGE", 7)
-    engine = open_engine(url_in(tmp_path))
-    migrate(engine)
+    monkeypatch.setattr("boresight.console.jobs.broadcast.PAGE", 7)
+    engine = open_migrated(url_in(tmp_path))
     with writing(engine) as session:
         records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(20)]
     made = [record.id for record in records]

@@ -1,17 +1,15 @@
 """Generated from the route table: every operation succeeds as documented, and every guard holds on every operation."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
-from boresight.api.openapi import ProblemDocument
-from boresight.api.routes import NOUNS, PREFIX
-from boresight.store.sessions import reading
-from boresight.store.tables import Base
+from boresight.console.routes import NOUNS, routers
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import reading
+from boresight.platform.web.openapi import ProblemDocument
 
 from . import alarms
 from .conftest import PASSWORD, House
@@ -20,9 +18,10 @@ from .operations import GOOD, OPEN, OPERATIONS, TRANSITIONS, UNSAFE, WITH_ID, as
 
 def test_the_openapi_document_lists_every_route() -> None:
     routes = {
-        (method, PREFIX + route.path)
+        (method, route.path)
         for noun in NOUNS
-        for route in noun.router.routes
+        for router in routers(noun)
+        for route in router.routes
         for method in route.methods
         if method != "HEAD"
     }
@@ -103,7 +102,6 @@ def test_validate_only_answers_200_and_changes_nothing(name: str, house: House) 
 
 
 def _written(house: House) -> list[int]:
-    """Count the rows of every table but of the messages to webhooks, which a thread makes of what was done before."""
     with reading(house.app.state.engine) as session:
         tables = [table for table in Base.metadata.sorted_tables if table.name != "webhook_deliveries"]
         return [session.scalar(sa.select(sa.func.count()).select_from(table)) or 0 for table in tables]

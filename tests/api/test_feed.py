@@ -1,25 +1,22 @@
 """What the feed reads to tell what is new: that, and nothing that was told before."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from boresight.api.feed import Place, events_after
-from boresight.services import audit
-from boresight.services.actors import SYSTEM
-from boresight.store import audit as audit_rows
-from boresight.store.sessions import migrate, open_engine, reading, writing
-from tests.stores import url_in
+from boresight.console.jobs.broadcast import Place, events_after
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.audit import queries as audit_rows
+from boresight.platform.db.sessions import reading, writing
+from tests.stores import open_migrated, url_in
 
 
 def test_one_new_record_is_told_without_reading_those_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    engine = open_engine(url_in(tmp_path))
-    migrate(engine)
+    engine = open_migrated(url_in(tmp_path))
     with writing(engine) as session:
         records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(30)]
     *_, told, new = (record.id for record in records)

@@ -1,7 +1,5 @@
 """Figures over REST as they are looked at: kept by the browser, aligned, as a band, and a window of them in full."""
 
-from __future__ import annotations
-
 import csv
 import io
 

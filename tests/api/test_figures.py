@@ -1,13 +1,11 @@
 """Figures over REST: drawn alone and over one another, and the numbers behind them."""
 
-from __future__ import annotations
-
 import csv
 import io
 
 import pytest
 
-from boresight.api.routes.figures import _stacked
+from boresight.console.runs.figure_routes import _stacked
 from boresight.figures import FIGURES
 
 from .conftest import House

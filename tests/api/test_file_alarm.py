@@ -1,36 +1,33 @@
 """A corrupt stored file raises an alarm, whoever finds it, and the alarm is over when the file is back, not before."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from boresight.api.upkeep import Upkeep
+from boresight.console.access.sessions import SessionLimits
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms.tables import Alarm
+from boresight.console.jobs.upkeep import Upkeep
 from boresight.errors import CorruptFileError
-from boresight.services import alarms, audit
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.sessions import SessionLimits
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
-from boresight.store.tables import Alarm
-from tests.stores import url_in
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Engine, reading, writing
+from tests.stores import open_migrated, url_in
 
 CONTENT = b'{"f_m":0.016}'
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
-    store = open_engine(url_in(tmp_path))
-    migrate(store)
+    store = open_migrated(url_in(tmp_path))
     yield store
     store.dispose()
 
 
 @pytest.fixture
 def blobs(tmp_path: Path, store: Engine) -> BlobStore:
-    """Two stored files."""
     blobs = BlobStore(tmp_path / "blobs")
     with writing(store) as session:
         for content in (CONTENT, b"other"):

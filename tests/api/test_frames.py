@@ -1,7 +1,5 @@
 """Frames of a run over the API: in pages by number or worst first, and one with its residuals; who asks for none is told."""
 
-from __future__ import annotations
-
 import pytest
 
 from .conftest import House

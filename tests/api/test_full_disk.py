@@ -1,7 +1,5 @@
 """A disk that is full, for reading only, or not there is one clear sentence, 503 with Retry-After, and nothing is half-stored."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -14,11 +12,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from boresight.api.problems import problem_of
 from boresight.cli import main
 from boresight.disks import LEAST_FREE_BYTES, refuse_unwritable, storage_error
 from boresight.errors import StorageError
-from boresight.store.blobs import BlobStore
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.web.problems import problem_of
 
 ROOT = Path(__file__).resolve().parents[2]
 MOUNT = "mount -t tmpfs -o size=32m none {disk} && exec {python} -m tests.api.full_disk {disk}"

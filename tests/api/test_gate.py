@@ -1,7 +1,5 @@
 """Overload is said at once, and those who watch the server are answered all the same."""
 
-from __future__ import annotations
-
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -10,13 +8,12 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.api.gate import COME_BACK_S, Gate
+from boresight.platform.web.gate import COME_BACK_S, Gate
 
 from .conftest import House
 
 
 def gate_of(app: Any) -> Gate:
-    """Return the layer that counts."""
     layer = app.middleware_stack
     while not isinstance(layer, Gate):
         layer = layer.app
@@ -41,7 +38,7 @@ def test_those_who_watch_and_the_files_of_pages_are_always_let_in(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gate_of(house.app).known, "most", 0)
-    for path in ("/healthz", "/readyz", "/metrics", "/static/style.css"):
+    for path in ("/healthz", "/readyz", "/metrics", "/static/shared/style.css"):
         assert house.anybody().get(path).status_code == 200, path
 
 
@@ -56,7 +53,7 @@ def test_what_stands_ready_is_given_though_too_many_are_under_way(
 
 def test_health_is_told_while_every_thread_is_taken(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     free = threading.Event()
-    monkeypatch.setattr("boresight.services.presets.list_presets", lambda *_, **__: free.wait(20) and [])
+    monkeypatch.setattr("boresight.console.runs.presets.list_presets", lambda *_, **__: free.wait(20) and [])
     client = house.person("ada")
     with ThreadPoolExecutor(30) as pool:
         waiting = [pool.submit(client.get, "/api/v1/presets") for _ in range(30)]

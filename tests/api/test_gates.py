@@ -1,7 +1,5 @@
 """Gates over REST: limits with a version, a report that is made once, waivers in person, and what a blocked set may not do."""
 
-from __future__ import annotations
-
 from .conftest import PASSWORD, House
 from .gates import TIGHT, a_waiver, blocked, tight_profile
 
@@ -11,7 +9,6 @@ def test_limits_are_set_from_the_version_that_was_seen_and_listed_newest_first(h
     address, adele = f"/api/v1/sensors/{sensor['id']}/gate-profiles", house.person("adele")
     first = adele.get(address)
     assert (first.headers["etag"], len(first.json()["items"])) == ('"v0"', 1)
-
     body = {"gates": [TIGHT], "reason": "To be tried."}
     made = adele.post(address, json=body, headers={"If-Match": first.headers["etag"]})
     assert (made.status_code, made.headers["etag"]) == (201, '"v1"')
@@ -47,7 +44,6 @@ def test_a_set_is_assessed_by_a_key_and_the_report_is_read_by_anybody(house: Hou
     address = f"/api/v1/parameter-sets/{row['id']}"
     none = house.person("victor").get(f"{address}/gate-report")
     assert (none.status_code, "POST :assess" in none.json()["detail"]) == (404, True)
-
     made = house.key("ada", "parameter-sets").post(f"{address}:assess")
     assert made.status_code == 201, made.text
     assert made.headers["location"] == f"{address}/gate-report"
@@ -65,7 +61,6 @@ def test_a_blocked_set_may_be_submitted_and_is_neither_approved_nor_waived_by_a_
     refused = house.sign("alan", request.json())
     assert refused.status_code == 409
     assert "stopped by its gates: parameter-shift (FAIL)" in refused.json()["detail"]
-
     headers = {"If-Match": house.person("ada").get(address).headers["etag"]}
     by_key = house.key("ada", "parameter-sets").post(f"{address}:waive", json=a_waiver(), headers=headers)
     assert by_key.status_code == 403
@@ -118,7 +113,6 @@ def test_the_report_that_a_signature_is_bound_to_is_read_by_its_hash_after_the_p
     listed = house.person("victor").get("/api/v1/approvals", params={"sensor_id": row["sensor_id"]}).json()["items"]
     bound = listed[0]["bound"]["gate_report_sha256"]
     assert house.person("ada").post(f"{address}:assess").json()["sha256"] != bound
-
     found = house.key("ada", "runs").get(f"{address}/gate-report", params={"sha256": bound})
     assert (found.status_code, found.json()["sha256"], found.json()["holds"]) == (200, bound, False)
     newest = house.person("victor").get(f"{address}/gate-report").json()

@@ -1,7 +1,5 @@
 """Requests that are never sent whole shut nobody out: they hold no place, they have deadlines, and they go first."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import resource
@@ -17,10 +15,10 @@ import httpx
 import pytest
 from starlette.exceptions import HTTPException
 
-from boresight.api import connections as connections_module
-from boresight.api.bodies import Body, Pace
-from boresight.api.connections import MOST_OPEN, OTHER_FILES, Connections, Deadlines, open_file_limit
-from boresight.api.gate import Limits, Places
+from boresight.platform.web import connections as connections_module
+from boresight.platform.web.bodies import Body, Pace
+from boresight.platform.web.connections import MOST_OPEN, OTHER_FILES, Connections, Deadlines, open_file_limit
+from boresight.platform.web.gate import Limits, Places
 
 from .conftest import PASSWORD, add_people, serving, settings_in
 from .test_gate import gate_of
@@ -40,8 +38,6 @@ QUICK = Limits(unknown=6, unknown_each=2, large=2, large_each=1, unknown_body_s=
 
 @dataclass
 class Site:
-    """A server and who is logged in to it."""
-
     address: str
     app: Any
     connections: Connections
@@ -49,19 +45,16 @@ class Site:
 
     @property
     def credentials(self) -> bytes:
-        """The headers of who is logged in."""
         cookie, csrf = self.ada.cookies["boresight_session"], self.ada.headers["X-CSRF-Token"]
         return f"Cookie: boresight_session={cookie}\r\nX-CSRF-Token: {csrf}\r\n".encode()
 
     def connect(self) -> socket.socket:
-        """Open a connection."""
         host, port = self.address.removeprefix("http://").split(":")
         return socket.create_connection((host, int(port)), 5)
 
 
 @contextmanager
 def site_of(folder: Any, connections: Connections, **given: Any) -> Iterator[Site]:
-    """Serve with deadlines of a test."""
     settings = settings_in(folder)
     add_people(settings)
     with (
@@ -75,7 +68,6 @@ def site_of(folder: Any, connections: Connections, **given: Any) -> Iterator[Sit
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """Serve with deadlines of less than half a second."""
     pace = Pace(window_s=0.4, floor_bytes=4000, slowest_bytes_per_s=300_000)
     folder = tmp_path_factory.mktemp("quick")
     with site_of(folder, Connections(40, SHORT), limits=QUICK, pace=pace) as site:
@@ -83,7 +75,6 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 
 def answer_of(connection: socket.socket, wait_s: float = 5.0) -> tuple[int, dict[str, str], bytes]:
-    """Read all that is sent until the connection is closed; the status is 0 where nothing is."""
     connection.settimeout(wait_s)
     received = b""
     while piece := connection.recv(65536):

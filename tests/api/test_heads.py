@@ -1,7 +1,5 @@
 """HEAD is GET without the body, wherever GET is (RFC 9110, 9.1), and ends at once."""
 
-from __future__ import annotations
-
 import time
 
 import httpx
@@ -9,7 +7,16 @@ import pytest
 
 from .conftest import House
 
-PATHS = ("/healthz", "/readyz", "/static/style.css", "/api/v1/runs", "/api/v1/sensors", "/runs", "/login", "/docs")
+PATHS = (
+    "/healthz",
+    "/readyz",
+    "/static/shared/style.css",
+    "/api/v1/runs",
+    "/api/v1/sensors",
+    "/runs",
+    "/login",
+    "/docs",
+)
 OF_EACH_ANSWER = {"date", "x-request-id", "transfer-encoding"}
 
 
@@ -27,7 +34,6 @@ def test_the_headers_are_those_of_get_and_there_is_no_body(house: House, path: s
 
 
 def _lasting(headers: httpx.Headers) -> dict[str, set[str]]:
-    """Return the headers that are the same for two answers, each as a set: what stands ready says once what it varies with."""
     return {name: set(value.split(", ")) for name, value in headers.items() if name not in OF_EACH_ANSWER}
 
 

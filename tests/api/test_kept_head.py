@@ -1,7 +1,5 @@
 """The head of the audit log kept elsewhere: written when it moved, missed when records vanish, and never the reason of a crash."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3
@@ -12,19 +10,20 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from boresight.api.upkeep import KeptHeads, Upkeep
 from boresight.cli import main
+from boresight.console.access.sessions import SessionLimits
+from boresight.console.alarms import service as alarms
+from boresight.console.jobs.upkeep import KeptHeads, Upkeep
+from boresight.console.webhooks.service import HEAD
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import RefusedInputError
-from boresight.services import alarms, audit
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.kept_heads import KeptHead, read_head, write_head
-from boresight.services.sessions import SessionLimits
-from boresight.services.webhooks import HEAD
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.kept_heads import KeptHead, read_head, write_head
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, open_engine, reading, utc_now, writing
 from boresight.settings import read_settings
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, migrate, open_engine, reading, utc_now, writing
-from boresight.store.tables import Webhook, WebhookDelivery
-from tests.stores import url_in
+from tests.stores import open_migrated, url_in
 
 LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 
@@ -32,8 +31,7 @@ LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
     (tmp_path / "data").mkdir()
-    store = open_engine(url_in(tmp_path / "data"))
-    migrate(store)
+    store = open_migrated(url_in(tmp_path / "data"))
     _count(store, 3)
     yield store
     store.dispose()
@@ -218,7 +216,7 @@ def test_a_file_in_the_data_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_clock_that_runs_backwards_is_a_record_of_its_own(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("boresight.store.chain.utc_now", lambda: "2020-01-01T00:00:00.000000Z")
+    monkeypatch.setattr("boresight.platform.audit.chain.utc_now", lambda: "2020-01-01T00:00:00.000000Z")
     _count(store, 2)
     with reading(store) as session:
         told = [row.action for row in audit.list_records(session)][::-1]

@@ -1,19 +1,17 @@
 """A data folder or a folder of files that is moved away under a running server is one sentence, and used again when it is back."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from boresight.api import watched
 from boresight.errors import StorageError
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.marks import Marks
+from boresight.platform.db.sessions import open_engine, reading, writing
+from boresight.platform.web import watched
 from boresight.sky.catalogue import Catalogue
-from boresight.store.blobs import BlobStore
-from boresight.store.marks import Marks
-from boresight.store.sessions import open_engine, reading, writing
 
 from .conftest import House, house_in
 
@@ -22,20 +20,17 @@ pytestmark = pytest.mark.sqlite("its file is moved")
 
 @pytest.fixture
 def own(tmp_path: Path, catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch) -> Iterator[House]:
-    """Serve from a folder of this test's own; the files are looked at by every question."""
     monkeypatch.setattr(watched, "LOOK_AGAIN_S", -1.0)
     with house_in(tmp_path, catalogue) as made:
         yield made
 
 
 def _checks(house: House) -> tuple[int, dict[str, bool]]:
-    """Return the status of `readyz`, and which parts are ready."""
     answer = house.anybody().get("/readyz")
     return answer.status_code, {name: check["ready"] for name, check in answer.json()["checks"].items()}
 
 
 def _answers(house: House, client: Any, sensor_id: int) -> dict[str, tuple[int, str | None]]:
-    """Read, write, upload and log in; return status and `Retry-After` of each."""
     asked = {
         "list": client.get("/api/v1/sensors"),
         "register": client.post("/api/v1/sensors", json=house.sensor_file()),

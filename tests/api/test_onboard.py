@@ -1,13 +1,11 @@
 """On board over REST: read-backs as forms, the signed entry, what held at a time, the timeline page by page."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import httpx
 import pytest
 
-from boresight.store.sessions import utc_after
+from boresight.platform.db.sessions import utc_after
 
 from . import onboard
 from .conftest import PASSWORD, House

@@ -1,14 +1,13 @@
 """The OpenAPI document: valid, every answer typed, and what every method of every address answers."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
 import pytest
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
-from boresight.services.actors import SCOPES
+from boresight.calibration.options import OPTIONS
+from boresight.platform.actors import SCOPES
 
 from .conftest import House
 from .operations import GOOD, OPEN, OPENAPI, OPERATIONS, ask
@@ -49,6 +48,13 @@ def test_every_operation_says_what_every_request_may_meet(name: str) -> None:
 
 def test_no_two_shapes_have_one_name() -> None:
     assert [name for name in OPENAPI["components"]["schemas"] if "__" in name] == []
+
+
+@pytest.mark.parametrize("operation", ["runs", "campaigns", "presets"])
+def test_every_choice_of_a_calibration_is_described_where_settings_are_given(operation: str) -> None:
+    body = OPENAPI["paths"][f"/api/v1/{operation}"]["post"]["requestBody"]["content"]["application/json"]["schema"]
+    shape = OPENAPI["components"]["schemas"][body["$ref"].rpartition("/")[2]]
+    assert set(shape["properties"]["settings"]["properties"]) == set(OPTIONS)
 
 
 def test_scopes_are_an_enumeration() -> None:

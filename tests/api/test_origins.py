@@ -1,7 +1,5 @@
 """What a page of another site sends is refused, and who is not on this machine is told no more than whether it is ready."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,8 +7,8 @@ import httpx
 import pytest
 from starlette.datastructures import Headers
 
-from boresight.api.origins import is_foreign
 from boresight.errors import RefusedInputError
+from boresight.platform.web.origins import is_foreign
 
 from .conftest import PASSWORD, House, add_people, serving, settings_in
 
@@ -96,7 +94,6 @@ def test_a_public_address_that_is_none_is_refused(tmp_path: Path, text: str) -> 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Serve with secure cookies, as if to the network."""
     settings = settings_in(tmp_path_factory.mktemp("site"), secure_cookies="1", host="0.0.0.0")  # noqa: S104 - the claim
     add_people(settings)
     with serving(settings) as (address, _):

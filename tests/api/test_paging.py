@@ -1,7 +1,5 @@
 """Lists by cursors: everything once, in order, while rows are added."""
 
-from __future__ import annotations
-
 from itertools import chain
 from typing import Any
 
@@ -11,7 +9,6 @@ from .conftest import House
 
 
 def _all(client: Any, path: str, **params: Any) -> list[list[int]]:
-    """Follow the cursors to the end; return the ids of each page."""
     pages, cursor = [], None
     while True:
         body = client.get(path, params={**params, **({"cursor": cursor} if cursor else {})}).json()

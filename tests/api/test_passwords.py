@@ -1,7 +1,5 @@
 """Passwords over HTTP: hashed outside the write lock, slowed down without locking anybody out, failures in the audit log."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 import time
@@ -11,15 +9,17 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.api import passwords as checks
+from boresight.console.access import password_checks as checks
+from boresight.console.access import passwords
+from boresight.console.access.log_in_attempts import MOST_RECORDS, REFUSED
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.access.sessions import Client
+from boresight.console.access.tables import User
+from boresight.console.approvals import service as approvals
 from boresight.errors import OverloadedError, TooManyAttemptsError
-from boresight.services import approvals, audit, passwords
-from boresight.services.actors import SYSTEM, Actor
-from boresight.services.failed_log_ins import MOST_RECORDS, REFUSED
-from boresight.services.passwords import PasswordProof
-from boresight.services.sessions import Client
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import User
+from boresight.platform.actors import SYSTEM, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
 from tests.passwords import new_password
 
 from .conftest import PASSWORD, PEOPLE, add_people, serving, settings_in
@@ -29,7 +29,6 @@ HERE, THERE = "127.0.0.1", "127.0.0.2"
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Any]]:
-    """A server with the limits that it has by default; every test comes from addresses of its own."""
     settings = settings_in(tmp_path_factory.mktemp("passwords"))
     add_people(settings)
     with serving(settings) as place:
@@ -37,7 +36,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Any]
 
 
 def _client(address: str, source: str = HERE) -> httpx.Client:
-    """A client that comes from an address of this machine."""
     return httpx.Client(base_url=address, transport=httpx.HTTPTransport(local_address=source), timeout=30)
 
 
@@ -50,7 +48,6 @@ def _log_in(client: httpx.Client, name: str, password: str = PASSWORD) -> httpx.
 
 @pytest.fixture
 def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], threading.Event]]:
-    """Hold every check and hash until released; the threads they are done in."""
     threads, release = list[str](), threading.Event()
     for name in ("check", "prepare"):
         monkeypatch.setattr(passwords, name, _holding(getattr(passwords, name), threads, release))
@@ -148,7 +145,6 @@ def test_no_password_is_worked_on_while_the_write_lock_is_held(
 
 
 def _restore(app: Any) -> None:
-    """Give Adele the password that all tests know."""
     with writing(app.state.engine) as session:
         row = session.get_one(User, list(PEOPLE).index("adele") + 1)
         row.password_hash = new_password(PASSWORD).hash()
@@ -226,7 +222,6 @@ def test_attempts_are_slowed_down_and_then_told_to_wait(served: tuple[str, Any])
 
 
 def _failures(app: Any, address: str) -> list[dict[str, Any]]:
-    """What the audit log tells of failures from an address."""
     with reading(app.state.engine) as session:
         found = [one.after or {} for one in audit.list_records(session, limit=200) if one.action == REFUSED]
     return [one for one in found if str(one.get("address", address)).startswith(address)]

@@ -1,7 +1,5 @@
 """Refusals: one shape, one sentence, the right status, never a trace."""
 
-from __future__ import annotations
-
 import inspect
 import logging
 import re
@@ -10,8 +8,8 @@ from typing import Any
 import pytest
 
 from boresight import errors
-from boresight.api.problems import KINDS, problem_of
 from boresight.errors import BoresightError, Fault, RefusedInputError
+from boresight.platform.web.problems import KINDS, problem_of
 
 from .conftest import House
 
@@ -77,7 +75,7 @@ def test_what_nobody_foresaw_tells_its_request_id_and_nothing_else(
     def fail(*_args: Any, **_named: Any) -> None:
         raise ZeroDivisionError("the secret of the house")
 
-    monkeypatch.setattr("boresight.services.runs.list_runs", fail)
+    monkeypatch.setattr("boresight.console.runs.service.list_runs", fail)
     with caplog.at_level(logging.ERROR):
         answer = house.person("ada").get("/api/v1/runs")
     assert answer.status_code == 500
@@ -90,9 +88,9 @@ def test_what_nobody_foresaw_tells_its_request_id_and_nothing_else(
 @pytest.mark.parametrize(
     "broken",
     [
-        "boresight.pages.runs.page_of",  # what the page shows
-        "boresight.pages.rendering.frame_of",  # what every page shows
-        "boresight.api.dependencies.reading",  # the database itself
+        "boresight.console.runs.pages.list.page_of",  # what the page shows
+        "boresight.console.pages.rendering.frame_of",  # what every page shows
+        "boresight.console.access.dependencies.reading",  # the database itself
     ],
 )
 def test_what_nobody_foresaw_gives_a_person_a_page_with_the_request_id(

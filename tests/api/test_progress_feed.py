@@ -1,7 +1,5 @@
 """Progress over the wire: told once to everybody, again after a break, with its course to who follows the run."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import threading
@@ -12,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.api.feed import Place, Ring
-from boresight.store.run_events import write_event
-from boresight.store.sessions import writing
+from boresight.console.jobs.broadcast import Place, Ring
+from boresight.console.runs.run_events import Line, write_event
+from boresight.platform.db.sessions import writing
 
 from .conftest import House
 from .test_events import following
@@ -24,7 +22,6 @@ KEPT = 16
 
 
 def step(run_id: int, fraction: float) -> dict[str, Any]:
-    """A report of the worker engine."""
     points = {"after": None, "frame": [int(100 * fraction)], "parameters": [[1.0, None]]}
     return {"kind": "progress", "run_id": run_id, "attempt": 1, "fraction": fraction, "history": points}
 
@@ -75,7 +72,7 @@ def test_a_line_of_a_run_s_log_is_told_as_such(house: House) -> None:
     with following(house.person("victor")) as events:
         next(events)
         with writing(house.app.state.engine) as session:
-            write_event(session, run["id"], 1, "log", "Given up on frame 3.")
+            write_event(session, run["id"], 1, Line.log("Given up on frame 3."))
         told = next(event for event in events if event["event"] == "log")
     assert (told["event"], told["data"]["message"]) == ("log", "Given up on frame 3.")
 

@@ -1,19 +1,19 @@
 """Rounds: every step in each round whatever befalls another, at once when nudged, and none after the close."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest
 
-from boresight.api.rounds import Rounds
+from boresight.platform.jobs.rounds import Rounds
 
 LONG_S = 1000.0
 
 
 def test_a_step_that_fails_is_logged_and_tried_again_and_the_others_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr("boresight.api.rounds.log.exception", lambda words, *names: said.append(words % names))
+    monkeypatch.setattr(
+        "boresight.platform.jobs.rounds.log.exception", lambda words, *names: said.append(words % names)
+    )
     taken: list[str] = []
     twice = threading.Event()
 

@@ -1,11 +1,9 @@
 """Runs over REST: launched with 202 and Location, followed, stopped, read, drawn."""
 
-from __future__ import annotations
-
 import pytest
 
-from boresight.store.sessions import writing
-from boresight.store.tables import Run
+from boresight.console.runs.tables import Run
+from boresight.platform.db.sessions import writing
 
 from .conftest import House
 

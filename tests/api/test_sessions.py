@@ -1,7 +1,5 @@
 """Logging in: what the cookie is, what ends it, what a request must bring beside it."""
 
-from __future__ import annotations
-
 import hashlib
 import stat
 import time
@@ -16,15 +14,15 @@ import sqlalchemy as sa
 from fastapi import Response
 from itsdangerous import URLSafeTimedSerializer
 
-from boresight.api.cookies import SESSION_COOKIE, LogInCookie, read_secret
-from boresight.api.upkeep import Upkeep
+from boresight.console.access import sessions
+from boresight.console.access.credentials import SESSION_COOKIE, LogInCookie, read_secret
+from boresight.console.access.tables import LoginSession
+from boresight.console.jobs.upkeep import Upkeep
 from boresight.errors import SessionEndedError, UnauthenticatedError
-from boresight.services import sessions
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.db.marks import Marks
+from boresight.platform.db.sessions import open_engine, reading, utc_after, utc_text, writing
 from boresight.settings import Settings
-from boresight.store.blobs import open_blobs
-from boresight.store.marks import Marks
-from boresight.store.sessions import open_engine, reading, utc_after, utc_text, writing
-from boresight.store.tables import LoginSession
 
 from .conftest import PASSWORD, House, add_people, serving, settings_in
 
@@ -61,7 +59,6 @@ def test_a_wrong_password_and_an_unknown_name_get_the_same_answer(house: House) 
 
 
 def _copy(house: House, client: httpx.Client) -> httpx.Client:
-    """A client with the same cookie, as a thief has."""
     thief = house.anybody(**{"X-CSRF-Token": client.headers["X-CSRF-Token"]})
     thief.cookies.set(SESSION_COOKIE, client.cookies[SESSION_COOKIE])
     assert thief.get("/api/v1/runs").status_code == 200
@@ -70,7 +67,6 @@ def _copy(house: House, client: httpx.Client) -> httpx.Client:
 
 
 def _why(client: httpx.Client) -> tuple[int, str, str]:
-    """How a list of the API that stood ready, and a page that did, now refuse."""
     answer = client.get("/api/v1/runs")
     page = client.get("/", headers={"accept": "text/html"})
     ended = page.headers.get("location", "").partition("ended=")[2]
@@ -78,7 +74,6 @@ def _why(client: httpx.Client) -> tuple[int, str, str]:
 
 
 def _administer(house: House, number: int, verb: str, **body: Any) -> httpx.Response:
-    """Do something to a person as an administrator."""
     root = house.person("adele")
     tag = root.get(f"/api/v1/users/{number}").headers["etag"]
     return root.post(f"/api/v1/users/{number}:{verb}", headers={"If-Match": tag}, json=body or None)
@@ -202,7 +197,6 @@ def test_idleness_ends_a_log_in_and_survives_a_restart(tmp_path: Path) -> None:
 
 
 def _shift(settings: Settings, minutes: float) -> None:
-    """Let time pass: every log-in was last used so much earlier."""
     engine = open_engine(settings.database_url)
     with writing(engine) as session:
         for row in session.scalars(sa.select(LoginSession)):

@@ -1,13 +1,11 @@
 """A page with gaps is, filled, the page with these values in it: plain, and as one gzip stream."""
 
-from __future__ import annotations
-
 import zlib
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.api.sheets import NAME_GAP, TOKEN_GAP, Sheet
+from boresight.platform.web.sheets import NAME_GAP, TOKEN_GAP, Sheet
 
 GAPS = (TOKEN_GAP.encode(), NAME_GAP.encode())
 PIECES = st.lists(st.one_of(st.sampled_from(GAPS), st.binary(max_size=300)), max_size=12)

@@ -1,10 +1,8 @@
 """Requests are worked on in the order of their coming, few at once, and a long one makes room."""
 
-from __future__ import annotations
-
 import asyncio
 
-from boresight.api.turns import Turns
+from boresight.platform.web.gate import Turns
 
 
 def test_no_more_have_a_turn_at_once_than_there_are_and_they_come_in_order() -> None:

@@ -1,7 +1,5 @@
 """The upkeep of a server: the light of the chain, and the last use of keys."""
 
-from __future__ import annotations
-
 import tempfile
 import threading
 import time
@@ -11,30 +9,25 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from boresight.api import upkeep as upkeep_module
-from boresight.api.upkeep import Upkeep
-from boresight.services import alarms, api_keys, audit, users
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.session_limits import SessionLimits
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, migrate, open_engine, reading, writing
-from tests.passwords import new_password
-from tests.stores import url_in
-
-from .conftest import PASSWORD
+from boresight.console.access import api_keys, users
+from boresight.console.alarms import service as alarms
+from boresight.console.jobs import upkeep as upkeep_module
+from boresight.console.jobs.upkeep import Upkeep
+from boresight.platform.actors import SessionLimits
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, writing
+from tests.passwords import add_person
+from tests.stores import open_migrated, url_in
 
 LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
-    """A store with a person who has a key."""
-    store = open_engine(url_in(tmp_path))
-    migrate(store)
+    store = open_migrated(url_in(tmp_path))
     with writing(store) as session:
-        row = users.create_user(
-            session, COMMAND_LINE, name="ada", printed_name="Ada", password=new_password(PASSWORD), roles=[]
-        )
+        row = add_person(session, "ada")
         actor = users.actor_of(session, row.id)
         api_keys.create_key(session, actor, label="passes")
     yield store
@@ -42,7 +35,6 @@ def store(tmp_path: Path) -> Iterator[Engine]:
 
 
 def _upkeep(store: Engine) -> Upkeep:
-    """The upkeep of a store whose files lie beside it."""
     return Upkeep(store, LIMITS, BlobStore(Path(tempfile.mkdtemp())))
 
 

@@ -1,7 +1,5 @@
 """Deliveries over the wire: a real receiver on a real port gets what was signed, once, and is tried again when it fails."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import socket
@@ -17,24 +15,24 @@ import pytest
 from standardwebhooks import Webhook as StandardWebhook
 from standardwebhooks import WebhookVerificationError
 
-from boresight.api.deliveries import Deliveries
+from boresight.console.access import users
+from boresight.console.jobs.deliveries import Deliveries
+from boresight.console.webhooks import service as webhooks
+from boresight.console.webhooks.secrets import encrypt_all, state_of
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import RefusedInputError
-from boresight.services import audit, users, webhooks
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.webhook_secrets import encrypt_all, state_of
-from boresight.services.webhook_targets import Targets
-from boresight.store.secret_box import SecretBox
-from boresight.store.sessions import Engine, migrate, open_engine, reading, utc_now, writing
-from boresight.store.tables import Webhook, WebhookDelivery
-from tests.passwords import new_password
-from tests.stores import url_in
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.db.sessions import Engine, reading, utc_now, writing
+from boresight.platform.web.targets import Targets
+from tests.passwords import add_person
+from tests.stores import open_migrated, url_in
 
-from .conftest import PASSWORD, House
+from .conftest import House
 
 
 class Receiver:
-    """A web server that keeps what it is sent and answers as told."""
-
     def __init__(self) -> None:
         self.heard: list[tuple[str, dict[str, str], str]] = []
         self.statuses: list[int] = []
@@ -78,8 +76,7 @@ def receiver() -> Iterator[Receiver]:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
-    store = open_engine(url_in(tmp_path))
-    migrate(store)
+    store = open_migrated(url_in(tmp_path))
     yield store
     store.dispose()
 
@@ -92,14 +89,7 @@ def box(tmp_path: Path) -> SecretBox:
 @pytest.fixture
 def hook(store: Engine, receiver: Receiver, box: SecretBox) -> Webhook:
     with writing(store) as session:
-        users.create_user(
-            session,
-            COMMAND_LINE,
-            name="root",
-            printed_name="Root",
-            password=new_password(PASSWORD),
-            roles=["administrator"],
-        )
+        add_person(session, "root", "administrator")
         return webhooks.create_webhook(session, _root(session), box, label="Chat", url=receiver.url)[0]
 
 
@@ -316,7 +306,7 @@ def test_only_an_administrator_makes_the_server_look_a_name_up(house: House, mon
     def look_up(*_: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("boresight.services.webhooks.refuse_address", look_up)
+    monkeypatch.setattr("boresight.console.webhooks.service.refuse_address", look_up)
     wanted = {"label": "x", "url": "https://mission.invalid/"}
     assert house.person("ada").post("/api/v1/webhooks", json=wanted).status_code == 403
 
@@ -338,7 +328,7 @@ def test_a_new_secret_is_shown_once_and_the_webhook_says_until_when_the_former_s
 def test_an_answer_that_drips_ends_at_the_deadline_of_the_whole(
     store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("boresight.api.deliveries.TIMEOUT_S", 1.0)
+    monkeypatch.setattr("boresight.console.jobs.deliveries.TIMEOUT_S", 1.0)
 
     def drip(wire: Any) -> None:
         with suppress(OSError):

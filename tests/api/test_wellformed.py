@@ -1,7 +1,5 @@
 """What no store, hash or answer can hold is refused at the door, wherever it comes in: never 500."""
 
-from __future__ import annotations
-
 import csv
 import io
 from typing import Any
@@ -10,13 +8,13 @@ from urllib.parse import quote
 import orjson
 import pytest
 
-from boresight.api.gate import SMALL_BODY_BYTES
+from boresight.console.runs.tables import Preset, Run
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.services import audit
-from boresight.services.actors import SYSTEM
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Preset, Run
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.web.gate import SMALL_BODY_BYTES
 
 from .conftest import House
 
@@ -224,7 +222,6 @@ NONSENSE = {
 
 
 def _with_result(house: House, content: bytes) -> int:
-    """Return a run whose stored result has these bytes, under their own hash."""
     run_id, blobs = house.launched()["id"], house.app.state.blobs
     with writing(house.app.state.engine) as session:
         sha256 = blobs.put(content)

@@ -1,7 +1,5 @@
 """One installation and one Chromium for all files here, and the steps of the main job, each taken once."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -58,15 +56,12 @@ class Watched:
 
 @dataclass(frozen=True)
 class Promoted:
-    """A set that became baseline: its number, and that of the request."""
-
     set_id: int
     request_id: int
 
 
 @pytest.fixture(scope="package")
 def installation(tmp_path_factory, pytestconfig):
-    """A server on an empty data folder; the first person is made on the command line, as the README says."""
     kernels = os.environ.get("NUMBA_CACHE_DIR") or str(pytestconfig.cache.mkdir("kernels"))
     made = Installation(tmp_path_factory.mktemp("browser"), kernels)
     name = "administrator"
@@ -79,7 +74,6 @@ def installation(tmp_path_factory, pytestconfig):
 
 @pytest.fixture(scope="package")
 def files(installation):
-    """A simulated sensor as files: sensor.json, calibration.csv, validation.csv, truth.json."""
     folder = installation.folder / "files"
     installation.command("simulate", "st16-1", "--frames", FRAMES, "--out", str(folder))
     return folder
@@ -87,7 +81,6 @@ def files(installation):
 
 @pytest.fixture(scope="package")
 def browser():
-    """The machine's Chromium."""
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     assert path, f"install one of {', '.join(BROWSERS)}"
     with sync_playwright() as playwright:
@@ -98,7 +91,6 @@ def browser():
 
 @pytest.fixture(scope="package")
 def people(installation, browser):
-    """The administrator, and whom the administrator adds on the page Users and keys."""
     made = People(installation, browser)
     with made.seat("administrator") as window:
         for name in ("analyst", "approver", "operator"):
@@ -116,7 +108,6 @@ def people(installation, browser):
 
 @pytest.fixture(scope="package")
 def sensor_id(people, files):
-    """A sensor, registered from its file."""
     with people.seat("analyst") as window:
         for page in ("", "sensors", "telemetry", "runs", "runs/new", "parameter-sets", "approvals"):
             window.open(f"/{page}")
@@ -132,14 +123,12 @@ def sensor_id(people, files):
 
 @pytest.fixture(scope="package")
 def telemetry(people, files, sensor_id):
-    """The calibration and the validation set, uploaded; their numbers by purpose."""
     with people.seat("analyst") as window:
         return {purpose: upload(window, sensor_id, files / f"{purpose}.csv", purpose) for purpose in PURPOSES}
 
 
 @pytest.fixture(scope="package")
 def batch_run(people, telemetry):
-    """The number of a batch run that has ended, launched from the page of its telemetry set."""
     with people.seat("analyst") as window:
         window.open(f"/telemetry/{telemetry['calibration']}")
         window.page.get_by_role("link", name="New run with it").click()
@@ -150,7 +139,6 @@ def batch_run(people, telemetry):
 
 @pytest.fixture(scope="package")
 def watched(people, batch_run):
-    """A square-root filter fed slowly, cloned from the batch run, watched while its curve grew, and then cancelled."""
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}")
         window.page.get_by_role("link", name="Clone and edit").click()
@@ -187,7 +175,6 @@ def watched(people, batch_run):
 
 
 def _read_log(window, seen):
-    """Scroll away from the end of the log while a line comes, and pause it while another does."""
     lines, newer = window.page.locator("log-tail .log"), window.page.locator("[data-newer]")
     pause = window.page.get_by_role("button", name="Pause")
     lines.evaluate(MISS_A_LINE)
@@ -202,7 +189,6 @@ def _read_log(window, seen):
 
 @pytest.fixture(scope="package")
 def sequential_run(people, batch_run):
-    """The number of a run of the same filter over the same frames, fed quickly."""
     with people.seat("analyst") as window:
         window.open(f"/runs/new?clone={batch_run}")
         choose_filter(window, QUICK_FRAMES_PER_S)
@@ -213,7 +199,6 @@ def sequential_run(people, batch_run):
 
 @pytest.fixture(scope="package")
 def promoted(people, batch_run):
-    """The batch run's set: made and submitted by the analyst, signed by the approver, promoted by the operator."""
     with people.seat("analyst") as window:
         set_id = make_set(window, batch_run)
         window.shoot("04-candidate")

@@ -1,7 +1,5 @@
 """Who works at the installation, each with a browser of their own that stays logged in."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,25 +18,20 @@ PRINTED_NAMES = {
 
 
 def password_of(name: str) -> str:
-    """Everybody has a password of their own; the log-in name may not stand in it."""
     return f"on-the-night-shift-{zlib.crc32(name.encode()):08x}"
 
 
 class People:
-    """The people of an installation and their browsers."""
-
     def __init__(self, installation: Installation, browser: Browser) -> None:
         self._browser = browser
         self.address = installation.address
         self._contexts: dict[str, BrowserContext] = {}
 
     def stranger(self) -> BrowserContext:
-        """A browser in which nobody is logged in."""
         return self._browser.new_context(base_url=self.address, viewport=NARROW, reduced_motion="reduce")
 
     @contextmanager
     def seat(self, name: str | None = None) -> Iterator[Window]:
-        """Give a window of a person's browser, or of a stranger's; the browser must have nothing to complain of."""
         context = self.stranger() if name is None else self._context_of(name)
         window = Window(context)
         try:
@@ -50,7 +43,6 @@ class People:
         assert not window.complaints, "\n".join(window.complaints)
 
     def _context_of(self, name: str) -> BrowserContext:
-        """The person's browser, logged in when it is first needed."""
         if name not in self._contexts:
             context = self._contexts[name] = self.stranger()
             window = Window(context)

@@ -1,7 +1,5 @@
 """A file that cannot be used is refused on the page with row, column and what to do, and nothing is stored."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -16,7 +14,6 @@ BAD_LINE = 18  # of the file, its head being the first
 
 @pytest.fixture(scope="module")
 def small_sensor(people, files):
-    """A sensor whose detector is too small for the telemetry."""
     document = json.loads((files / "sensor.json").read_text())
     document |= {"name": "Small", "detector": {"rows": 600, "columns": 800, "pixel_pitch_m": 2.2e-6}}
     document["initial"] |= {"m0_px": 299.5, "n0_px": 399.5}
@@ -42,7 +39,6 @@ def words_for_a_number(files):
 
 @pytest.fixture
 def torn_parquet(installation, people, telemetry, files):
-    """The table that is stored of a set, without its end."""
     with people.seat("analyst") as window:
         known = window.read(f"/api/v1/telemetry-sets/{telemetry['calibration']}")
     path = files / "torn.parquet"
@@ -51,7 +47,6 @@ def torn_parquet(installation, people, telemetry, files):
 
 
 def refused(window, sensor_id, path, name):
-    """Upload a file that is refused; return the place of the refusal. Nothing is stored, and the choices stay."""
     address = "/api/v1/telemetry-sets?limit=200"
     before = window.read(address)["items"]
     choose_upload(window, sensor_id, path, "validation")

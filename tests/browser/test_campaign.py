@@ -1,7 +1,5 @@
 """From a preset to a campaign that ends before one's eyes: what was typed stays, the address holds the choice, one bar tells."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -38,4 +36,4 @@ def test_a_preset_keeps_what_was_typed_and_its_campaign_is_followed_to_its_end(p
         assert page.evaluate("window.unbroken"), "the page was loaded again"
         expect(page.get_by_role("progressbar")).to_have_attribute("value", "1.0")
         expect(page.get_by_role("table", name=re.compile("^RMS of arcs"))).to_contain_text("SUCCEEDED")
-        window.holds_in_every_theme_and_width("campaign")
+        window.holds_in_themes_and_widths("campaign")

@@ -1,7 +1,5 @@
 """What is downloaded is what is seen: each chart's CSV has the figure's numbers, each PNG is the chart on white."""
 
-from __future__ import annotations
-
 import base64
 import csv
 from pathlib import Path
@@ -41,13 +39,10 @@ PIXELS = """async ([address]) => {
 
 
 class Desk:
-    """The page of the sequential run: a figure's part is opened when the figure is asked for."""
-
     def __init__(self, window, run_id):
         self.window, self.run_id, self.part = window, run_id, None
 
     def figure(self, name):
-        """Return a figure's panel, its part open and drawn."""
         if self.part != PARTS[name]:
             self.part = PARTS[name]
             self.window.open(f"/runs/{self.run_id}?part={self.part}")
@@ -55,18 +50,15 @@ class Desk:
         return self.window.figure(name)
 
     def csv(self, name):
-        """Press a figure's CSV; return its columns."""
         return columns(download(self.window, self.figure(name), "CSV"))
 
     def drawn(self, name):
-        """Return a figure's traces."""
         self.figure(name)
         return self.window.drawn(name)
 
 
 @pytest.fixture(scope="module")
 def desk(people, sequential_run):
-    """The page of the sequential run."""
     with people.seat("analyst") as window:
         yield Desk(window, sequential_run)
 
@@ -77,7 +69,6 @@ def initial(desk, sequential_run):
 
 
 def download(window, panel, kind: str) -> Path:
-    """Press a panel's CSV or PNG; return the file."""
     with window.page.expect_download() as coming:
         panel.locator("header").get_by_text(kind, exact=False).first.click()
     assert coming.value.suggested_filename.endswith(kind.lower())
@@ -85,7 +76,6 @@ def download(window, panel, kind: str) -> Path:
 
 
 def columns(path: Path) -> dict[str, list[str]]:
-    """Read a CSV file by columns."""
     with path.open(newline="") as file:
         head, *rows = csv.reader(file)
     return dict(zip(head, zip(*rows, strict=True), strict=True))
@@ -96,7 +86,6 @@ def floats(cells) -> np.ndarray:
 
 
 def close(drawn, expected):
-    """Hold a figure's numbers against the file's, to the precision in which figures travel."""
     scale = float(np.nanmax(np.abs(expected)))
     assert np.array(drawn, float) == pytest.approx(expected, rel=SINGLE, abs=SINGLE * scale, nan_ok=True)
 
@@ -186,7 +175,6 @@ def test_the_drawings_of_a_telemetry_set_are_saved_alike(people, telemetry):
 
 
 def on_white(window, path: Path) -> None:
-    """Have the browser decode an image: its corners are white, and something is drawn on it."""
     content = path.read_bytes()
     assert content.startswith(b"\x89PNG\r\n\x1a\n")
     address = f"data:image/png;base64,{base64.b64encode(content).decode()}"

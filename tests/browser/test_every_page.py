@@ -1,6 +1,4 @@
-"""Every page, in every theme and width: nobody is kept out, nothing scrolls sideways, complains, or is changed by a key."""
-
-from __future__ import annotations
+"""Every page, with `--full` in every theme and width: nobody is kept out, nothing complains, or is changed by a key."""
 
 import pytest
 from playwright.sync_api import expect
@@ -57,7 +55,6 @@ LONG_NAME = "Wolfeschlegelsteinhausenbergerdorffwelchevoralternwarengewis"
 
 @pytest.fixture(scope="module")
 def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
-    """The numbers of everything that has a page."""
     return {
         "sensor": sensor_id,
         "set": telemetry["calibration"],
@@ -69,7 +66,6 @@ def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
 
 
 def visit(window, name, numbers):
-    """Open a page, its figures drawn."""
     window.open(ADDRESSES[name].format(**numbers))
     if name == "forbidden":
         window.page.locator("form[action='/logout'] input").evaluate("token => { token.value = 'of another log-in'; }")
@@ -84,7 +80,7 @@ def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(peopl
         visit(window, name, numbers)
         if name in LISTS:
             assert window.page.evaluate(CUT) == [], "what can be done with the rows is not in sight"
-        window.holds_in_every_theme_and_width(name)
+        window.holds_in_themes_and_widths(name)
         window.sends_nothing_by_keys()
         if name in REFUSED:
             window.forgive(f"status of {REFUSED[name]}")

@@ -14,7 +14,7 @@ import time
 
 import pytest
 
-from tests.browser.installation import free_port
+from benchmarks.servers import free_port
 from tests.browser.people import password_of
 
 pytestmark = pytest.mark.browser

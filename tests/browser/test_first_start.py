@@ -1,7 +1,5 @@
 """From an empty installation to a new baseline: each person's part, on the pages, with the numbers that REST gives."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -20,13 +18,11 @@ SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−", "0123456789--"
 
 
 def number(text: str) -> float:
-    """Read a number as pages print it: `1.032·10⁸`, `−1 022`."""
     digits, _, power = re.sub(r"\s", "", text).translate(SUPERSCRIPTS).partition("·10")
     return float(digits) * 10.0 ** int(power or 0)
 
 
 def change(result, history, name):
-    """A parameter's change and its three sigmas over a history, in the figure's unit."""
     place = list(result["parameters"]).index(name)
     unit = CHANGE_UNITS.get(name, 1.0)
     value, sigma = (np.array([row[place] for row in history[key]]) for key in ("parameters", "sigma"))
@@ -35,7 +31,6 @@ def change(result, history, name):
 
 @pytest.fixture(scope="module")
 def batch_page(people, batch_run):
-    """A window for the batch run's page, for tests that only look at its parts."""
     with people.seat("analyst") as window:
         window.open(f"/runs/{batch_run}")
         yield window
@@ -43,7 +38,6 @@ def batch_page(people, batch_run):
 
 @pytest.fixture(scope="module")
 def filter_page(people, sequential_run):
-    """The page of the filter's run, for tests that only look at it."""
     with people.seat("analyst") as window:
         window.open(f"/runs/{sequential_run}")
         yield window

@@ -1,7 +1,5 @@
 """The frame browser in a real browser: steps, scale, keys and Back keep address and drawing together; numbers are the API's."""
 
-from __future__ import annotations
-
 import pytest
 from playwright.sync_api import expect
 

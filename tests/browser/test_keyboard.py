@@ -1,7 +1,5 @@
 """The keyboard alone is enough, what has the focus can be seen, and nothing that happens meanwhile takes it away."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -22,7 +20,6 @@ FOCUSED = """() => {
 
 
 def tab_to(window, name: str) -> None:
-    """Press Tab until the focus is on what is called so; on the way everything focused is outlined."""
     window.page.wait_for_load_state()
     for _ in range(MOST_TABS):
         window.page.keyboard.press("Tab")
@@ -57,8 +54,6 @@ def test_from_the_log_in_to_a_run_by_tab_and_enter(people, batch_run):
 
 
 def hold_in(held):
-    """Make a handler that keeps requests until somebody lets them go."""
-
     def hold(route):
         held.append(route)
 
@@ -68,7 +63,7 @@ def hold_in(held):
 def test_who_skips_to_the_content_of_a_page_that_still_loads_is_not_thrown_back(people, batch_run):
     with people.seat("analyst") as window:
         held = []
-        window.page.route("**/static/clock.js", hold_in(held))
+        window.page.route("**/static/shared/clock.js", hold_in(held))
         window.page.goto("/runs", wait_until="commit")
         expect(window.page.get_by_role("link", name=f"#{batch_run}", exact=True)).to_be_visible()
         for key in ("Tab", "Enter", "Tab"):

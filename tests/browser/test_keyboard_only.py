@@ -1,7 +1,5 @@
 """Without a mouse: from the log-in to a queued run and its reading, and the runs list by its keys. Every step is a key."""
 
-from __future__ import annotations
-
 import json
 import re
 from contextlib import suppress
@@ -21,13 +19,11 @@ NAME = "By keyboard"
 
 
 def press(window, *keys):
-    """Press keys one after the other."""
     for key in keys:
         window.page.keyboard.press(key)
 
 
 def tab_to(window, place):
-    """Press Tab until what a selector names has the focus."""
     window.page.wait_for_load_state()
     for _ in range(MOST_TABS):
         press(window, "Tab")
@@ -37,7 +33,6 @@ def tab_to(window, place):
 
 
 def go(window, letter, heading):
-    """Go to a page by `g` and its letter; on a busy machine the second key may come too late for the first."""
     expect(window.page.locator("#keys-open")).to_be_visible()
     there = window.page.get_by_role("heading", name=heading, exact=True)
     for _ in range(TRIES):
@@ -50,7 +45,6 @@ def go(window, letter, heading):
 
 
 def choose(window, path):
-    """Open the focused field's dialog for files by Enter and choose one; a busy browser may forget that a key was pressed."""
     for _ in range(TRIES):
         with suppress(Error):
             with window.page.expect_file_chooser(timeout=TRIED_MS) as chooser:

@@ -1,16 +1,14 @@
 """A launch in a fleet that no menu holds: a sensor is found by name and chosen, and what was typed stays."""
 
-from __future__ import annotations
-
 import os
 import re
 
 import pytest
 from playwright.sync_api import expect
 
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import open_engine, writing
 from boresight.simulation.sensors import st16_sensor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import open_engine, writing
 from boresight.telemetry.sensors import sensor_document
 from tests.browser.installation import Installation
 from tests.browser.people import PRINTED_NAMES, People, password_of
@@ -22,7 +20,6 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture(scope="module")
 def analyst(tmp_path_factory, pytestconfig, browser):
-    """The window of an analyst of 250 sensors, on an installation of its own."""
     kernels = os.environ.get("NUMBA_CACHE_DIR") or str(pytestconfig.cache.mkdir("kernels"))
     made = Installation(tmp_path_factory.mktemp("large"), kernels)
     printed = ("--printed-name", PRINTED_NAMES["analyst"], "--password-stdin")
@@ -52,7 +49,6 @@ def test_a_sensor_of_a_large_fleet_is_found_and_chosen_and_what_was_typed_stays(
     expect(page.locator("[data-parameters-of]")).to_have_count(1)
     analyst.fits()
     assert analyst.barriers() == []
-
     page.get_by_label("Find a sensor").fill("")
     page.get_by_role("button", name="Find").click()
     expect(page.locator("#sensor_id option")).to_have_count(201)

@@ -1,7 +1,5 @@
 """The rarer choices of a run, by keyboard: opened, filled in, checked, and in nobody's way."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

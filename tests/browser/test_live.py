@@ -1,7 +1,5 @@
 """A filter that computes draws itself: from the points that its events carry, not by fetching the figure again and again."""
 
-from __future__ import annotations
-
 import itertools
 import re
 

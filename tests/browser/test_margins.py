@@ -1,7 +1,5 @@
 """Drawing a figure: once, or a few times until its labels have room, and not over and over."""
 
-from __future__ import annotations
-
 import pytest
 
 pytestmark = pytest.mark.browser

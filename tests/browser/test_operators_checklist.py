@@ -1,7 +1,5 @@
 """Every question of the operator's checklist is answered where the list says: the page opens and the element is on it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -18,7 +16,6 @@ QUESTIONS = ROW.findall(LIST.read_text())
 
 @pytest.fixture(scope="module")
 def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
-    """The numbers that the list's addresses stand for."""
     return {
         "sensor": sensor_id,
         "set": telemetry["calibration"],

@@ -1,7 +1,5 @@
 """Two people for one baseline: who may not sign cannot, and who refuses says why where the submitter reads it."""
 
-from __future__ import annotations
-
 import pytest
 from playwright.sync_api import expect
 
@@ -16,7 +14,6 @@ MEANING = "I have read the evidence and answer for it"
 
 @pytest.fixture(scope="module")
 def set_id(people, promoted, sequential_run):
-    """The set of the sequential run, to be submitted against the new baseline."""
     assert promoted.set_id
     with people.seat("analyst") as window:
         return make_set(window, sequential_run)

@@ -1,14 +1,12 @@
 """The review desk in a real browser: every part of a run's page, its views in the address, and the cursor its charts share."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
 from playwright.sync_api import expect
 
+from boresight.console.runs.pages.run import TITLES
 from boresight.figures import CHAPTERS
-from boresight.pages.run_tabs import TITLES
 
 pytestmark = pytest.mark.browser
 
@@ -18,7 +16,6 @@ AXIS = "() => document.querySelector('#figure-convergence .js-plotly-plot')._ful
 
 @pytest.fixture(scope="module")
 def desk(people, sequential_run):
-    """The page of the filter's run."""
     with people.seat("analyst") as window:
         window.open(f"/runs/{sequential_run}")
         yield window

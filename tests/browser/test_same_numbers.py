@@ -1,7 +1,5 @@
 """One calibration, three doors: the page, REST with an API key, and the command line give the same numbers."""
 
-from __future__ import annotations
-
 import json
 import time
 
@@ -16,7 +14,6 @@ ENDED_WITHIN_S = 60
 
 @pytest.fixture(scope="module")
 def key(people):
-    """An API key with the scope `runs`, made by the analyst on the page."""
     with people.seat("analyst") as window:
         window.open("/users")
         form = window.page.get_by_role("region", name="Make a key")
@@ -30,13 +27,11 @@ def key(people):
 
 @pytest.fixture(scope="module")
 def page_result(people, batch_run):
-    """The result of the run that was launched on the page."""
     with people.seat("analyst") as window:
         return window.result(batch_run)
 
 
 def same(one, other):
-    """Hold every number of the estimate against another's."""
     for name in ("parameters", "sigma", "initial", "rms_arc_rad"):
         assert one[name] == pytest.approx(other[name], rel=SAME)
     for name in ("chi2_per_dof", "status", "free", "frames", "stars", "pairs"):

@@ -1,7 +1,5 @@
 """A comparison sent to a second person as an address: both see the same runs, reference, axis and tables."""
 
-from __future__ import annotations
-
 import pytest
 from playwright.sync_api import expect
 
@@ -11,7 +9,6 @@ TABLES = ("Runs compared", "Parameters of the runs", "Settings and results of th
 
 
 def seen(window):
-    """What a window shows of a comparison: its tables, what is chosen, and the axis of a figure."""
     tables = [window.page.get_by_role("region", name=name).inner_text() for name in TABLES]
     chosen = [window.page.locator(f"select[name={name}]").input_value() for name in ("reference", "align", "overlay")]
     axis = window.figure("rms").locator(".js-plotly-plot").evaluate("figure => figure.layout.xaxis.title.text")

@@ -1,7 +1,5 @@
 """Singular values and all angular distances: launched from the form, read on the run page, set beside a batch by the panel."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -16,7 +14,6 @@ CHOSEN_BY = ("Claimed error", "Cost", "Converged after", "χ² / dof")
 
 
 def launch(window, set_id, method, label, **choices):
-    """Launch a filter from the form, its fields chosen by their labels; return the run's number."""
     window.open(f"/runs/new?set={set_id}")
     window.page.get_by_text("More options").click()
     window.page.get_by_role("radio", name=re.compile(f"^{method}")).check()
@@ -28,7 +25,6 @@ def launch(window, set_id, method, label, **choices):
 
 @pytest.fixture(scope="module")
 def svd_run(people, telemetry):
-    """A run by Model 4 with {2, 3}, chosen on the form."""
     with people.seat("analyst") as window:
         choices = {"Star_combinations": "4", "Singular_values": "2,3", "Update": "information"}
         run_id = launch(window, telemetry["calibration"], "Singular values", "By singular values", **choices)
@@ -38,7 +34,6 @@ def svd_run(people, telemetry):
 
 @pytest.fixture(scope="module")
 def angular_run(people, telemetry):
-    """A run by all pairs in information form, chosen on the form."""
     with people.seat("analyst") as window:
         run_id = launch(window, telemetry["calibration"], "All angular distances", "By all pairs", Update="information")
         ends_as(window, "SUCCEEDED")
@@ -92,10 +87,8 @@ def test_the_panel_of_methods_sets_both_beside_the_batch_on_one_set(people, batc
 
 
 def row_of(table, name):
-    """The row of a table under a heading."""
     return table.locator("tbody tr").filter(has=table.page.get_by_role("rowheader", name=name, exact=True))
 
 
 def number(text):
-    """The first number of a cell."""
     return float(re.search(r"\d[\d.]*", text)[0])

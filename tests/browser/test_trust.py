@@ -1,7 +1,5 @@
 """The trust and matching parts of a run's page in a real browser: what is drawn, sorted and copied is the result's own."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -18,14 +16,12 @@ SINGLE = 1e-6  # figures travel in single precision
 
 
 def open_part(window, run_id, part):
-    """Go to a part by its tab."""
     window.open(f"/runs/{run_id}")
     window.page.get_by_role("navigation", name="Parts of this run").get_by_role("link", name=part).click()
     window.page.wait_for_url(f"**/runs/{run_id}?part={part.lower()}")
 
 
 def clone(window, run_id, frames_per_s, label):
-    """Queue a filter, fed at a pace, on the data of a run."""
     window.open(f"/runs/new?clone={run_id}")
     choose_filter(window, frames_per_s)
     return queue(window, label)
@@ -39,7 +35,6 @@ def result(people, batch_run):
 
 @pytest.fixture(scope="module")
 def trust_page(people, batch_run):
-    """The trust part of the batch run, for tests that only look at it."""
     with people.seat("analyst") as window:
         open_part(window, batch_run, "Trust")
         yield window
@@ -50,7 +45,7 @@ def test_a_part_keeps_nobody_out_and_fits_its_window(people, batch_run, part):
     with people.seat("analyst") as window:
         open_part(window, batch_run, part)
         window.figures_drawn()
-        window.holds_in_every_theme_and_width(f"run-{part.lower()}")
+        window.holds_in_themes_and_widths(f"run-{part.lower()}")
 
 
 def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):

@@ -1,7 +1,5 @@
 """A run that cannot succeed says so on its page, and a page whose server is gone does not pretend otherwise."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections import Counter
@@ -19,7 +17,6 @@ ONE_A_SECOND, TWENTY_A_SECOND = 1.0, 20.0
 
 @pytest.fixture(scope="module")
 def sparse_set(people, sensor_id, files):
-    """Telemetry with three stars in every exposure."""
     with (files / "calibration.csv").open() as source:
         head, *rows = csv.reader(source)
     seen = Counter()

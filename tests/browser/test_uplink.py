@@ -1,7 +1,5 @@
 """A set on its way to the spacecraft: exported, sent, loaded, a damaged dump, a good one, signed as active, asked about."""
 
-from __future__ import annotations
-
 import io
 import json
 import re
@@ -10,7 +8,7 @@ import zipfile
 import pytest
 from playwright.sync_api import expect
 
-from boresight.pages.sensors import EXAMPLE
+from boresight.console.fleet.pages.sensors import EXAMPLE
 from tests.browser.people import password_of
 
 pytestmark = pytest.mark.browser
@@ -30,7 +28,6 @@ DOCUMENT = {
 
 @pytest.fixture(scope="module")
 def sensor(people):
-    """A sensor of its own, with a table definition; its ground calibration is the baseline."""
     with people.seat("analyst") as window:
         window.open("/")
         token = window.page.locator("input[name=csrf_token]").first.input_value()
@@ -47,7 +44,6 @@ def sensor(people):
 
 
 def record(window, state, source):
-    """Record a step by statement."""
     form = window.page.get_by_role("region", name="Record a step by statement")
     form.get_by_label("What happened").select_option(state)
     form.get_by_label("Known from").fill(source)
@@ -56,7 +52,6 @@ def record(window, state, source):
 
 
 def upload(window, dump, source):
-    """Read a dump back."""
     form = window.page.get_by_role("region", name="Read back")
     file = {"name": "dump.bin", "mimeType": "application/octet-stream", "buffer": dump}
     form.get_by_label("Dump of the table").set_input_files(file)
@@ -65,7 +60,6 @@ def upload(window, dump, source):
 
 
 def sent_table(window, set_id):
-    """The table inside the newest package of a set."""
     newest = window.read(f"/api/v1/packages?parameter_set_id={set_id}")["items"][0]
     content = window.page.request.get(f"/api/v1/packages/{newest['id']}/content").body()
     with zipfile.ZipFile(io.BytesIO(content)) as packed:

@@ -1,19 +1,18 @@
 """A drift alarm handled: seen by the operator at night, acknowledged, understood by the analyst, over by a promotion."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from boresight.services import sensors, watch
-from boresight.services.actors import COMMAND_LINE
+from boresight.console.alarms import watch
+from boresight.console.fleet import service as sensors
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import open_engine, writing
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
-from boresight.store.sessions import open_engine, writing
-from boresight.store.tables import Run
 from boresight.telemetry.sensors import sensor_document
 from tests.browser.people import PRINTED_NAMES
 from tests.missions import add_run, add_set, make_baseline
@@ -25,7 +24,6 @@ NUMBER = 5  # of the simulated sensors; the others here use the first
 
 @pytest.fixture(scope="module")
 def store(installation):
-    """The installation's own database, beside its server."""
     engine = open_engine(read_settings(installation.environment).database_url)
     yield engine
     engine.dispose()
@@ -33,7 +31,6 @@ def store(installation):
 
 @pytest.fixture(scope="module")
 def drifting(store):
-    """A sensor whose first parameter moved a twentieth of a typical sigma a month, for nine months; its number."""
     rng = np.random.default_rng(4)
     with writing(store) as session:
         document = sensor_document(st16_sensor(NUMBER))
@@ -48,7 +45,6 @@ def drifting(store):
 
 
 def recalibrated(store, sensor_id):
-    """Make the newest calibration the baseline."""
     with writing(store) as session:
         newest = session.query(Run).filter_by(sensor_id=sensor_id).order_by(Run.id.desc()).first()
         make_baseline(session, newest)
@@ -63,7 +59,7 @@ def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifti
         window.page.locator("#live-mine").get_by_role("link", name=re.compile("ST16-5 drifts")).click()
         window.page.wait_for_url(re.compile(r"/alarms/\d+$"))
         address = re.sub(".*(/alarms/.*)", r"\1", window.page.url)
-        window.holds_in_every_theme_and_width("alarm")
+        window.holds_in_themes_and_widths("alarm")
         window.page.get_by_label("Take care of it").select_option(label=PRINTED_NAMES["analyst"])
         window.page.get_by_role("button", name="Assign").click()
         window.page.get_by_label("Comment").fill("Seen on the night shift; the day shift recalibrates.")

@@ -10,8 +10,6 @@ A = a - mean of its three channels. Where nothing is drawn any more both are 1. 
 judged by it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,8 +49,6 @@ MEANS = """async ({ image, boxes, across, down }) => {
 
 @dataclass(frozen=True)
 class Seen:
-    """One specimen as it was found: its size in px, and its look."""
-
     width: int
     height: int
     look: Look
@@ -82,7 +78,6 @@ def looks(page: Page, canvas: Page, surface: str) -> dict[str, Seen]:
 
 
 def _photograph(page: Page) -> str:
-    """Take a small screenshot of the whole page, as the address of a PNG."""
     width, height = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
     link = page.context.new_cdp_session(page)
     clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": SCALE}
@@ -92,19 +87,16 @@ def _photograph(page: Page) -> str:
 
 
 def ink(seen: Look, kept: Look) -> float:
-    """How differently the drawings are drawn: 0 alike, 1 when nothing is left."""
     return float(np.abs(seen - kept).sum(dtype=float) / np.abs(kept).sum(dtype=float))
 
 
 def colour(seen: Look, kept: Look) -> float:
-    """How differently they are coloured; 0 where there was hardly any colour."""
     here, there = (look - look.mean(axis=-1, keepdims=True, dtype=float) for look in (seen, kept))
     moved = np.abs((here - there).sum(axis=(0, 1))).sum()
     return float(moved / np.abs(there).sum()) if np.abs(there).mean() > LEAST_COLOUR else 0.0
 
 
 def write_looks(path: Path, seen: Mapping[str, Mapping[str, Seen]]) -> None:
-    """Keep the looks of several pages in one file, {page: {specimen: look}}."""
     arrays = {}
     for page, found in seen.items():
         arrays[f"{page}-names"] = np.array(list(found))
@@ -115,7 +107,6 @@ def write_looks(path: Path, seen: Mapping[str, Mapping[str, Seen]]) -> None:
 
 
 def read_looks(path: Path, page: str) -> dict[str, Seen]:
-    """Read the looks that were kept of a page."""
     with np.load(path) as kept:
         names, sizes, found = (kept[f"{page}-{key}"] for key in ("names", "sizes", "looks"))
     return {str(name): Seen(int(w), int(h), look) for name, (w, h), look in zip(names, sizes, found, strict=True)}

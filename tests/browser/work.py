@@ -1,7 +1,5 @@
 """What people do on the pages, a function each: upload, queue, submit, sign."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -11,7 +9,6 @@ from tests.browser.window import Window
 
 
 def choose_upload(window: Window, sensor_id: int, path: Path, purpose: str = "calibration") -> None:
-    """Fill in the upload form."""
     window.open("/telemetry")
     window.page.locator("#sensor_id").select_option(str(sensor_id))
     window.page.get_by_role("radio", name=purpose).check()
@@ -19,7 +16,6 @@ def choose_upload(window: Window, sensor_id: int, path: Path, purpose: str = "ca
 
 
 def upload(window: Window, sensor_id: int, path: Path, purpose: str = "calibration") -> int:
-    """Upload a telemetry file; return the set's number."""
     choose_upload(window, sensor_id, path, purpose)
     window.page.get_by_role("button", name="Upload and check").click()
     window.page.wait_for_url(re.compile(r"/telemetry/\d+$"))
@@ -27,7 +23,6 @@ def upload(window: Window, sensor_id: int, path: Path, purpose: str = "calibrati
 
 
 def queue(window: Window, label: str) -> int:
-    """Queue the run that the launch form describes, after its dry run; return the run's number."""
     window.page.get_by_label("Label").fill(label)
     expect(window.page.locator("[data-dry-run] dl.facts")).to_be_visible()
     window.page.get_by_role("button", name="Queue run").click()
@@ -36,18 +31,15 @@ def queue(window: Window, label: str) -> int:
 
 
 def choose_filter(window: Window, frames_per_s: float) -> None:
-    """Choose the square-root filter, fed at a pace, on the launch form."""
     window.page.get_by_role("radio", name=re.compile("^Square-root filter")).check()
     window.page.get_by_label("Replay pace").fill(str(frames_per_s))
 
 
 def ends_as(window: Window, state: str) -> None:
-    """Wait until the run page that is open says how its run ended, without being loaded again."""
     expect(window.page.locator("#run-head .page-head .status").first).to_have_text(state)
 
 
 def make_set(window: Window, run_id: int) -> int:
-    """Make a parameter set of a run; return its number."""
     window.open(f"/runs/{run_id}")
     window.page.get_by_role("button", name="Create parameter set").click()
     window.page.wait_for_url(re.compile(r"/parameter-sets/\d+$"))
@@ -55,7 +47,6 @@ def make_set(window: Window, run_id: int) -> int:
 
 
 def submit(window: Window, reason: str) -> int:
-    """Submit the set whose page is open; return the request's number."""
     window.page.get_by_label("Reason").fill(reason)
     window.page.get_by_role("button", name=re.compile("^Submit")).click()
     window.page.wait_for_url(re.compile(r"/approvals/\d+$"))
@@ -63,7 +54,6 @@ def submit(window: Window, reason: str) -> int:
 
 
 def sign(window: Window, button: str, password: str, comment: str = "") -> None:
-    """Fill in the signature of the request whose page is open, and press the button that begins so."""
     window.page.get_by_role("textbox", name="Comment").fill(comment)
     window.page.locator("#password").fill(password)
     window.page.get_by_role("button", name=re.compile(f"^{button}")).click()

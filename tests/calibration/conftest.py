@@ -3,16 +3,10 @@
 import numpy as np
 import pytest
 
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.sky.catalogue import load_catalogue
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 from tests.estimation.fields import COLUMNS, GROUND, NOISE_PX, PITCH, ROWS, SCALE, TRUTH, rotation
-
-
-@pytest.fixture(scope="session")
-def catalogue(tmp_path_factory):
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
 
 
 @pytest.fixture
@@ -29,7 +23,6 @@ def telemetry_of():
 
 
 def telemetry(seed, frames=40, stars=12, truth=TRUTH, noise_px=NOISE_PX, exposures=2):
-    """A set in the form a reader gives it, every row with its own apparent direction."""
     rng = np.random.default_rng(seed)
     n = frames * exposures * stars
     row, col = rng.uniform(0, ROWS - 1, n), rng.uniform(0, COLUMNS - 1, n)

@@ -1,7 +1,5 @@
 """A calibration with everything that trust is judged from, for the tests of its parts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from unittest import mock
 
@@ -11,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from boresight.calibration import result
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.calibration.trust import trust_view
 from boresight.calibration.trust.ground import Ground, stand
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue
@@ -42,7 +40,6 @@ class Case:
 
 
 def case(telemetry, sensor, catalogue, **settings):
-    """Calibrate a set with the matches it has; what the document is written from at the end is the case."""
     chosen = CalibrationSettings(**{"match": "given", **settings})
     with (
         mock.patch.object(result, "document", wraps=result.document) as written,
@@ -53,7 +50,6 @@ def case(telemetry, sensor, catalogue, **settings):
 
 
 def field(seed, frames=40, stars=12, exposures=2, parity=1, noise_px=NOISE_PX):
-    """A set of the tests' sensor with its own directions, each exposure's attitude a rotation proper or mirrored."""
     rng = np.random.default_rng(seed)
     n = frames * exposures * stars
     row, col = rng.uniform(0, ROWS - 1, n), rng.uniform(0, COLUMNS - 1, n)
@@ -72,7 +68,6 @@ def field(seed, frames=40, stars=12, exposures=2, parity=1, noise_px=NOISE_PX):
 
 
 def simulated(catalogue, number=1, frames=120, seed=0, changes=None, sky=None, **settings):
-    """Calibrate a simulated set of an ST-16; `sky` is the catalogue believed where it is not the one imaged."""
     scenario = replace(calibration_scenario(number, frames), **(changes or {}))
     telemetry = simulate(scenario, np.random.default_rng([number, seed]), catalogue)
     return case(telemetry, st16_sensor(number), catalogue if sky is None else sky, **settings)

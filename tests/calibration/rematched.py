@@ -1,13 +1,11 @@
 """Simulated sets with known stars for the tests of matching: names taken away or changed, and how many come back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from boresight.calibration.rematch import Matches, Rematcher, ground_covariance
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.matching.rematch import Matches, Rematcher, ground_covariance
+from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.telemetry.schema import Telemetry
@@ -18,8 +16,6 @@ SENSORS = (1, 2, 3, 4, 5, 6)
 
 @dataclass(frozen=True)
 class Sky:
-    """A set in which every true star is named, and under what it is matched."""
-
     telemetry: Telemetry
     sensor: Sensor
     catalogue: object
@@ -28,22 +24,18 @@ class Sky:
 
     @property
     def true(self):
-        """(n_rows,) true stars, 0 = false."""
         return self.telemetry.star_id
 
     def blanked(self, share, seed=7):
-        """The set with a share of its names and all quaternions taken away."""
         gone = np.random.default_rng(seed).random(len(self.true)) < share
         return replace(self.telemetry, star_id=np.where(gone, 0, self.true), quaternion=None)
 
     def match(self, telemetry, folder=None, **settings) -> Matches:
-        """Match a set of this sensor."""
         chosen = CalibrationSettings(**settings)
         return Rematcher(telemetry, self.sensor, self.catalogue, chosen, folder)(self.x, self.P)
 
 
 def sky(catalogue, number=1, frames=40, seed=0, start="ground", **changes):
-    """Simulate a set of an ST-16 with one false star an exposure, to be matched from its ground calibration or refined."""
     scenario = replace(
         calibration_scenario(number, frames), **{"false_stars": 1.0, "blanked_share": 0.0, "seed": seed, **changes}
     )
@@ -56,8 +48,6 @@ def sky(catalogue, number=1, frames=40, seed=0, start="ground", **changes):
 
 @dataclass
 class Score:
-    """Counts over sets: true stars that had no right name, those found; all matches, the wrong ones; frames and those solved."""
-
     sought: int = 0
     back: int = 0
     matched: int = 0
@@ -66,7 +56,6 @@ class Score:
     solved: int = 0
 
     def count(self, matches, telemetry, true):
-        """Add a set that was matched from this telemetry."""
         sought = (true > 0) & (telemetry.star_id != true)
         self.sought += sought.sum()
         self.back += (sought & (matches.star_id == true)).sum()
@@ -78,10 +67,8 @@ class Score:
 
     @property
     def recovered(self):
-        """Share of the sought stars that were found."""
         return self.back / self.sought
 
     @property
     def wrong_share(self):
-        """Share of the matches that are wrong."""
         return self.wrong / self.matched

@@ -1,13 +1,11 @@
 """Calibrating one set in memory and from a file in pieces, for the tests that hold the two against each other."""
 
-from __future__ import annotations
-
 import pyarrow.parquet as arrow_parquet
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.writers import contract_table
 
 #: Of the document, what depends on the clock.
@@ -15,38 +13,32 @@ TIMED = ("timing_s",)
 
 
 def written(telemetry, folder, rows_a_group=100):
-    """Write a set; returns the path and the set as the file gives it, which is not always the same to the last bit."""
     path = write_in_groups(telemetry, folder, rows_a_group)
     return path, read_telemetry(path)
 
 
 def write_in_groups(telemetry, folder, rows_a_group):
-    """Write a set, compressed so many rows together: in many groups a file is read in stretches, in one from its start."""
     path = folder / "set.parquet"
     arrow_parquet.write_table(contract_table(telemetry), path, row_group_size=rows_a_group)
     return path
 
 
 def streamed(path, sensor, catalogue, chunk_frames, validation=None, **choices):
-    """Calibrate a set from a file, so many frames a piece; keyword arguments beyond settings go to `calibrate`."""
     file = TelemetryFile(path, large_rows=0, chunk_frames=chunk_frames)
     choices = {"scratch_folder": path.parent, **choices}
     return calibrate(file, sensor, catalogue, *_settings(choices), validation=validation, **choices)
 
 
 def in_memory(telemetry, sensor, catalogue, validation=None, **choices):
-    """Calibrate a set in memory."""
     return calibrate(telemetry, sensor, catalogue, *_settings(choices), validation=validation, **choices)
 
 
 def _settings(choices):
-    """Take the settings out of keyword arguments."""
     names = set(CalibrationSettings.__dataclass_fields__) & set(choices)
     return [CalibrationSettings(**{name: choices.pop(name) for name in names})]
 
 
 def differences(one, other, path=""):
-    """Where two documents differ, as paths; equal to the last bit is what equal means."""
     if isinstance(one, dict) and isinstance(other, dict):
         if one.keys() != other.keys():
             return [f"{path}: {sorted(one.keys() ^ other.keys())}"]

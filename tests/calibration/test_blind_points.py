@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenarios import parse_scenario
 from boresight.simulation.scenes import simulate
 from tests.calibration.test_pinhole_radial import SENSOR, TRUTH
@@ -36,7 +36,6 @@ def calibrated(scenario, telemetry, catalogue):
 
 def test_the_first_sentence_names_the_parameter_whose_spread_it_was(calibrated):
     result = calibrated(WIDE)
-
     assert result["status"] == "diverged"
     assert "states 2.4 of its sigmas away" in result["advice"][0]
     assert "by k2 the lens turns back" in result["advice"][0]

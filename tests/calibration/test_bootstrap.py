@@ -6,11 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtri
 
-from boresight.calibration import bootstrap
+from boresight.calibration.evaluation import bootstrap
 
 
 def frames_that_fail(rng, n, correlation, share):
-    """A series of ones and zeros with a known mean, its neighbours alike by a first-order autoregression."""
     steps = rng.normal(size=n + 100) * np.sqrt(1 - correlation**2)
     state = np.empty(n + 100)
     state[0] = rng.normal()
@@ -20,7 +19,6 @@ def frames_that_fail(rng, n, correlation, share):
 
 
 def covered(rng, correlation, share, *, blocks, sets=300, n=200):
-    """How often the interval of the mean holds it."""
     hits = 0
     for _ in range(sets):
         series = frames_that_fail(rng, n, correlation, share)
@@ -54,9 +52,7 @@ def test_independent_frames_are_drawn_one_by_one_and_alike_ones_in_runs():
 def test_long_sets_are_drawn_in_longer_blocks_and_their_spread_stays():
     rng = np.random.default_rng(10)
     values = rng.normal(size=(20_000, 1))
-
     sums = bootstrap.resampled_sums(np.column_stack([values, np.ones(20_000)]), 1, rng, 2000)
-
     assert (sums[:, 0] / sums[:, 1]).std() == pytest.approx(values.std() / np.sqrt(20_000), rel=0.08)
 
 
@@ -64,34 +60,27 @@ def test_long_sets_are_drawn_in_longer_blocks_and_their_spread_stays():
 def test_resampled_sums_are_sums_of_whole_blocks(n, length, seed):
     length = min(n, length)
     ones = np.ones((n, 2))
-
     sums = bootstrap.resampled_sums(ones, length, np.random.default_rng(seed), 7)
-
     np.testing.assert_allclose(sums, np.full((7, 2), -(-n // length) * length))
 
 
 def test_the_resampled_mean_is_unbiased_and_has_the_spread_of_the_mean():
     rng = np.random.default_rng(8)
     values = rng.normal(size=(300, 1))
-
     means = bootstrap.resampled_sums(values, 1, rng, 4000)[:, 0] / 300
-
     assert means.mean() == pytest.approx(values.mean(), abs=4 * values.std() / np.sqrt(300 * 4000))
     assert means.std() == pytest.approx(values.std() / np.sqrt(300), rel=0.05)
 
 
 def test_a_share_without_exceptions_still_has_an_interval():
     low, high = bootstrap.share_interval(1.0, np.ones(100), 200)
-
     assert high == 1
     assert low == pytest.approx(0.981, abs=1e-3)  # Wilson's score interval, 200 of 200
 
 
 def test_an_end_that_is_not_finite_is_null_and_the_other_stands():
     scores = np.concatenate([np.linspace(1, 2, 900), np.full(100, np.inf)])
-
     low, high = bootstrap.interval(1.5, scores, 200)
-
     assert low == pytest.approx(1.03, abs=0.02)
     assert high is None
 

@@ -10,10 +10,10 @@ import pytest
 
 from boresight.calibration import listening
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import METHODS, CalibrationSettings
+from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.errors import CancelledError, RefusedInputError
-from boresight.estimation.consistency import nees
-from boresight.telemetry.readers import read_telemetry
+from boresight.estimation.statistics.consistency import nees
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.estimation.fields import SCALE, TRUTH
 
@@ -36,7 +36,6 @@ def test_every_method_writes_the_contracts_document_and_finds_the_truth(method, 
     document = calibrate(
         telemetry_of(1, frames=80), sensor, catalogue, CalibrationSettings(method=method), validation=telemetry_of(2)
     )
-
     assert set(document) >= CONTRACT
     json.dumps(document, allow_nan=False)
     assert document["schema"] == "boresight.calibration/1"
@@ -56,7 +55,6 @@ def test_the_matrix_of_the_document_is_the_square_of_its_sigmas(method, sensor, 
     document = calibrate(
         telemetry_of(3), sensor, catalogue, CalibrationSettings(method=method, free=("f_m", "b2_per_m2"))
     )
-
     assert document["covariance"]["names"] == document["free"] == ["f_m", "b2_per_m2"]
     sigmas = [document["sigma"][name] for name in document["free"]]
     np.testing.assert_allclose(np.sqrt(np.diag(document["covariance"]["matrix"])), sigmas, rtol=1e-12)
@@ -66,7 +64,6 @@ def test_the_matrix_of_the_document_is_the_square_of_its_sigmas(method, sensor, 
 
 def test_a_history_follows_the_frames_with_its_bounds_and_both_rms(sensor, catalogue, telemetry_of):
     document = calibrate(telemetry_of(4), sensor, catalogue, CalibrationSettings(method="sqrf", variant="q"))
-
     history = document["history"]
     n = len(history["frame"])
     assert history["frame"][-1] == 39
@@ -81,7 +78,6 @@ def test_a_long_history_keeps_its_ends_and_stays_small(sensor, catalogue, teleme
     document = calibrate(
         telemetry_of(5, frames=2500, stars=5, exposures=1), sensor, catalogue, CalibrationSettings(method="sqrf")
     )
-
     assert len(document["history"]["frame"]) <= 1000
     assert document["history"]["frame"][-1] == 2499
 
@@ -90,7 +86,6 @@ def test_the_printed_filter_is_marked_over_confident(sensor, catalogue, telemetr
     document = calibrate(
         telemetry_of(6, frames=80, stars=5), sensor, catalogue, CalibrationSettings(method="sqrf", linearisations=1)
     )
-
     assert any("as printed, makes the filter over-confident" in sentence for sentence in document["advice"])
     assert any("times the information that the data hold" in sentence for sentence in document["advice"])
 
@@ -99,7 +94,6 @@ def test_sets_with_fewer_than_four_stars_everywhere_are_too_few_and_nothing_is_e
     sensor, catalogue, telemetry_of
 ):
     document = calibrate(telemetry_of(7, stars=3), sensor, catalogue, CalibrationSettings())
-
     assert document["status"] == "too_few_stars"
     assert set(document["sigma"].values()) == {None}
     assert "No exposure has 4 usable matched stars" in document["advice"][0]
@@ -111,9 +105,7 @@ def test_exposures_whose_stars_lie_on_one_line_are_left_out_and_counted(sensor, 
     telemetry = telemetry_of(8, frames=3)
     line = np.linspace(-0.1, 0.1, len(telemetry))
     telemetry = replace(telemetry, ra_rad=line, dec_rad=np.zeros(len(telemetry)))
-
     document = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
-
     assert document["status"] == "too_few_stars"
     assert {"what": "exposures", "count": 6, "reason": "all usable stars on one line"} in document["left_out"]
 
@@ -124,9 +116,7 @@ def test_a_start_that_is_not_this_sensor_is_not_called_converged_with_small_sigm
     scrambled = replace(
         telemetry, ra_rad=rng.uniform(0, 6.28, len(telemetry)), dec_rad=rng.uniform(-1.5, 1.5, len(telemetry))
     )
-
     document = calibrate(scrambled, sensor, catalogue, CalibrationSettings())
-
     given_up = {"diverged", "max_iterations", "too_few_stars"}
     assert document["status"] in given_up or not document["chi2"]["consistent"]
     assert document["advice"]
@@ -135,7 +125,6 @@ def test_a_start_that_is_not_this_sensor_is_not_called_converged_with_small_sigm
 
 def test_wrong_noise_is_said_with_the_sigma_that_would_fit(sensor, catalogue, telemetry_of):
     document = calibrate(telemetry_of(10), replace(sensor, centroid_sigma_px=0.2), catalogue, CalibrationSettings())
-
     sentence = next(sentence for sentence in document["advice"] if "centroid sigma of" in sentence)
     implied = float(sentence.split("centroid sigma of ")[1].split(" px")[0])
     assert implied == pytest.approx(0.437, rel=0.05)
@@ -156,9 +145,7 @@ def test_a_cancel_stops_every_method(method, sensor, catalogue, telemetry_of):
 def test_progress_carries_a_document_from_which_figures_can_draw(method, sensor, catalogue, telemetry_of, monkeypatch):
     heard = []
     monkeypatch.setattr(listening, "REPORT_EVERY_S", 0.0)
-
     calibrate(telemetry_of(13), sensor, catalogue, CalibrationSettings(method=method), report=heard.append)
-
     assert heard
     assert 0 <= heard[0].fraction <= 1
     assert heard[0].partial["status"] == "running"
@@ -168,9 +155,7 @@ def test_progress_carries_a_document_from_which_figures_can_draw(method, sensor,
 def test_a_filter_on_its_way_says_how_many_frames_it_has_taken_in(sensor, catalogue, telemetry_of):
     heard = []
     settings = CalibrationSettings(method="sqrf", replay_frames_per_s=30.0)
-
     calibrate(telemetry_of(13, frames=30), sensor, catalogue, settings, report=heard.append)
-
     for told in (one for one in heard if one.partial):
         if told.partial["status"] == "running":
             assert told.partial["frames_done"] == round(told.fraction * told.partial["frames"])
@@ -180,7 +165,6 @@ def test_a_replay_takes_frames_at_its_pace(sensor, catalogue, telemetry_of):
     document = calibrate(
         telemetry_of(14, frames=30), sensor, catalogue, CalibrationSettings(method="sqrf", replay_frames_per_s=100.0)
     )
-
     updates = len(document["history"]["frame"])
     assert document["timing_s"]["fit"] >= 0.9 * (updates - 1) / 100
 
@@ -204,7 +188,6 @@ def test_settings_out_of_range_are_refused_in_one_sentence(document, sentence):
 
 def test_settings_survive_their_document():
     settings = CalibrationSettings(method="sqrf", free=("f_m",), replay_frames_per_s=4.0)
-
     assert CalibrationSettings.parse(json.loads(json.dumps(settings.document()))) == settings
 
 
@@ -218,13 +201,11 @@ class TestRealSky:
     def test_the_focal_length_is_known_to_a_pixel_and_distortion_lowers_the_rms(self, catalogue, method):
         _, alone = self._calibrate(catalogue, ("f_m",), method)
         sensor, both = self._calibrate(catalogue, ("f_m", "b2_per_m2"), method)
-
         assert both["sigma"]["f_m"] / sensor.pixel_pitch_m < 1.0
         assert both["rms_arc_rad"]["final"] < alone["rms_arc_rad"]["final"]
 
     def test_all_eight_free_says_in_words_that_principal_point_and_tilt_are_weak(self, catalogue):
         _, document = self._calibrate(catalogue, None)
-
         said = " ".join(document["advice"])
         assert "n0 and a1 move together" in said
         assert "m0 and a2 move together" in said
@@ -235,9 +216,7 @@ class TestRealSky:
 def test_telemetry_of_another_camera_is_said_to_be_so_before_all_else(sensor, catalogue, telemetry_of):
     longer = TRUTH.copy()
     longer[0] *= 2
-
     document = calibrate(telemetry_of(15, truth=longer), sensor, catalogue, CalibrationSettings())
-
     assert document["status"] == "diverged" or "hardly comes from this sensor" in document["advice"][0]
 
 

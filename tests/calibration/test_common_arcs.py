@@ -1,15 +1,12 @@
 """The arcs on which two states are compared are the same whether their order is found anew or kept where it was known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from boresight.calibration.common_arcs import common_arcs
-from boresight.calibration.evaluate import evaluate_sightings
+from boresight.calibration.evaluation.evaluate import evaluate_sightings
+from boresight.calibration.matching.sighting import common_arcs, sightings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.settings import CalibrationSettings
-from boresight.calibration.sighting import sightings
 from tests.estimation.fields import TRUTH
 
 GIVEN = CalibrationSettings(match="given")
@@ -17,7 +14,6 @@ GIVEN = CalibrationSettings(match="given")
 
 @pytest.fixture
 def seen(telemetry_of, sensor, catalogue):
-    """A set of which some frames have stars that the flight code drops, under the start and the truth."""
     telemetry = telemetry_of(21, frames=30)
     telemetry.row_px[::170] += 40.0
     states = [(sensor.initial, None), (TRUTH, None)]
@@ -32,7 +28,6 @@ def test_every_star_is_in_one_of_the_sets_in_the_same_order(seen, sensor):
     telemetry, ordered, (_, final) = seen
     anew = common_arcs(telemetry, sensor, final, 4)
     kept = common_arcs(telemetry, sensor, final, 4, ordered)
-
     assert len(kept) == 2
     assert sum(arcs.n_exposures for arcs in kept) == anew[0].n_exposures
     runs = sorted(run for arcs in kept for run in _exposures(arcs))
@@ -40,7 +35,6 @@ def test_every_star_is_in_one_of_the_sets_in_the_same_order(seen, sensor):
 
 
 def _exposures(arcs):
-    """Rows of every exposure in their order."""
     return [rows.tolist() for rows in np.split(arcs.source_row, arcs.star_start[1:-1])]
 
 
@@ -48,7 +42,6 @@ def test_the_scores_are_those_of_arcs_ordered_anew(seen, sensor):
     telemetry, ordered, (initial, final) = seen
     anew = evaluate_sightings(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1))
     kept = evaluate_sightings(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1), ordered)
-
     assert kept["common_pairs"] == anew["common_pairs"]
     assert kept["stars"] == anew["stars"]
     assert kept["rms_arc_rad"] == pytest.approx(anew["rms_arc_rad"], rel=1e-9)

@@ -1,17 +1,15 @@
 """The working copies of a large run are held against what was written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from boresight.calibration.streaming.columns import write_columns
+from boresight.columns import write_columns
 from boresight.errors import CorruptFileError
-from boresight.telemetry.limits import LIMITS
-from boresight.telemetry.parquet import Layout
-from boresight.telemetry.stretches import Stretch
+from boresight.telemetry.read.limits import LIMITS
+from boresight.telemetry.read.parquet import Layout
+from boresight.telemetry.read.readers import Stretch
 
 
 def test_a_flipped_bit_in_a_working_copy_is_refused(tmp_path: Path) -> None:

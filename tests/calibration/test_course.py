@@ -39,7 +39,6 @@ def course_of(whole, seams=()):
 def test_seams_between_its_parts_change_no_bit(seams):
     whole = history(60)
     once, parts = course_of(whole), course_of(whole, seams)
-
     assert (once.nis_sum, once.dof_sum, once.linearisations_sum) == (
         parts.nis_sum,
         parts.dof_sum,
@@ -53,7 +52,6 @@ def test_it_holds_what_the_filter_gave_and_the_running_rms():
     whole = history(50)
     kept = course_of(whole, (7,))
     records = kept.taken(np.array([0, 8, 49]))
-
     np.testing.assert_array_equal(records["states"], whole.states[[0, 8, 49]])
     np.testing.assert_array_equal(records["frame"], [0, 80, 490])
     running = aggregate_rms(whole.sum_of_squares, whole.dof.astype(float))
@@ -67,7 +65,6 @@ def test_a_long_one_goes_to_a_file_and_reads_the_same(monkeypatch):
     monkeypatch.setattr(courses, "IN_MEMORY_BYTES", 4000)
     monkeypatch.setattr(courses, "CHUNK", 64)
     large = course_of(whole, (100, 300))
-
     assert large._file._rolled
     places = np.array([0, 63, 64, 65, 499])
     assert large.taken(places).tobytes() == small.taken(places).tobytes()
@@ -81,7 +78,6 @@ def test_no_peak_is_lost_between_the_points_that_are_kept(places, chunk):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(courses, "CHUNK", chunk)
         peaks = kept.peaks(places)
-
     for k, first in enumerate([0, *(places[:-1] + 1)]):
         part = slice(first, places[k] + 1)
         worst = first + int(np.argmax(whole.nis[part] / whole.dof[part]))

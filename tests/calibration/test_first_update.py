@@ -5,8 +5,8 @@ import pytest
 
 from boresight.calibration import sequence
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
+from boresight.calibration.options import CalibrationSettings
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 from tests.estimation.fields import rotation
@@ -22,7 +22,6 @@ TRUTH = np.array([0.0353, 401.0, 546.0, 3e5, -89.0, 7e-3, 3e-3, 1.00004])
 
 
 def dense(seed, frames=5):
-    """A few exposures of many stars."""
     rng = np.random.default_rng(seed)
     n = frames * STARS
     row, col = rng.uniform(0, NARROW.rows - 1, n), rng.uniform(0, NARROW.columns - 1, n)
@@ -49,7 +48,6 @@ def calibrated(catalogue):
 
 
 def off(document, other):
-    """Largest difference of two results in sigmas of the second."""
     return max(
         abs(document["parameters"][name] - value) / other["sigma"][name] for name, value in other["parameters"].items()
     )
@@ -59,7 +57,6 @@ def off(document, other):
 def test_a_few_dense_fields_are_taken_in_at_once_and_end_where_the_batch_does(calibrated, method):
     for seed in (0, 1, 3):
         found, batch = (calibrated(seed, each) for each in (method, "batch"))
-
         assert off(found, batch) < (1.5 if method == "svd" else 0.3)  # singular values hold a tenth less
         assert not any("filter claims" in sentence for sentence in found["advice"])
         assert any("All 5 frames were taken in as one update" in sentence for sentence in found["advice"])
@@ -68,7 +65,6 @@ def test_a_few_dense_fields_are_taken_in_at_once_and_end_where_the_batch_does(ca
 def test_taken_one_by_one_they_would_claim_several_times_what_they_hold(calibrated, monkeypatch):
     monkeypatch.setattr(sequence, "BENT", np.inf)
     found = [calibrated(seed, "svd") for seed in (0, 1, 3)]
-
     assert any(any("filter claims" in sentence for sentence in document["advice"]) for document in found)
     assert not any("one update" in sentence for document in found for sentence in document["advice"])
 
@@ -79,12 +75,10 @@ def test_the_first_update_is_left_time_to_rest(calibrated, monkeypatch):
     allowed = calibrated(3, "svd", linearisations=100)
     monkeypatch.setattr(sequence, "START_LINEARISATIONS", 1)
     stopped = calibrated(3, "svd")
-
     assert off(rested, allowed) < 0.1
     assert off(stopped, allowed) > 0.3
 
 
 def test_the_filter_as_printed_still_takes_one_frame_and_linearises_once(calibrated):
     document = calibrated(0, "svd", linearisations=1)
-
     assert document["iterations"] == 5

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from boresight.calibration.flight import FLIGHT_REASONS, flight_tolerance, flight_view
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.matching.flight import FLIGHT_REASONS, flight_tolerance, flight_view
+from boresight.calibration.options import CalibrationSettings
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.arcs import arclength
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.directions import star_directions
-from boresight.telemetry.exposures import exposures_of
+from boresight.telemetry.schema import exposures_of
 from tests.estimation.fields import GROUND, PITCH, TRUTH
 
 SETTINGS = CalibrationSettings()
@@ -19,8 +19,6 @@ SETTINGS = CalibrationSettings()
 
 @dataclass(frozen=True)
 class Given:
-    """The matches of a file as they are."""
-
     s_i: np.ndarray
     exposure_start: np.ndarray
     frame: np.ndarray
@@ -35,7 +33,6 @@ def given(telemetry, catalogue=None):
 
 
 def plain_agreement(s_d, s_i, tolerance):
-    """The same greedy search over full matrices, dropping the worst until all agree."""
     kept = list(range(len(s_d)))
     while True:
         i, j = np.meshgrid(kept, kept, indexing="ij")
@@ -52,9 +49,7 @@ def plain_agreement(s_d, s_i, tolerance):
 def test_the_compiled_check_equals_the_plain_search(telemetry_of, sensor, catalogue, seed, x):
     telemetry = telemetry_of(seed, frames=5)
     matches, tolerance = given(telemetry, catalogue), flight_tolerance(sensor, SETTINGS)
-
     seen = flight_view(telemetry, sensor, matches, x, tolerance, 4)
-
     s_d = INVERTED_WANG.directions(x, telemetry.row_px, telemetry.col_px, PITCH)
     for first, last in zip(matches.exposure_start[:-1], matches.exposure_start[1:], strict=True):
         expected = plain_agreement(s_d[first:last], matches.s_i[first:last], tolerance)
@@ -64,9 +59,7 @@ def test_the_compiled_check_equals_the_plain_search(telemetry_of, sensor, catalo
 def test_no_two_accepted_matches_disagree(telemetry_of, sensor, catalogue):
     telemetry = telemetry_of(1, frames=20)
     matches, tolerance = given(telemetry, catalogue), flight_tolerance(sensor, SETTINGS)
-
     seen = flight_view(telemetry, sensor, matches, GROUND, tolerance, 4)
-
     s_d = INVERTED_WANG.directions(GROUND, telemetry.row_px, telemetry.col_px, PITCH)
     for first, last in zip(matches.exposure_start[:-1], matches.exposure_start[1:], strict=True):
         rows = first + np.flatnonzero(seen.accepted[first:last])
@@ -81,9 +74,7 @@ def test_a_wrong_match_is_dropped_and_costs_nothing_else(telemetry_of, sensor, c
     s_i = matches.s_i.copy()
     s_i[::12] = s_i[6::12]  # the first detection of each exposure is called another star of it
     wrong = Given(s_i, matches.exposure_start, matches.frame)
-
     seen = flight_view(telemetry, sensor, wrong, TRUTH, flight_tolerance(sensor, SETTINGS), 4)
-
     dropped = np.flatnonzero(~seen.accepted)
     assert set(dropped % 12) <= {0, 6}
     assert len(dropped) == 20
@@ -101,7 +92,6 @@ def test_every_reason_is_given_where_it_is_due(telemetry_of, sensor, catalogue, 
     s_i[matched:] = np.nan
     s_i[:wrong] = np.random.default_rng(4).normal(size=(wrong, 3))
     s_i[:wrong] /= np.linalg.norm(s_i[:wrong], axis=1, keepdims=True)
-
     seen = flight_view(
         telemetry,
         sensor,
@@ -110,7 +100,6 @@ def test_every_reason_is_given_where_it_is_due(telemetry_of, sensor, catalogue, 
         flight_tolerance(sensor, SETTINGS),
         4,
     )
-
     assert seen.accepted.sum() == matched - wrong
     assert seen.reason.tolist() == [reason]
     assert seen.valid_frames.tolist() == [reason == 0]
@@ -124,7 +113,6 @@ def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_o
     s_i = matches.s_i.copy()
     s_i[3:12] = np.nan  # frame 0, exposure 0 keeps three
     s_i[24:48] = np.nan  # frame 1 keeps none
-
     seen = flight_view(
         telemetry,
         sensor,
@@ -133,7 +121,6 @@ def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_o
         flight_tolerance(sensor, SETTINGS),
         4,
     )
-
     assert seen.frames.tolist() == [0, 1, 2]
     assert seen.valid_frames.tolist() == [True, False, True]
     assert seen.matched_in_frame.tolist() == [12, 0, 24]
@@ -152,10 +139,8 @@ def test_sensors_three_and_four_are_seldom_available_at_their_ground_calibration
     scenario = calibration_scenario(number)
     telemetry = simulate(scenario, np.random.default_rng(scenario.seed), catalogue)
     matches, tolerance = given(telemetry, catalogue), flight_tolerance(scenario.sensor, SETTINGS)
-
     ground = flight_view(telemetry, scenario.sensor, matches, scenario.sensor.initial, tolerance, 4)
     truth = flight_view(telemetry, scenario.sensor, matches, scenario.truth, tolerance, 4)
-
     assert ground.availability < 0.4
     assert truth.availability > 0.95
     assert truth.accepted.sum() > 0.995 * np.isfinite(matches.s_i[:, 0]).sum()

@@ -7,21 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight.calibration.advice import to_hold
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.forecast import MOST_FRAMES, MOST_STARS, forecast
-from boresight.calibration.remedies import to_hold
-from boresight.calibration.settings import METHODS, CalibrationSettings
-from boresight.estimation.observability import WEAK
-from boresight.telemetry.readers import read_telemetry, write_parquet
-from boresight.telemetry.sample import Sample, read_sample
+from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, forecast
+from boresight.calibration.options import METHODS, CalibrationSettings
+from boresight.estimation.statistics.observability import WEAK
+from boresight.telemetry.read.frames import Sample, read_sample
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
+from boresight.telemetry.working_table import write_working_table
 from tests.calibration.judged import case, field, simulated
 
 REAL_SKY = Path(os.environ.get("BORESIGHT_REAL_SKY", Path(__file__).parents[3] / "shared/data/real-sky"))
 
 
 def _foretold(telemetry, sensor, catalogue, tmp_path, frames=MOST_FRAMES, **settings):
-    write_parquet(telemetry, tmp_path / "table")
+    write_working_table(telemetry, tmp_path / "table")
     sample = read_sample(tmp_path / "table", frames, MOST_STARS)
     return forecast(sample, sensor, catalogue, CalibrationSettings(**{"match": "given", **settings}))
 

@@ -1,21 +1,19 @@
 """Single frames under each reference, and what each reference holds of the bound."""
 
-from __future__ import annotations
-
 import numpy as np
 import orjson
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calibration import frame_observability as frame_view
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters
-from boresight.calibration.frame_observability import MOST_FRAMES, MOST_SQUARES, frame_observability
+from boresight.calibration.frames import frame_observability as frame_view
+from boresight.calibration.frames.frame_observability import MOST_FRAMES, MOST_SQUARES, frame_observability
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.settings import CalibrationSettings
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.arcs import angular_sigma
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.filters.information import Frame
 from boresight.estimation.singular_values import Selection, exposure, stacked
 from boresight.telemetry.schema import Telemetry
@@ -43,7 +41,6 @@ def wu():
 
 
 def pinhole_field(seed, frames=20, stars=19):
-    """A set of W's sensor, one exposure a frame, in the form a reader gives it."""
     rng, n = np.random.default_rng(seed), frames * stars
     row, col = rng.uniform(0, WU_ROWS - 1, n), rng.uniform(0, WU_COLUMNS - 1, n)
     s_d = PINHOLE_RADIAL.directions(WU_TRUTH, row, col, WU_PITCH)
@@ -62,7 +59,6 @@ def pinhole_field(seed, frames=20, stars=19):
 
 @pytest.fixture(scope="module")
 def judged(catalogue):
-    """A set of 25 frames with two exposures of 12 stars, fitted."""
     return case(field(3, frames=25), st16(), catalogue)
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from boresight.calibration.estimate import Parameters, run_batch
-from boresight.calibration.matched import MatchedSet, RematchedFrames
-from boresight.calibration.rematch import Rematcher
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.matching.matched import Dataset
+from boresight.calibration.matching.rematch import Rematcher
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.filters.history import start
 from tests.calibration.rematched import sky
 
@@ -21,20 +21,17 @@ def field(catalogue):
 
 
 def matched_set(field, telemetry, free=ALL, **settings):
-    """The set ready to be matched under any state."""
     parameters = Parameters(free, field.sensor.typical_sigma[free])
-    return MatchedSet(telemetry, field.sensor, field.catalogue, parameters, CalibrationSettings(**settings), None)
+    return Dataset(telemetry, field.sensor, field.catalogue, parameters, CalibrationSettings(**settings), None)
 
 
 def fitted(field, sets, free=ALL):
-    """A batch estimate from the set's first matches, and the problem it was made from."""
     problem = sets.at_start().problem
     parameters = Parameters(free, field.sensor.typical_sigma[free])
     return run_batch(problem, parameters, CalibrationSettings(), lambda *_: None, lambda: False), problem
 
 
 def asked(monkeypatch):
-    """Record what the matcher is asked for."""
     calls, real = [], Rematcher.__call__
 
     def listening(self, x, P, frames=slice(None), noise=1.0):
@@ -48,8 +45,7 @@ def asked(monkeypatch):
 def test_given_matches_stand_under_every_state(field):
     sets = matched_set(field, field.blanked(0.4), match="given")
     first = sets.at_start()
-
-    assert sets.matcher is None
+    assert sets.stands
     assert sets.at_covariance(field.x * 1.01, np.eye(8)) is first
     assert first.problem.arcs.n_stars <= (field.blanked(0.4).star_id > 0).sum()
 
@@ -65,7 +61,6 @@ def test_parameters_held_fixed_stay_as_unsure_as_on_the_ground(field, monkeypatc
     sets = matched_set(field, field.blanked(0.4), free)
     calls = asked(monkeypatch)
     sets.at_covariance(field.x, 0.01 * np.eye(3))
-
     variance = np.diag(calls[0][1]) / field.sensor.typical_sigma**2
     np.testing.assert_allclose(variance[free], 0.01)
     np.testing.assert_allclose(np.delete(variance, free), 100.0)
@@ -77,7 +72,6 @@ def test_residuals_larger_than_claimed_widen_noise_and_covariance_alike(field, m
     estimate, problem = fitted(field, sets)
     calls = asked(monkeypatch)
     sets.at(estimate, problem)
-
     (_, P, noise), scale = calls[0], field.sensor.typical_sigma
     assert noise == pytest.approx(0.437 / 0.2, rel=0.1)
     held = np.linalg.inv(estimate.A + np.eye(8) / 100)
@@ -90,7 +84,6 @@ def test_residuals_as_claimed_widen_hardly_anything_and_smaller_ones_nothing(fie
     calls = asked(monkeypatch)
     sets.at(estimate, problem)
     sets.at(replace(estimate, chi2=0.1 * estimate.chi2), problem)
-
     assert calls[0][2] == pytest.approx(1.0, abs=0.1)
     assert calls[1][2] == 1.0
 
@@ -111,11 +104,9 @@ def test_the_flight_rule_keeps_fewer_stars_at_the_ground_than_the_statistical_an
 
 def test_frames_matched_one_by_one_are_those_of_the_whole_set(field):
     sets = matched_set(field, field.blanked(0.3))
-    frames, state = RematchedFrames(sets), start(field.sensor.initial, 8, 10.0)
-
+    frames, state = sets.frames(), start(field.sensor.initial, 8, 10.0)
     parts = [frames.arcs(k, k + 1, state) for k in range(frames.n_frames)]
     whole = sets.at_start().problem.arcs
-
     assert sum(part.n_stars for part in parts) == whole.n_stars
     np.testing.assert_allclose(np.concatenate([part.s_i for part in parts]), whole.s_i)
     np.testing.assert_array_equal(np.concatenate([part.frame for part in parts]), whole.frame)

@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calibration.cycles import Ended
-from boresight.calibration.matched import Matched
-from boresight.calibration.matching_view import counted, matching_view
-from boresight.calibration.sighting import given_matches
-from boresight.sky.doubles import DOUBLE, UNRELIABLE
+from boresight.calibration.matching.cycles import Ended
+from boresight.calibration.matching.match_report import counted, matching_view
+from boresight.calibration.matching.matched import Matched
+from boresight.calibration.matching.sighting import given_matches
+from boresight.calibration.streaming.matching import MatchedRange
+from boresight.calibration.streaming.sample import MatchedRows
+from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
 from boresight.sky.matching import EXPOSURE_REASONS, ROW_REASONS, STARTS
 from tests.calibration.rematched import sky
 
@@ -23,14 +25,12 @@ def field(catalogue):
 
 
 class AtState:
-    """An estimate as far as the view looks at it."""
-
     def __init__(self, x):
         self.x = x
 
 
 def view(field, telemetry, matches):
-    ended = Ended(Matched(None, telemetry, matches), AtState(field.x))
+    ended = Ended(Matched(None, (MatchedRange(MatchedRows(telemetry, matches, matches.star_id)),)), AtState(field.x))
     return matching_view(telemetry, field.sensor, ended, EVALUATION)
 
 
@@ -41,9 +41,7 @@ def test_every_count_adds_up(field):
     wrong[named[:5]] = np.roll(wrong[named[:5]], 1)
     telemetry = replace(telemetry, star_id=wrong)
     matches = field.match(telemetry)
-
     shown = view(field, telemetry, matches)
-
     assert shown["given"] == shown["kept"] + shown["removed"] == (wrong > 0).sum()
     assert shown["matched"] == shown["kept"] + shown["renamed"] + shown["added"] == (matches.star_id > 0).sum()
     assert shown["removed"] >= 1
@@ -58,7 +56,6 @@ def test_every_count_adds_up(field):
 
 def test_the_flight_scores_and_the_tolerance_in_pixels_are_shown(field):
     shown = view(field, field.telemetry, field.match(field.telemetry))
-
     assert shown["flight"] == {
         "tolerance_rad": 4e-4, "availability": {"initial": 0.1}, "matched_stars": {"initial": 9},
     }  # fmt: skip
@@ -68,9 +65,7 @@ def test_the_flight_scores_and_the_tolerance_in_pixels_are_shown(field):
 
 def test_flagged_stars_are_counted_by_what_is_against_them(field):
     matches = field.match(field.blanked(0.5), leave_out_doubles=True)
-
     flagged = view(field, field.blanked(0.5), matches)["flagged"]
-
     assert flagged["doubles"] == (matches.flags & DOUBLE > 0).sum()
     assert flagged["unreliable"] == (matches.flags & UNRELIABLE > 0).sum()
     assert max(flagged["doubles"], flagged["unreliable"]) <= flagged["left_out"]
@@ -80,7 +75,6 @@ def test_flagged_stars_are_counted_by_what_is_against_them(field):
 def test_where_nothing_is_matched_there_are_nulls(field):
     bare = replace(field.telemetry, star_id=None, quaternion=None, time_utc=None)
     shown = view(field, bare, field.match(bare))
-
     assert shown["matched"] == shown["given"] == 0
     assert shown["tolerance_px"] == {"median": None, "p95": None}
     assert shown["row_reasons"] == {ROW_REASONS[5]: len(bare)}

@@ -1,14 +1,12 @@
 """A star off the detector takes no part anywhere: every result is that of the set without the row, and says that it left it out."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
-from boresight.calibration.settings import CalibrationSettings
-from boresight.calibration.sighting import sightings
+from boresight.calibration.matching.sighting import sightings
+from boresight.calibration.options import CalibrationSettings
 from boresight.telemetry.schema import Telemetry
 from tests.calibration.conftest import telemetry
 from tests.calibration.rematched import sky
@@ -20,14 +18,12 @@ PARTS = ("parameters", "sigma", "chi2", "frames", "exposures", "stars", "pairs",
 
 
 def moved(whole, sensor, px=5.0):
-    """The set with some rows so far past the last column."""
     col_px = whole.col_px.copy()
     col_px[list(MOVED)] = sensor.columns - 0.5 + px
     return replace(whole, col_px=col_px)
 
 
 def without(whole):
-    """The set without these rows."""
     kept = np.delete(np.arange(len(whole)), MOVED)
     arrays = {item.name: getattr(whole, item.name) for item in fields(Telemetry)}
     return replace(whole, **{name: value[kept] for name, value in arrays.items() if isinstance(value, np.ndarray)})
@@ -38,7 +34,6 @@ def test_given_matches_give_the_calibration_of_the_set_without_the_row(px, senso
     whole = telemetry(8, frames=30)
     left = in_memory(moved(whole, sensor, px), sensor, catalogue, match="given")
     without_row = in_memory(without(whole), sensor, catalogue, match="given")
-
     for name in PARTS:
         assert left[name] == without_row[name], name
     assert left["left_out"] == [{"what": "stars", "count": 2, "reason": "centroid off the detector"}]
@@ -52,9 +47,7 @@ def test_stars_matched_again_are_those_of_the_set_without_the_row(catalogue):
     field = sky(catalogue, frames=12)
     whole = field.blanked(0.3)
     shifted = moved(whole, field.sensor)
-
     found, expected = field.match(shifted), field.match(without(whole))
-
     rest = np.delete(np.arange(len(whole)), MOVED)
     assert found.star_id[list(MOVED)].tolist() == [0, 0]
     np.testing.assert_array_equal(found.star_id[rest], expected.star_id)
@@ -65,10 +58,8 @@ def test_stars_matched_again_are_those_of_the_set_without_the_row(catalogue):
 def test_flight_scores_are_those_of_the_set_without_the_row(match, catalogue):
     field = sky(catalogue, frames=12)
     settings, states = CalibrationSettings(match=match), [(field.x, field.P)]
-
     (found,) = sightings(moved(field.telemetry, field.sensor), field.sensor, catalogue, states, settings)
     (expected,) = sightings(without(field.telemetry), field.sensor, catalogue, states, settings)
-
     assert not found.taken()[list(MOVED)].any()
     assert found.view.matched_stars == expected.view.matched_stars
     np.testing.assert_array_equal(found.view.valid, expected.view.valid)
@@ -78,9 +69,7 @@ def test_flight_scores_are_those_of_the_set_without_the_row(match, catalogue):
 def test_a_file_in_pieces_leaves_out_the_same_rows(rows_a_group, sensor, catalogue, tmp_path):
     path, whole = written(moved(telemetry(8, frames=30), sensor), tmp_path, rows_a_group)
     choices = {"match": "given", "validation": whole}
-
     one, other = in_memory(whole, sensor, catalogue, **choices), streamed(path, sensor, catalogue, 4, **choices)
-
     assert one["stars_off_detector"]["stars"] == 2
     assert sum("in the validation set" in sentence for sentence in one["advice"]) == 1
     assert differences(one, other) == []

@@ -35,7 +35,6 @@ def test_what_no_lens_has_is_refused_under_the_name_and_key_of_the_file(written,
     ):
         with pytest.raises(RefusedInputError) as refused:
             read_parameters(written(document), SENSOR)
-
         assert str(refused.value).startswith(f"downlinked.json: {subject} ")
         assert said in str(refused.value)
         assert "initial" not in str(refused.value)
@@ -43,6 +42,5 @@ def test_what_no_lens_has_is_refused_under_the_name_and_key_of_the_file(written,
 
 def test_a_sound_file_is_read_in_the_camera_s_order(written):
     x, P = read_parameters(written({"parameters": SOUND}), SENSOR)
-
     assert x.tolist() == WU_TRUTH.tolist()
     assert P is None

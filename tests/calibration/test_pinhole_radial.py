@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.rematch import rematch
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.matching.rematch import rematch
+from boresight.calibration.options import CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.figures import FIGURES
 from boresight.figures.chart import Trace
 from boresight.figures.report import render_report
@@ -52,7 +52,6 @@ def results(scenario, telemetry, catalogue):
 @pytest.mark.parametrize("method", ["batch", "sqrf", "ekf", "ukf"])
 def test_every_method_finds_the_truth_within_what_it_claims(results, method):
     result = results[method]
-
     assert result["status"] == "converged"
     for name, truth in TRUTH.items():
         assert abs(result["parameters"][name] - truth) < 4 * result["sigma"][name]
@@ -62,7 +61,6 @@ def test_every_method_finds_the_truth_within_what_it_claims(results, method):
 
 def test_the_attitude_correction_is_given_with_its_error(results):
     alignment = results["batch"]["alignment"]
-
     # the principal point moved by ten pixels of 37 arcsec along either axis
     turned = np.hypot(*alignment["rotation_arcsec"][:2])
     assert turned == pytest.approx(np.hypot(10, 10) * 37.4, abs=4 * max(alignment["sigma_arcsec"]))
@@ -76,13 +74,11 @@ def test_every_part_of_the_trust_view_is_there(results):
 def test_every_figure_draws_it(results, name):
     if name == "shadow":
         pytest.skip("only a run that was matched by two sets of parameters has one")
-
     assert FIGURES[name].draw([Trace("WU-1", results["batch"])]).data
 
 
 def test_the_report_names_its_parameters(results):
     page = render_report(results["batch"])
-
     assert "pinhole_radial" in page
     assert all(name in page for name in TRUTH)
 
@@ -92,9 +88,7 @@ def test_matches_are_found_without_any_given(scenario, telemetry, catalogue):
     sensor = replace(
         scenario.sensor, magnitude_limit=6.5
     )  # half of the stars at its own limit are detected, and some beyond
-
     matches = rematch(unnamed, sensor, catalogue, scenario.truth, np.zeros((6, 6)), CalibrationSettings())
-
     known = telemetry.star_id > 0
     assert np.mean(matches.star_id[known] == telemetry.star_id[known]) > 0.98
 
@@ -103,7 +97,6 @@ def test_matches_are_found_without_any_given(scenario, telemetry, catalogue):
 def test_rows_that_have_no_direction_are_matched_with_nothing(scenario, telemetry, catalogue, k1):
     row_px, x = telemetry.row_px.copy(), scenario.truth.copy()
     row_px[3], x[4], x[5] = 9000.0, k1, 0.0  # at -1 the distortion turns back 2,100 px out, at -20 inside the detector
-
     matches = rematch(
         replace(telemetry, row_px=row_px, quaternion=None),
         scenario.sensor,
@@ -112,7 +105,6 @@ def test_rows_that_have_no_direction_are_matched_with_nothing(scenario, telemetr
         np.zeros((6, 6)),
         CalibrationSettings(),
     )
-
     s = CAMERA_MODELS["pinhole_radial"].directions(x, row_px, telemetry.col_px, scenario.sensor.pixel_pitch_m)
     blind = np.isnan(s[:, 0])
     assert blind[3]

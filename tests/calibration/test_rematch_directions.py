@@ -8,25 +8,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calibration.rematch import Rematcher, ground_covariance, matched_telemetry
-from boresight.calibration.settings import CalibrationSettings
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.consistency import chi_square
+from boresight.calibration.matching.rematch import Rematcher, ground_covariance, matched_telemetry
+from boresight.calibration.options import CalibrationSettings
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation.statistics.consistency import chi_square
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.rematched import Sky, sky
 
 
 def nees(matches, true):
-    """Squared attitude errors of the valid exposures in units of their covariance; true (n_exposures, 4)."""
     good = matches.valid
     theta = (Rotation.from_quat(matches.quaternion[good]) * Rotation.from_quat(true[good]).inv()).as_rotvec()
     return np.einsum("ni,nij,nj->n", theta, np.linalg.inv(matches.attitude_covariance[good]), theta)
 
 
 def consistent(values):
-    """Whether the mean of NEES values of three degrees of freedom is what chance allows."""
     expected = chi_square(float(np.sum(values)), 3 * len(values))
     return expected.consistent
 
@@ -35,9 +33,7 @@ def test_attitude_errors_under_the_truth_are_those_of_the_centroid_noise(catalog
     field = sky(catalogue, 1, 120, start="refined")
     known = replace(field, P=1e-6 * field.P)
     matches = known.match(field.telemetry)
-
     values = nees(matches, field.telemetry.quaternion[matches.exposure_start[:-1]])
-
     assert len(values) > 200
     assert consistent(values)
 
@@ -54,16 +50,13 @@ def test_attitude_errors_under_wrong_parameters_are_those_that_their_covariance_
         parts[-1].frame[:] = k
     arrays = [name for name, value in vars(parts[0]).items() if isinstance(value, np.ndarray)]
     telemetry = replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays})
-
     matches = Sky(telemetry, sensor, catalogue, sensor.initial, P).match(telemetry)
-
     values = nees(matches, telemetry.quaternion[matches.exposure_start[:-1]])
     assert len(values) > 130
     assert consistent(values)
 
 
 def lifted(field, strength, rng):
-    """The set seen through air: true directions lifted by strength tan(z), z about 45 degrees, and imaged anew."""
     telemetry = matched_telemetry(field.telemetry, field.match(field.telemetry))
     named = telemetry.star_id > 0
     ra, dec, q = telemetry.ra_rad[named], telemetry.dec_rad[named], Rotation.from_quat(telemetry.quaternion[named])
@@ -88,9 +81,7 @@ def test_a_file_s_own_directions_are_kept_and_what_they_hold_is_carried_to_unnam
         whole, star_id=np.where(named, whole.star_id, 0), ra_rad=np.where(named, whole.ra_rad, np.nan),
         dec_rad=np.where(named, whole.dec_rad, np.nan), quaternion=None,
     )  # fmt: skip
-
     matches = field.match(part)
-
     kept = named & (matches.star_id == whole.star_id)
     again = matched_telemetry(part, matches)
     np.testing.assert_allclose(again.ra_rad[kept] % (2 * np.pi), whole.ra_rad[kept] % (2 * np.pi), atol=1e-9)
@@ -112,9 +103,7 @@ def test_where_too_few_directions_tell_of_the_air_only_the_named_stars_stay(cata
         whole, star_id=np.where(named, whole.star_id, 0), ra_rad=np.where(named, whole.ra_rad, np.nan),
         dec_rad=np.where(named, whole.dec_rad, np.nan), quaternion=None,
     )  # fmt: skip
-
     matches = field.match(part)
-
     np.testing.assert_array_equal((matches.star_id > 0) & ~named, False)
     assert np.sum(matches.star_id > 0) > 0.98 * named.sum()
 
@@ -125,11 +114,9 @@ def test_the_given_names_of_the_real_sky_are_kept(catalogue):
     if not (data / "esa-5-frames.csv").is_file():
         pytest.skip("the real star fields are not here; BORESIGHT_REAL_SKY says where they are")
     sensor, telemetry = read_sensor(data / "esa.sensor.json"), read_telemetry(data / "esa-5-frames.csv")
-
     matches = Rematcher(telemetry, sensor, catalogue, CalibrationSettings())(
         sensor.initial, ground_covariance(sensor, 10.0)
     )
-
     named = telemetry.star_id > 0
     assert np.mean(matches.star_id[named] == telemetry.star_id[named]) >= 0.95
     assert matches.valid.all()

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calibration.estimate import Parameters, run_batch
+from boresight.calibration.estimate import Parameters, robust_view, run_batch
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.robust import robust_view
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch
 from tests.estimation.fields import FREE, SCALE, TRUTH
 
@@ -30,9 +29,7 @@ def _with_wrong_stars(telemetry, share):
 
 def test_on_clean_data_the_view_says_that_least_squares_agrees(sensor, catalogue, telemetry_of):
     estimate, sigma = _estimate(telemetry_of(1, frames=60), sensor, catalogue, robust="huber")
-
     view = robust_view(estimate.robust, NAMES, sigma)
-
     assert view["share"] == pytest.approx(view["expected_share"], abs=0.02)
     assert view["downweighted"] == round(view["share"] * estimate.robust.arcs)
     assert max(map(abs, view["shift_in_sigma"].values())) < 1
@@ -43,9 +40,7 @@ def test_with_wrong_stars_the_view_shows_where_least_squares_would_have_ended(se
     telemetry = _with_wrong_stars(telemetry_of(2, frames=60), 0.03)
     estimate, sigma = _estimate(telemetry, sensor, catalogue, robust="huber")
     plain, _ = _estimate(telemetry, sensor, catalogue)
-
     view = robust_view(estimate.robust, NAMES, sigma)
-
     assert view["share"] > view["expected_share"] + 0.05
     without = np.array(list(view["parameters_without"].values()))
     np.testing.assert_allclose((without - plain.x) / sigma, 0, atol=0.1)  # weights are taken at the robust estimate
@@ -56,14 +51,12 @@ def test_with_wrong_stars_the_view_shows_where_least_squares_would_have_ended(se
 def test_a_parameter_without_sigma_has_no_shift(sensor, catalogue, telemetry_of):
     estimate, sigma = _estimate(telemetry_of(3), sensor, catalogue, robust="huber")
     sigma[0] = np.nan
-
     assert robust_view(estimate.robust, NAMES, sigma)["shift_in_sigma"]["f_m"] is None
 
 
 def test_the_cosine_error_gives_sigmas_that_hold_and_says_what_it_costs(sensor, catalogue, telemetry_of):
     estimate, sigma = _estimate(telemetry_of(4, frames=60), sensor, catalogue, error="cosine")
     _, of_arcs = _estimate(telemetry_of(4, frames=60), sensor, catalogue)
-
     assert estimate.status == "converged"
     assert np.abs((estimate.x - TRUTH) / sigma).max() < 4
     assert (sigma > of_arcs).all()

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from boresight.calibration import shadow
-from boresight.calibration.settings import CalibrationSettings
-from boresight.calibration.shadow import mcnemar, shadow_view, summary
-from boresight.calibration.sighting import sightings
+from boresight.calibration.evaluation import shadow
+from boresight.calibration.evaluation.shadow import mcnemar, shadow_view, summary
+from boresight.calibration.matching.sighting import sightings
+from boresight.calibration.options import CalibrationSettings
 from tests.estimation.fields import GROUND, TRUTH
 
 GIVEN = CalibrationSettings(match="given")
@@ -26,9 +26,7 @@ def seen_under(sensor, catalogue):
 def test_what_one_side_loses_the_other_gains(telemetry_of, seen_under):
     telemetry = telemetry_of(1)
     ground, truth = seen_under(telemetry, GROUND), seen_under(telemetry, TRUTH)
-
     there, back = shadow_view(telemetry, ground, truth), shadow_view(telemetry, truth, ground)
-
     assert orjson.loads(orjson.dumps(there)) == there
     assert there["summary"]["candidate_only"] == back["summary"]["baseline_only"] > 0
     assert there["summary"]["stars_gained"] == back["summary"]["stars_lost"] > 0
@@ -40,9 +38,7 @@ def test_what_one_side_loses_the_other_gains(telemetry_of, seen_under):
 def test_the_counts_of_stars_and_the_lists_of_frames_agree(telemetry_of, seen_under):
     telemetry = telemetry_of(2)
     ground, truth = seen_under(telemetry, GROUND), seen_under(telemetry, TRUTH)
-
     found = shadow_view(telemetry, ground, truth)
-
     assert [frame["frame"] for frame in found["frames"]] == list(range(40))
     for frame in found["frames"]:
         difference = frame["candidate"]["matched"] - frame["baseline"]["matched"]
@@ -57,9 +53,7 @@ def test_the_counts_of_stars_and_the_lists_of_frames_agree(telemetry_of, seen_un
 def test_a_state_beside_itself_loses_and_gains_nothing(telemetry_of, seen_under):
     telemetry = telemetry_of(3)
     seen = seen_under(telemetry, TRUTH)
-
     found = shadow_view(telemetry, seen, seen)["summary"]
-
     assert (found["baseline_only"], found["candidate_only"], found["stars_lost"], found["stars_gained"]) == (0, 0, 0, 0)
     assert found["p"] == 1
     assert found["sentence"].startswith("Both parameter sets solve the same frames")
@@ -73,9 +67,7 @@ def test_a_long_set_keeps_the_frames_that_differ_and_counts_them_all(telemetry_o
     worse = replace(seen, view=replace(seen.view, valid_frames=failing))
     monkeypatch.setattr(shadow, "MOST_FRAMES", 6)
     monkeypatch.setattr(shadow, "MOST_DIFFERING", 3)
-
     found = shadow_view(telemetry, seen, worse)
-
     kept = [frame["frame"] for frame in found["frames"]]
     assert {0, 5, 17, 39} <= set(kept)
     assert kept == sorted(set(kept))
@@ -88,9 +80,7 @@ def test_frames_bear_the_time_they_were_taken(telemetry_of, seen_under):
     telemetry = telemetry_of(5, frames=2)
     times = np.datetime64("2026-10-01T00:00:00", "us") + telemetry.frame * np.timedelta64(40, "s")
     seen = seen_under(telemetry, TRUTH)
-
     timed, untimed = shadow_view(replace(telemetry, time_utc=times), seen, seen), shadow_view(telemetry, seen, seen)
-
     assert timed["frames"][1]["time_utc"] == "2026-10-01T00:00:40.000000Z"
     assert untimed["frames"][1]["time_utc"] is None
 
@@ -98,7 +88,6 @@ def test_frames_bear_the_time_they_were_taken(telemetry_of, seen_under):
 @given(b=st.integers(0, 60), c=st.integers(0, 60))
 def test_the_test_is_the_exact_binomial_one(b, c):
     expected = binomtest(b, b + c).pvalue if b + c else 1.0
-
     assert mcnemar(b, c) == pytest.approx(expected, rel=1e-9)
 
 
@@ -106,7 +95,6 @@ def test_alike_states_are_told_apart_no_more_often_than_the_test_says():
     rng = np.random.default_rng(6)
     p = [mcnemar(int(rng.binomial(40, 0.5)), 0) for _ in range(3)]  # one-sided splits are never called chance
     fair = [mcnemar(b, 40 - b) for b in rng.binomial(40, 0.5, 2000).tolist()]
-
     assert max(p) < 0.05
     assert np.mean(np.array(fair) < 0.05) < 0.05
 
@@ -122,6 +110,5 @@ def test_alike_states_are_told_apart_no_more_often_than_the_test_says():
 )
 def test_the_summary_says_it_in_a_sentence(baseline, candidate, words):
     found = summary(np.array(baseline, bool), np.array(candidate, bool), 1, 2)
-
     assert words in found["sentence"]
     assert "2 sightings of stars are gained and 1 lost" in found["sentence"]

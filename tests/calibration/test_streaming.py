@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.calibration import calibrate as calibration
-from boresight.calibration import matched
+from boresight.calibration.matching import matched
 from boresight.calibration.source import TelemetryFile
-from boresight.calibration.spread import InThisProcess
-from boresight.calibration.streaming import rematched_set, sample
+from boresight.calibration.streaming import sample
 from boresight.calibration.streaming.telemetry_pieces import copy_stretch
 from boresight.errors import CancelledError
 from boresight.estimation.blocks import FRAMES
+from boresight.estimation.spread import InThisProcess
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
-from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.read.readers import write_parquet
 from tests.calibration.conftest import telemetry
 from tests.calibration.rematched import sky
 from tests.calibration.streamed import differences, in_memory, streamed, written
@@ -30,8 +30,6 @@ LONG = 2 * FRAMES + 100
 
 
 class Elsewhere:
-    """A spread whose pieces travel: everything is pickled, and the last piece is computed first, and twice."""
-
     def map(self, function, arguments, **_):
         results = {}
         for k in [*reversed(range(len(arguments))), *range(len(arguments))]:
@@ -42,13 +40,11 @@ class Elsewhere:
 
 @pytest.fixture(scope="module")
 def long_set(tmp_path_factory):
-    """A set of little exposures over several blocks: its file, and the set as that gives it."""
     return written(telemetry(5, frames=LONG, stars=5, exposures=1), tmp_path_factory.mktemp("long"))
 
 
 @pytest.fixture
 def unjudged():
-    """Leave the judgement out, which is the same code for both."""
     with mock.patch("boresight.calibration.calibrate.judge"):
         yield
 
@@ -70,7 +66,6 @@ def test_every_method_gives_the_same_bits_from_a_file_in_pieces(choices, long_se
     choices = {"match": "given", **choices}
     whole = in_memory(long_set[1], sensor, catalogue, **choices)
     pieces = streamed(long_set[0], sensor, catalogue, 700, **choices)
-
     assert whole["status"] == "converged"
     assert differences(whole, pieces) == []
 
@@ -90,14 +85,11 @@ def test_no_size_of_the_pieces_changes_a_bit(long_set, sensor, catalogue):
 
 @pytest.mark.parametrize("choices", [{}, {"method": "sqrf"}, {"match_rule": "flight"}], ids=str)
 def test_matches_that_follow_the_estimate_are_the_same_from_a_file_in_pieces(choices, catalogue, tmp_path, monkeypatch):
-    for module in (matched, rematched_set):
-        monkeypatch.setattr(module, "MATCHED_FRAMES", 32)
+    monkeypatch.setattr(matched, "MATCHED_FRAMES", 32)
     field = sky(catalogue, 3, 70)
     path, named = written(field.blanked(0.3), tmp_path)
-
     whole = in_memory(named, field.sensor, catalogue, **choices)
     pieces = streamed(path, field.sensor, catalogue, 23, **choices)
-
     assert whole["matching"]["cycles"]
     assert differences(whole, pieces) == []
 
@@ -105,10 +97,8 @@ def test_matches_that_follow_the_estimate_are_the_same_from_a_file_in_pieces(cho
 def test_directions_from_the_catalogue_and_the_other_camera_are_the_same_too(catalogue, tmp_path):
     scenario = calibration_scenario(2, 60)
     path, named = written(simulate(scenario, np.random.default_rng(4), catalogue), tmp_path)
-
     whole = in_memory(named, st16_sensor(2), catalogue, match="given")
     pieces = streamed(path, st16_sensor(2), catalogue, 7, match="given")
-
     assert differences(whole, pieces) == []
 
 
@@ -134,7 +124,6 @@ def test_two_that_compute_the_same_pieces_at_once_do_no_harm(long_set, sensor, c
 
 
 def odd_sets():
-    """Sets with something missing, by what it is."""
     base = telemetry(6, frames=30)
     return {
         "one frame": telemetry(6, frames=1),
@@ -198,7 +187,6 @@ def test_a_stop_is_heard_in_every_phase_and_leaves_nothing_behind(method, match,
     run = {"method": method, "match": match, "cancelled": lambda: bool(asked.append(1))}
     path, _ = written(field.telemetry, tmp_path)
     streamed(path, field.sensor, catalogue, 8, **run)
-
     for after in np.unique(np.linspace(0, len(asked) - 1, 6).astype(int)):
         answers = iter([*[False] * after, True])
         with pytest.raises(CancelledError):
@@ -214,7 +202,6 @@ def test_progress_is_told_from_the_first_piece_on_and_never_goes_back(rows_a_gro
     heard = []
     path, _ = written(telemetry(9, frames=180), tmp_path, rows_a_group)
     streamed(path, sensor, catalogue, 6, match="given", report=heard.append)
-
     fractions = [step.fraction for step in heard]
     assert fractions == sorted(fractions)
     assert fractions[0] < 0.1
@@ -224,10 +211,8 @@ def test_progress_is_told_from_the_first_piece_on_and_never_goes_back(rows_a_gro
 def test_a_large_set_is_judged_on_evenly_spread_blocks_and_says_so(catalogue, sensor, long_set, monkeypatch):
     monkeypatch.setattr(sample, "JUDGED_WHOLE", 4000)
     monkeypatch.setattr(sample, "JUDGED_STARS", 8000)
-
     whole = in_memory(long_set[1], sensor, catalogue, match="given")
     pieces = streamed(long_set[0], sensor, catalogue, 333, match="given")
-
     assert differences(whole, pieces) == []
     assert (whole["judged_on"]["frames"], whole["judged_on"]["of_frames"]) == (FRAMES + 100, LONG)
     assert whole["frames"] == LONG
@@ -241,10 +226,8 @@ def test_a_large_set_matched_anew_is_judged_on_its_own_matches(catalogue, tmp_pa
     monkeypatch.setattr(sample, "FRAMES", 20)
     field = sky(catalogue, 3, 200)
     path, named = written(field.blanked(0.3), tmp_path)
-
     whole = in_memory(named, field.sensor, catalogue)
     pieces = streamed(path, field.sensor, catalogue, 33)
-
     assert differences(whole, pieces) == []
     assert 0 < whole["judged_on"]["frames"] < whole["frames"]
     assert whole["matching"]["kept"] < whole["stars"]
@@ -254,9 +237,7 @@ def test_a_held_out_file_that_is_large_is_sampled_evenly(sensor, catalogue, tmp_
     monkeypatch.setattr(calibration, "JUDGED_STARS", 24 * 50)
     write_parquet(telemetry(3, frames=200), tmp_path / "held-out.parquet")
     held_out = TelemetryFile(tmp_path / "held-out.parquet", large_rows=0, chunk_frames=10)
-
     document = in_memory(telemetry(1), sensor, catalogue, match="given", validation=held_out)
-
     assert 25 <= document["validation"]["frames"] <= 50
     assert f"{document['validation']['frames']} of its frames" in document["advice"][-1]
 

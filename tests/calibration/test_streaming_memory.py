@@ -5,14 +5,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-from boresight.measurements.synthetic_file import write_synthetic
+import pytest
+
+from benchmarks.stars import write_synthetic
 
 #: Judges few stars, as a set far above the limit would, takes any file in pieces, and says how much was resident at most.
 CALIBRATE = """
 import resource, sys
 from pathlib import Path
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import TelemetryFile
 from boresight.calibration.streaming import sample, stored_arcs
 from boresight.simulation.sensors import st16_sensor
@@ -37,6 +39,7 @@ def peak_mb(path, method):
     return float(peak)
 
 
+@pytest.mark.full
 def test_six_times_the_frames_take_no_more_memory(tmp_path):
     peaks = {}
     for frames in (SMALL, LARGE):

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from tests.calibration.conftest import telemetry
 from tests.calibration.streamed import in_memory, streamed, write_in_groups, written
 
 
 def refusals():
-    """Sets that are refused, by why."""
     base = telemetry(8, frames=30)
     return {
         "stars off the detector": replace(base, row_px=np.where(base.frame % 7 == 3, -90.0, base.row_px)),

@@ -1,12 +1,10 @@
 """What a trend keeps of a calibration: covariances that are too small are widened, what cannot be compared is left out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
 
-from boresight.calibration.trend import trend_entry
+from boresight.calibration.result import trend_entry
 
 RESULT: dict[str, Any] = {
     "camera_model": "inverted_wang",

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from boresight.calibration.settings import METHODS
+from boresight.calibration.options import METHODS
 from boresight.calibration.trust import trust_advice
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
 from tests.calibration.judged import Case, case, field, simulated
 
@@ -25,7 +25,6 @@ REAL_SKY = Path(os.environ.get("BORESIGHT_REAL_SKY", Path(__file__).parents[3] /
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_is_judged_from_every_side_and_a_clean_set_calls_for_nothing(method, catalogue):
     trust = simulated(catalogue, seed=4, method=method).trust
-
     assert trust["unavailable"] == {}
     assert all(trust[part] is not None for part in PARTS)
     json.dumps(trust, allow_nan=False)
@@ -44,7 +43,6 @@ def test_every_method_is_judged_from_every_side_and_a_clean_set_calls_for_nothin
 
 def test_a_reduced_set_is_judged_by_its_own_parameters(sensor, catalogue):
     trust = case(field(1), sensor, catalogue, free=("f_m", "b2_per_m2")).trust
-
     assert trust["two_halves"]["names"] == ["f_m", "b2_per_m2"]
     assert [entry["name"] for entry in trust["drop_one"]] == ["f_m", "b2_per_m2"]
     assert set(trust["more_data"]["sigma"]) == {"f_m", "b2_per_m2"}
@@ -53,7 +51,6 @@ def test_a_reduced_set_is_judged_by_its_own_parameters(sensor, catalogue):
 def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
     trust = simulated(catalogue, seed=1, free=("f_m",)).trust
     advice = trust_advice(trust)
-
     assert trust["unavailable"] == {"drop_one": "Only one parameter is free, so there is no other to fit without it."}
     assert not trust["residual_against"]["radius"]["even"]
     assert advice[-1].startswith("A camera model that leaves a radial residual hides")
@@ -65,9 +62,7 @@ def test_a_fit_that_leaves_a_direction_open_says_which_parts_that_costs(sensor, 
     flat = replace(sensor, initial=sensor.initial * np.array([1, 1, 1, 0, 0, 0, 0, 1.0]))
     held = case(field(2, frames=3, stars=4, exposures=1), flat, catalogue, max_iterations=1)
     open_fit = Case(**{**vars(held), "estimate": replace(held.estimate, status="rank_deficient")})
-
     trust = open_fit.trust
-
     lost = {"arc_sigma_map", "two_halves", "efficiency", "more_data", "drop_one"}
     assert lost <= set(trust["unavailable"])
     assert all(trust[part] is None for part in lost)
@@ -78,7 +73,6 @@ def test_a_fit_that_leaves_a_direction_open_says_which_parts_that_costs(sensor, 
 def test_a_diverged_fit_has_no_part_and_one_reason(sensor, catalogue):
     fitted = case(field(3), sensor, catalogue)
     trust = Case(**{**vars(fitted), "estimate": replace(fitted.estimate, status="diverged")}).trust
-
     assert all(trust[part] is None for part in PARTS)
     assert set(trust["unavailable"]) == PARTS
     assert set(trust["unavailable"].values()) == {
@@ -89,7 +83,6 @@ def test_a_diverged_fit_has_no_part_and_one_reason(sensor, catalogue):
 
 def test_the_wrong_parity_is_found_though_the_arcs_fit(sensor, catalogue):
     trust = case(field(4), replace(sensor, parity=-1), catalogue).trust
-
     assert trust["two_halves"]["chi2"]["consistent"]
     assert trust_advice(trust)[0].endswith("the sensor's parity is probably wrong; try +1.")
     assert trust["residuals"] is trust["stars"] is trust["residual_against"] is None
@@ -101,7 +94,6 @@ def test_drawings_stay_small_and_large_sets_are_thinned_and_say_so(sensor, catal
     began = time.perf_counter()
     trust = judged.trust
     seconds = time.perf_counter() - began
-
     assert len(trust["residuals"]["row_px"]) == 2000
     assert len(trust["nis_over_time"]["frame"]) == 1000
     assert len(trust["stars"]) == 200
@@ -117,9 +109,7 @@ def test_drawings_stay_small_and_large_sets_are_thinned_and_say_so(sensor, catal
 @pytest.mark.skipif(not REAL_SKY.exists(), reason="the real frames are not here")
 def test_five_real_frames_of_an_upright_image_are_judged(catalogue):
     sensor, telemetry = read_sensor(REAL_SKY / "esa.sensor.json"), read_telemetry(REAL_SKY / "esa-5-frames.csv")
-
     trust = case(telemetry, sensor, catalogue).trust
-
     assert set(trust["unavailable"]) == {"whiteness", "residual_against.temperature", "residual_against.time"}
     assert 0.1 < trust["residuals"]["rms_px"] < 0.2
     assert trust["stars_in_all"] > 500
@@ -143,6 +133,5 @@ def test_five_real_frames_of_an_upright_image_are_judged(catalogue):
 )
 def test_the_thinnest_sets_have_every_part_or_its_reason(settings, size, sensor, catalogue):
     trust = case(field(2, **size), sensor, catalogue, **settings).trust
-
     assert {part for part in PARTS if trust[part] is None} == {name for name in trust["unavailable"] if "." not in name}
     json.dumps(trust, allow_nan=False)

@@ -17,7 +17,6 @@ def clean(catalogue):
 
 
 def _spoiled(trust, **parts):
-    """The object with keys of some parts replaced."""
     return {
         **trust,
         **{name: {**trust[name], **keys} if isinstance(keys, dict) else keys for name, keys in parts.items()},
@@ -41,7 +40,6 @@ def test_graver_sentences_come_first(clean):
         drop_one=[{"needed": False}, {"needed": False}, {"needed": True}],
         drop_one_sentence="spare",
     )  # fmt: skip
-
     assert trust_advice(spoiled) == [
         "halves", "bound", "drift", "temperature", "innovations", "stars", "magnitude", "spare",
     ]  # fmt: skip
@@ -54,7 +52,6 @@ def test_a_single_spare_parameter_is_not_worth_a_sentence(clean):
 def test_a_start_that_is_the_truth_is_said_to_leave_little_to_estimate(catalogue):
     sensor = replace(st16_sensor(1), initial=st16_truth(1))
     advice = trust_advice(case(simulated(catalogue, frames=40).telemetry, sensor, catalogue).trust)
-
     assert advice[-1].startswith("These data do not ask for")
     assert advice[-1].endswith("It may be held fixed, one parameter at a time.")
 
@@ -63,7 +60,6 @@ def test_every_sentence_ends_and_names_no_code(sensor, catalogue):
     trust = case(field(1), sensor, catalogue).trust
     parts = [part["sentence"] for part in trust.values() if isinstance(part, dict) and "sentence" in part]
     bins = [part["sentence"] for part in trust["residual_against"].values() if part is not None]
-
     for sentence in [
         *parts,
         *bins,

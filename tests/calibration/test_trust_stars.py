@@ -9,15 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calibration.trust.residuals import sightings
 from boresight.calibration.trust.stars import StarTable, _merged, star_table, stars
-from boresight.estimation.consistency import chi_square
-from boresight.sky.doubles import phrases, star_flags
+from boresight.estimation.statistics.consistency import chi_square
+from boresight.sky.guide_stars import phrases, star_flags
 from tests.calibration.judged import case, field, simulated
 
 PIXEL_RAD = 2.2e-6 / 0.016
 
 
 def _displaced(catalogue, star, east_rad):
-    """The catalogue with one star moved."""
     ra = catalogue.ra_rad.copy()
     place = catalogue.index_of(np.array([star]))[0]
     ra[place] += east_rad / np.cos(catalogue.dec_rad[place])
@@ -53,9 +52,7 @@ def test_residuals_over_their_own_sigmas_have_unit_variance_however_few_stars(se
     for stars_in, seed in ((4, 1), (5, 2), (30, 3)):
         found = sightings(case(field(seed, frames=100, stars=stars_in), sensor, catalogue).ground)
         n = found.z.size
-
         test = chi_square(float(np.sum(found.z**2)), n)
-
         spread = (test.upper - 1) * (2.0 if stars_in < 6 else 1.2)  # residuals of one exposure are correlated
         assert abs(test.mean - 1) < 1.5 * spread
         assert found.spread == pytest.approx(1, abs=0.06)
@@ -66,7 +63,6 @@ def test_no_star_of_twenty_clean_sets_is_suspect(catalogue):
         star_table(ground, sightings(ground)).suspect.sum()
         for ground in (simulated(catalogue, 1 + seed % 6, 60, seed).ground for seed in range(20))
     ]
-
     assert sum(named) == 0
 
 
@@ -74,10 +70,8 @@ def test_no_star_of_twenty_clean_sets_is_suspect(catalogue):
 def test_a_star_displaced_by_a_pixel_is_found_alone_with_its_displacement(number, catalogue):
     star = _often_seen(simulated(catalogue, number, 100).telemetry)
     ground = simulated(catalogue, number, 100, sky=_displaced(catalogue, star, -PIXEL_RAD)).ground
-
     table = star_table(ground, sightings(ground))
     worst = stars(ground, table)[0]
-
     assert table.star_id[table.suspect].tolist() == [star]
     assert worst["star_id"] == star
     assert worst["suspect"]
@@ -94,9 +88,7 @@ def test_three_displaced_stars_are_named_without_their_neighbours(catalogue):
     sky = catalogue
     for star in wrong:
         sky = _displaced(sky, star, 1.5 * PIXEL_RAD)
-
     trust = simulated(catalogue, 2, 100, sky=sky).trust
-
     assert set(trust["suspects"]) == set(wrong)
     assert all(entry["suspect"] for entry in trust["stars"][:3])
     assert not any(entry["suspect"] for entry in trust["stars"][3:])
@@ -105,7 +97,6 @@ def test_three_displaced_stars_are_named_without_their_neighbours(catalogue):
 
 def test_understated_noise_alone_makes_no_suspect(sensor, catalogue):
     trust = case(field(7), replace(sensor, centroid_sigma_px=0.2), catalogue).trust
-
     assert trust["suspects"] == []
     assert trust["residuals"]["spread"] == pytest.approx(0.437 / 0.2, rel=0.06)
 
@@ -115,7 +106,6 @@ def test_what_the_catalogue_says_against_a_star_stands_beside_it(catalogue):
     flagged = {entry["star_id"]: entry["flags"] for entry in judged.trust["stars"]}
     every = star_flags(catalogue, 5 * PIXEL_RAD)
     expected = {star: phrases(int(every[catalogue.index_of(np.array([star]))[0]])) for star in flagged}
-
     assert {star: flags for star, flags in flagged.items() if flags} == {
         star: said for star, said in expected.items() if said
     }
@@ -124,7 +114,6 @@ def test_what_the_catalogue_says_against_a_star_stands_beside_it(catalogue):
 
 def test_telemetry_without_star_numbers_has_residuals_but_no_table_of_stars(sensor, catalogue):
     trust = case(replace(field(8), star_id=None), sensor, catalogue).trust
-
     assert trust["stars"] is None
     assert trust["unavailable"]["stars"].endswith("give star_id.")
     assert trust["residuals"]["star_id"] is None
@@ -139,9 +128,7 @@ def _table(star_id, z):
 
 def test_stars_that_have_a_residual_only_before_or_only_after_keep_what_is_known_of_them():
     before, after = _table([1, 2, 5], [1, 20, 3]), _table([1, 4], [0.5, 7])
-
     merged = _merged(before, after, np.array([False, True, False]))
-
     assert merged.star_id.tolist() == [1, 2, 4, 5]
     assert merged.z.tolist() == [0.5, 20, 7, 3]
     assert merged.suspect.tolist() == [False, True, False, False]

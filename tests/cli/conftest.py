@@ -15,13 +15,11 @@ FRAMES = 40
 
 @pytest.fixture(scope="session")
 def data_folder(tmp_path_factory):
-    """Keep one catalogue for all tests of the folder."""
     return tmp_path_factory.mktemp("data")
 
 
 @pytest.fixture
 def boresight(data_folder, monkeypatch):
-    """Run a command; returns exit code, standard output and standard error."""
     monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(data_folder))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # the compiled loops stay where they are
     for name, value in environment_in(data_folder).items():
@@ -35,14 +33,12 @@ def boresight(data_folder, monkeypatch):
 
 @pytest.fixture
 def store(boresight, monkeypatch, tmp_path):
-    """Give a test a database of its own."""
     monkeypatch.setenv("BORESIGHT_DATABASE_URL", url_in(tmp_path))
     return boresight
 
 
 @pytest.fixture(scope="session")
 def simulated(data_folder, tmp_path_factory):
-    """Simulate a small set once; its folder."""
     folder = tmp_path_factory.mktemp("simulated")
     environment = {"BORESIGHT_DATA_FOLDER": str(data_folder), "NUMBA_CACHE_DIR": ""}
     words = ["simulate", "st16-4", "--out", str(folder), "--frames", str(FRAMES)]
@@ -53,7 +49,6 @@ def simulated(data_folder, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def calibration(simulated, data_folder):
-    """Calibrate the small set once by the filter; the path of its JSON."""
     environment = {"BORESIGHT_DATA_FOLDER": str(data_folder), "NUMBA_CACHE_DIR": ""}
     path = simulated / "calibration.json"
     words = ["calibrate", simulated / "calibration.csv", "--sensor", simulated / "sensor.json", "--method", "sqrf"]
@@ -70,7 +65,6 @@ def calibration_result(calibration):
 
 @pytest.fixture
 def real_sky():
-    """Folder of the real star fields, beside the checkout or where BORESIGHT_REAL_SKY says."""
     beside = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "real-sky"
     folder = Path(os.environ.get("BORESIGHT_REAL_SKY", beside))
     if not folder.is_dir():

@@ -5,10 +5,12 @@ from contextlib import nullcontext
 
 import pytest
 
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.chain import append_own
-from boresight.store.sessions import open_engine, writing
-from boresight.store.tables import Blob, Sensor, TelemetrySet
+from boresight.console.fleet.tables import Sensor
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit.chain import append_own
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import open_engine, writing
 from tests.stores import drop_triggers, triggers_aside, url_in
 
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -16,7 +18,6 @@ NOW = "2026-11-21T00:00:00.000000Z"
 
 @pytest.fixture(autouse=True)
 def _own_files(monkeypatch, tmp_path):
-    """Keep the stored files of each test beside its database."""
     monkeypatch.setenv("BORESIGHT_BLOBS", str(tmp_path / "blobs"))
 
 
@@ -50,7 +51,6 @@ def test_an_edit_by_hand_is_found_and_named(store, tmp_path, edit, said):
 
 
 def _edit_by_hand(folder, edit, *, aside=False):
-    """Edit the database as its owner could, with triggers and foreign keys out of the way."""
     engine = open_engine(url_in(folder))
     with engine.connect() as connection:
         if connection.dialect.name == "sqlite":
@@ -81,7 +81,6 @@ def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path
 
 
 def _telemetry():
-    """A telemetry set that names the blob twice."""
     sha256 = "a" * 64
     return TelemetrySet(
         sensor_id=1,
@@ -112,7 +111,6 @@ def test_a_schema_of_another_version_is_refused_and_left_as_it_is(store, tmp_pat
 
 
 def _store_a_file(folder, content=b"telemetry"):
-    """Store a file and a row that names it."""
     engine, blobs = open_engine(url_in(folder)), BlobStore(folder / "blobs")
     with writing(engine) as session:
         row = register_blob(session, blobs, blobs.put(content), "text/csv")

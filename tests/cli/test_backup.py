@@ -1,7 +1,5 @@
 """Backup and restore: what comes back is what was there, and nothing is ever written over."""
 
-from __future__ import annotations
-
 import io
 import json
 import sqlite3
@@ -14,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from boresight import integrity
+from boresight import disks as integrity
+from boresight.console.webhooks.tables import Webhook
 from boresight.errors import RefusedInputError
+from boresight.platform.audit import chain
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db import backup as backups
+from boresight.platform.db.sessions import opened, writing
 from boresight.settings import read_settings
-from boresight.store import backup as backups
-from boresight.store import chain
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import opened, writing
-from boresight.store.tables import Webhook
 from tests.stores import environment_in, on_postgresql
 
 PASSWORD = "correct horse battery"
@@ -30,7 +28,6 @@ ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--pa
 
 @pytest.fixture
 def filled(boresight, monkeypatch, tmp_path) -> Any:
-    """A data folder with a person and a blob, and its backup."""
     _into(monkeypatch, tmp_path / "first")
     (tmp_path / "first").mkdir()
     added = boresight(*ADD, stdin=f"{PASSWORD}\n")
@@ -224,7 +221,6 @@ def test_every_corrupt_member_of_a_backup_is_named(filled, monkeypatch, tmp_path
 
 
 def _register(folder: Path, content: bytes) -> str:
-    """Store a file as an upload does, with its row."""
     blobs, settings = BlobStore(folder / "blobs"), read_settings()
     with opened(settings.database_url) as engine, writing(engine) as session:
         sha256 = register_blob(session, blobs, blobs.put(content), "text/csv").sha256
@@ -233,7 +229,6 @@ def _register(folder: Path, content: bytes) -> str:
 
 
 def _named_by(archive: Path, folder: Path) -> tuple[set[str], set[str]]:
-    """Return the files that the database in an archive names, and those that the archive holds."""
     with zipfile.ZipFile(archive) as packed:
         database = Path(packed.extract("boresight.sqlite3", folder))
         held = {name.removeprefix("blobs/") for name in packed.namelist() if name.startswith("blobs/")}
@@ -323,7 +318,6 @@ def test_an_object_store_is_asked_whether_it_has_every_registered_file(filled, m
 
 
 def _altered(archive: Path, changes: dict[str, Any]) -> bytes:
-    """Return an archive with another manifest."""
     written = io.BytesIO()
     with zipfile.ZipFile(archive) as source, zipfile.ZipFile(written, "w", zipfile.ZIP_STORED) as target:
         for member in source.namelist():

@@ -5,9 +5,8 @@ import json
 import click
 import pytest
 
-from boresight.calibration.settings import CHOICES, CalibrationSettings
-from boresight.cli.calibrate import calibrate
-from boresight.cli.calibration_options import Choice
+from boresight.calibration.options import OPTIONS, CalibrationSettings
+from boresight.cli.calibrate import Choice, calibrate
 
 OF_PAGES_ONLY = {"replay_frames_per_s"}  # a pace to watch at
 
@@ -18,26 +17,23 @@ def _run(boresight, folder, *words):
 
 def test_every_setting_has_an_option():
     options = {option.name for option in calibrate.params if isinstance(option, Choice)}
-
     assert options == set(CalibrationSettings().document()) - OF_PAGES_ONLY
 
 
 def test_the_help_names_every_word_and_every_default_by_group(boresight):
     text = boresight("calibrate", "--help").stdout
     flat = " ".join(text.replace("-\n", "-").split())
-
     assert [line for line in text.splitlines() if line.endswith(":") and line[0] != " "][-6:] == [
         "Files and output:", "Method:", "Matching:", "Of the batch:", "Of the filters:", "Of svd and angular:"
     ]  # fmt: skip
-    for name, words in CHOICES.items():
-        listed = f"Choose from {', '.join(words)}. [default: {getattr(CalibrationSettings(), name)}]"
+    for name, option in ((name, option) for name, option in OPTIONS.items() if option.kind == "word"):
+        listed = f"Choose from {', '.join(option.words)}. [default: {getattr(CalibrationSettings(), name)}]"
         assert listed.replace(" ", "") in flat.replace(" ", "")
     assert "[default: 1.345]" in text
 
 
 def test_what_is_not_given_keeps_the_default_of_the_settings(boresight, simulated):
     settings = json.loads(_run(boresight, simulated).stdout)["inputs"]["settings"]
-
     assert settings == CalibrationSettings().document()
 
 
@@ -59,7 +55,6 @@ def test_what_is_not_given_keeps_the_default_of_the_settings(boresight, simulate
 )
 def test_a_choice_reaches_the_estimator(boresight, simulated, words, kept):
     result = json.loads(_run(boresight, simulated, *words).stdout)
-
     assert result["status"] == "converged"
     assert kept.items() <= result["inputs"]["settings"].items()
 
@@ -75,15 +70,12 @@ def test_matching_choices_are_read(boresight, simulated):
         "--match-parameters",
         "baseline",
     )
-
     settings = json.loads(_run(boresight, simulated, *words, "--leave-out-doubles").stdout)["inputs"]["settings"]
-
     assert (settings["match_rule"], settings["flight_tolerance_urad"]) == ("flight", 90.0)
     assert (settings["match_parameters"], settings["leave_out_doubles"]) == ("baseline", True)
 
 
 def test_choices_that_exclude_one_another_are_wrong_usage(boresight, simulated):
     done = _run(boresight, simulated, "--method", "sqrf", "--robust", "huber")
-
     assert done.exit_code == click.UsageError.exit_code
     assert "Robust loss is the batch's" in done.stderr

@@ -11,11 +11,11 @@ import time
 import pytest
 
 from boresight.cli import main
-from boresight.cli.progress import progress
+from boresight.cli.output import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
 
 COMMANDS = (
-    "calibrate", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table", "bench",
+    "calibrate", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table",
     "serve", "demo", "warm", "migrate", "backup", "restore", "user", "audit",
 )  # fmt: skip
 PASSWORD = "correct horse battery"
@@ -80,7 +80,7 @@ def test_the_report_of_a_stored_run_says_where_one_person_works_alone(
     store, calibration_result, tmp_path, monkeypatch, setting, said
 ):
     monkeypatch.setenv("BORESIGHT_FOUR_EYES", setting)
-    monkeypatch.setattr("boresight.services.runs.final_result", lambda *_: calibration_result)
+    monkeypatch.setattr("boresight.console.runs.service.final_result", lambda *_: calibration_result)
     done = store("report", "1", "--out", tmp_path / "report.html")
     assert done.exit_code == 0, done.stderr
     assert ("FOUR EYES ARE OFF" in (tmp_path / "report.html").read_text(encoding="utf-8")) is said
@@ -138,8 +138,6 @@ def test_a_port_that_is_taken_is_refused_with_what_to_do(boresight, tmp_path, co
 
 
 def refusing(error, monkeypatch):
-    """Make `migrate` fail in a given way."""
-
     def fail(**_):
         raise error
 
@@ -174,7 +172,7 @@ def test_debug_shows_the_traceback(boresight, monkeypatch):
 
 
 def test_without_a_terminal_long_work_is_one_plain_line_and_short_work_none(capsys, monkeypatch):
-    monkeypatch.setattr("boresight.cli.progress.PATIENCE_S", 0.05)
+    monkeypatch.setattr("boresight.cli.output.PATIENCE_S", 0.05)
     with progress("counting stars"):
         pass
     assert capsys.readouterr().err == ""
@@ -186,7 +184,7 @@ def test_without_a_terminal_long_work_is_one_plain_line_and_short_work_none(caps
 
 def test_in_a_terminal_long_work_shows_a_bar():
     code = (
-        "import time; from boresight.cli.progress import progress\n"
+        "import time; from boresight.cli.output import progress\n"
         "with progress('counting') as report:\n"
         "    for step in range(16):\n"
         "        report('counting', step / 16); time.sleep(0.1)\n"

@@ -1,7 +1,5 @@
 """`boresight convert`: files in, files out, and a refusal that says by how much."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -14,7 +12,6 @@ LENS = {"s": 1.0, "f_m": 0.016, "u0_px": 970.0, "v0_px": 550.0, "k1": -0.05, "k2
 
 @pytest.fixture
 def lens(tmp_path):
-    """A lens of the second camera model and its sensor file."""
     parameters, sensor = tmp_path / "lens.json", tmp_path / "sensor.json"
     parameters.write_text(json.dumps(LENS))
     sensor.write_text(json.dumps(sensor_document(wu_sensor())))

@@ -7,15 +7,12 @@ import pytest
 
 @pytest.fixture
 def evaluate(boresight, simulated):
-    """Run the command on the simulated validation set."""
     words = ("evaluate", simulated / "validation.csv", "--sensor", simulated / "sensor.json")
     return lambda *more: boresight(*words, *more)
 
 
 @pytest.fixture
 def written(evaluate, tmp_path):
-    """Write a parameter file and evaluate it."""
-
     def run(document, *more):
         path = tmp_path / "parameters.json"
         path.write_text(document if isinstance(document, str) else json.dumps(document))
@@ -26,7 +23,6 @@ def written(evaluate, tmp_path):
 
 def test_the_calibration_makes_sensor_four_available_and_the_tolerance_is_said(evaluate, calibration):
     done = evaluate("--parameters", calibration)
-
     assert done.exit_code == 0
     assert "422 µrad (simulated flight tolerance)" in done.stdout
     for word in ("availability", "matched star ratio", "RMS arc error", "95 %", "frames not available"):
@@ -35,7 +31,6 @@ def test_the_calibration_makes_sensor_four_available_and_the_tolerance_is_said(e
 
 def test_the_json_is_the_contracts(evaluate, calibration):
     found = json.loads(evaluate("--parameters", calibration, "--json", "-").stdout)
-
     assert found["schema"] == "boresight.evaluation/1"
     assert found["availability"]["initial"] < 0.6
     assert found["availability"]["final"] > 0.95
@@ -89,7 +84,6 @@ def test_shadow_lists_the_frames_that_one_would_lose(evaluate, calibration):
     done = evaluate("--parameters", calibration, "--shadow")
     assert "lost by" in done.stdout
     assert "frames that the baseline loses and loses no frame that the baseline solves" in done.stdout
-
     found = json.loads(evaluate("--parameters", calibration, "--shadow", "--json", "-").stdout)["shadow"]
     assert len(found["frames"]) == found["frames_in_set"]
 
@@ -119,9 +113,7 @@ def test_parameters_must_be_named(evaluate):
 def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, calibration_result, change, sentence):
     values = dict(calibration_result["parameters"])
     change(values)
-
     done = written(values)
-
     assert done.exit_code == 1
     assert sentence in done.stderr
     assert done.stderr.count("\n") == 1

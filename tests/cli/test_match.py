@@ -6,11 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 
 
 def blanked(source, target, share, rng):
-    """Copy a telemetry file with a share of its stars taken away and a column nobody knows; returns the true stars."""
     with source.open() as file:
         rows = list(csv.DictReader(file))
     truth = [row["star_id"] for row in rows]
@@ -26,14 +25,12 @@ def blanked(source, target, share, rng):
 
 @pytest.fixture
 def half(simulated, tmp_path):
-    """The simulated calibration set with half of its stars unnamed; its path and the true stars."""
     path = tmp_path / "half.csv"
     return path, blanked(simulated / "calibration.csv", path, 0.5, np.random.default_rng(1))
 
 
 @pytest.fixture
 def match(boresight, simulated):
-    """Run the command for the simulated sensor."""
     return lambda source, out, *more: boresight(
         "match", source, "--sensor", simulated / "sensor.json", "--out", out, *more
     )
@@ -42,9 +39,7 @@ def match(boresight, simulated):
 @pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])
 def test_the_rows_stay_in_their_order_with_every_other_column_as_it_was(match, half, tmp_path, suffix):
     source, out = half[0], tmp_path / f"matched.{suffix}"
-
     done = match(source, out)
-
     assert done.exit_code == 0, done.stderr
     before, after = read_telemetry(source), read_telemetry(out)
     for name, values in vars(before).items():
@@ -65,9 +60,7 @@ def test_a_row_off_the_detector_keeps_its_place_and_has_no_star(match, half, tmp
         writer = csv.DictWriter(file, rows[0].keys())
         writer.writeheader()
         writer.writerows(rows)
-
     done = match(source, out, "--json", tmp_path / "match.json")
-
     assert done.exit_code == 0, done.stderr
     with out.open() as file:
         written = list(csv.DictReader(file))
@@ -81,7 +74,6 @@ def test_a_row_off_the_detector_keeps_its_place_and_has_no_star(match, half, tmp
 
 def test_the_columns_keep_their_places_and_an_unmatched_star_is_an_empty_cell(match, half, tmp_path):
     match(half[0], tmp_path / "matched.csv")
-
     with half[0].open() as before, (tmp_path / "matched.csv").open() as after:
         rows = list(csv.DictReader(before)), list(csv.DictReader(after))
     assert list(rows[0][0]) == list(rows[1][0])
@@ -91,9 +83,7 @@ def test_the_columns_keep_their_places_and_an_unmatched_star_is_an_empty_cell(ma
 
 def test_the_stars_that_were_taken_away_come_back(match, half, tmp_path):
     source, truth = half
-
     done = match(source, tmp_path / "matched.csv")
-
     found = read_telemetry(tmp_path / "matched.csv").star_id
     true = np.array([int(star or 0) for star in truth])
     named = true > 0
@@ -110,9 +100,7 @@ def test_a_file_without_stars_gets_the_column(match, simulated, half, tmp_path):
         writer = csv.DictWriter(file, [key for key in rows[0] if key != "star_id"], extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)
-
     done = match(tmp_path / "bare.csv", tmp_path / "out.csv", "--parameters", simulated / "truth.json")
-
     assert done.exit_code == 0, done.stderr
     assert (read_telemetry(tmp_path / "out.csv").star_id > 0).sum() > 0.8 * len(rows)
     assert "quaternion" in done.stdout
@@ -120,7 +108,6 @@ def test_a_file_without_stars_gets_the_column(match, simulated, half, tmp_path):
 
 def test_the_json_counts_add_up_and_every_exposure_has_an_attitude_or_a_reason(match, half, tmp_path):
     found = json.loads(match(half[0], tmp_path / "out.csv", "--json", "-").stdout)
-
     assert found["schema"] == "boresight.matching/1"
     assert found["given"] == found["kept"] + found["changed"] + found["removed"]
     assert found["matched"] == found["kept"] + found["changed"] + found["added"]
@@ -177,9 +164,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(match, half, 
 
 def test_real_stars_keep_their_names_and_the_others_have_reasons(boresight, real_sky, tmp_path):
     words = ("match", real_sky / "esa-5-frames.csv", "--sensor", real_sky / "esa.sensor.json")
-
     found = json.loads(boresight(*words, "--out", tmp_path / "out.csv", "--json", "-").stdout)
-
     assert found["kept"] >= 0.95 * found["given"]
     assert sum(found["removed_reasons"].values()) == found["removed"]
     assert found["valid_frames"] == found["frames"] == 5
@@ -189,8 +174,6 @@ def test_telemetry_of_another_camera_is_said_to_be_that(boresight, simulated, ha
     document = json.loads((simulated / "sensor.json").read_text())
     document["initial"]["f_m"] *= 1.6
     (tmp_path / "narrow.json").write_text(json.dumps(document))
-
     done = boresight("match", half[0], "--sensor", tmp_path / "narrow.json", "--out", tmp_path / "matched.csv")
-
     assert done.exit_code == 0, done.stderr
     assert "given identities agree with this sensor" in done.stdout

@@ -1,10 +1,8 @@
 """`boresight migrate --down` says what it would remove, and removes it only when agreed to and backed up."""
 
-from __future__ import annotations
-
 import pytest
 
-from boresight.store.sessions import current_revision, head_revision, open_engine
+from boresight.platform.db.sessions import current_revision, head_revision, open_engine
 from tests.stores import url_in
 
 ADD = ("--role", "analyst", "--password-stdin")

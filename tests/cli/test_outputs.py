@@ -1,7 +1,5 @@
 """Where a command writes: `-` is standard output or refused, and a name that promises another format is refused."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -14,7 +12,6 @@ from boresight.sky import identification
 
 
 def in_folder(folder, *words):
-    """Run a command as a shell does, in a folder; returns the finished process."""
     return subprocess.run(
         [sys.executable, "-m", "boresight", *map(str, words)], cwd=folder, capture_output=True, timeout=120, check=False
     )
@@ -22,7 +19,6 @@ def in_folder(folder, *words):
 
 def test_a_report_goes_to_standard_output_and_no_file_is_made(calibration, tmp_path):
     done = in_folder(tmp_path, "report", calibration, "--out", "-")
-
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(b"<!doctype html>")
     assert done.stdout.rstrip().endswith(b"</html>")
@@ -32,7 +28,6 @@ def test_a_report_goes_to_standard_output_and_no_file_is_made(calibration, tmp_p
 @pytest.mark.parametrize("name", ["report.pdf", "report.PDF", "report.docx", "report.json", "report.txt"])
 def test_a_report_is_html_and_no_other_ending_is_written(boresight, calibration, tmp_path, name):
     done = boresight("report", calibration, "--out", tmp_path / name)
-
     assert done.exit_code == 1
     assert len(done.stderr.splitlines()) == 1
     assert ".html" in done.stderr
@@ -43,7 +38,6 @@ def test_a_report_is_html_and_no_other_ending_is_written(boresight, calibration,
 def test_matches_go_to_standard_output_as_csv_and_the_counts_to_standard_error(boresight, simulated):
     words = ("match", simulated / "calibration.csv", "--sensor", simulated / "sensor.json")
     done = boresight(*words, "--out", "-")
-
     assert done.exit_code == 0, done.stderr
     with (simulated / "calibration.csv").open() as file:
         given = list(csv.DictReader(file))
@@ -67,7 +61,6 @@ def test_json_is_not_written_under_the_name_of_another_format(boresight, simulat
         "--json",
         tmp_path / f"result{ending}",
     )
-
     assert done.exit_code == 1
     assert "end the name with .json" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -92,7 +85,6 @@ def test_a_place_that_cannot_hold_what_is_written_is_refused_in_one_line(
     monkeypatch.chdir(tmp_path)
     files = {"CALIBRATION": simulated / "calibration.csv", "SENSOR": simulated / "sensor.json"}
     done = store(*(files.get(word, word) for word in words))
-
     assert done.exit_code == 1
     assert len(done.stderr.splitlines()) == 1
     assert "unexpected" not in done.stderr
@@ -103,7 +95,6 @@ def test_a_place_that_cannot_hold_what_is_written_is_refused_in_one_line(
 
 @pytest.fixture
 def nameless(simulated, tmp_path):
-    """The small set without names and attitudes, which only lost-in-space identification can match."""
     with (simulated / "calibration.csv").open() as file:
         rows = list(csv.DictReader(file))
     kept = [name for name in rows[0] if name != "star_id" and not name.startswith("q_")]
@@ -121,11 +112,9 @@ def test_where_the_extra_is_missing_and_needed_every_command_says_how_to_install
     monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
     how = "pip install 'boresight[lost-in-space]'"
     sensor = ("--sensor", simulated / "sensor.json")
-
     calibrated = boresight("calibrate", nameless, *sensor, "--json", tmp_path / "result.json")
     matched = boresight("match", nameless, *sensor, "--out", tmp_path / "out.csv")
     evaluated = boresight("evaluate", nameless, *sensor, "--parameters", simulated / "truth.json")
-
     assert calibrated.exit_code == 1
     assert how in calibrated.stderr
     assert how in json.loads((tmp_path / "result.json").read_text())["advice"][0]
@@ -136,7 +125,6 @@ def test_where_the_extra_is_missing_and_needed_every_command_says_how_to_install
 def test_nobody_is_told_to_install_what_is_not_needed(boresight, simulated, monkeypatch):
     monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
     done = boresight("calibrate", simulated / "calibration.csv", "--sensor", simulated / "sensor.json")
-
     assert done.exit_code == 0, done.stderr
     assert "pip install" not in done.stdout + done.stderr
 
@@ -151,8 +139,6 @@ def test_a_calibration_without_a_member_it_needs_is_refused_by_the_name_of_that_
     cut = tmp_path / "cut.json"
     cut.write_text(json.dumps(document))
     more = ["--out", tmp_path / "report.html"] if command == "report" else ["--sensor", simulated / "sensor.json"]
-
     done = boresight(command, cut, *more)
-
     assert done.exit_code == 1
     assert f"cut.json is no whole calibration ({member}" in done.stderr

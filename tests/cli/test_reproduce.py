@@ -1,7 +1,5 @@
 """`boresight reproduce`: a small study end to end, its files, and that it gives the same twice."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -30,7 +28,6 @@ def quick(data_folder, tmp_path_factory):
 
 def test_a_quick_study_writes_report_json_and_csv_and_prints_its_verdicts(quick):
     done, out = quick
-
     names = {"enright.html", "enright.json", "enright-tables.csv", "enright-estimators.csv", "enright-figures.csv"}
     assert {path.name for path in out.iterdir()} == names
     assert "Table IV" in done.stdout
@@ -47,7 +44,6 @@ NUMBER = re.compile(r"[-−+]?\d[\d.,]*(e[-+]?\d+)?")
 
 
 def _agree(one, other):
-    """Whether two documents say the same; loops compiled now and loops read back may differ in the last digits."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(_agree(one[key], other[key]) for key in one)
     if isinstance(one, list):
@@ -64,7 +60,6 @@ def test_the_same_study_in_processes_of_its_own_gives_the_same_document(quick, d
     monkeypatch.setenv("NUMBA_CACHE_DIR", numba.config.CACHE_DIR)  # the processes find the loops compiled here
     done = CliRunner().invoke(main, _words(tmp_path / "again", 2), catch_exceptions=False)
     one, other = (json.loads((folder / "enright.json").read_text()) for folder in (quick[1], tmp_path / "again"))
-
     assert done.exit_code == 0
     assert one.pop("timing").keys() == other.pop("timing").keys()
     assert [key for key in one if not _agree(one[key], other[key])] == []
@@ -76,7 +71,6 @@ def test_the_same_study_in_processes_of_its_own_gives_the_same_document(quick, d
 )
 def test_a_study_that_cannot_be_is_refused_in_one_line(boresight, tmp_path, words, said):
     done = boresight("reproduce", "enright", "--quick", "--out", tmp_path / "out", *words)
-
     assert done.exit_code == 1
     assert said in done.stderr
     assert done.stderr.count("\n") == 1

@@ -1,7 +1,5 @@
 """`boresight reproduce wu`: a small study end to end, its files, and that it gives the same twice."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
@@ -29,7 +27,6 @@ def quick(data_folder, tmp_path_factory):
 
 def test_a_quick_study_writes_report_json_and_csv_and_prints_its_verdicts(quick):
     done, out = quick
-
     assert {path.name for path in out.iterdir()} == {
         "wu.html", "wu.json", "wu-tables.csv", "wu-sets.csv", "wu-figures.csv",
     }  # fmt: skip
@@ -46,7 +43,6 @@ def test_a_quick_study_writes_report_json_and_csv_and_prints_its_verdicts(quick)
 def test_the_same_command_gives_the_same_document_but_for_the_clock(quick, data_folder, tmp_path):
     _made(tmp_path / "again", data_folder)
     one, other = (json.loads((folder / "wu.json").read_text()) for folder in (quick[1], tmp_path / "again"))
-
     assert one.pop("timing").keys() == other.pop("timing").keys()
     assert one == other
 
@@ -56,7 +52,6 @@ def test_the_same_command_gives_the_same_document_but_for_the_clock(quick, data_
 )
 def test_a_study_that_cannot_be_is_refused_in_one_line(boresight, tmp_path, words, said):
     done = boresight("reproduce", "wu", "--quick", "--out", tmp_path / "out", *words)
-
     assert done.exit_code == 1
     assert said in done.stderr
     assert done.stderr.count("\n") == 1

@@ -13,7 +13,6 @@ def _calibrated(boresight, folder, method):
 @pytest.mark.parametrize("method", ["svd", "angular"])
 def test_real_stars_give_the_focal_length_and_b2_that_their_arcs_give(boresight, real_sky, method):
     found, arcs = (_calibrated(boresight, real_sky, each) for each in (method, "batch"))
-
     assert found["status"] == "converged"
     assert found["rms_arc_rad"]["final"] == pytest.approx(arcs["rms_arc_rad"]["final"], rel=0.02)
     for name in ("f_m", "b2_per_m2"):
@@ -25,7 +24,6 @@ def test_the_gain_form_of_all_pairs_runs_on_real_stars_and_says_how(boresight, r
     words = ("calibrate", real_sky / "esa-5-frames.csv", "--sensor", real_sky / "esa.sensor.json", "--json", "-")
     choices = ("--free", "f_m,b2_per_m2", "--match", "given", "--method", "angular", "--gain-form")
     gain, information = (json.loads(boresight(*words, *choices, form).stdout) for form in ("gain", "information"))
-
     for name in ("f_m", "b2_per_m2"):
         assert gain["parameters"][name] == pytest.approx(information["parameters"][name], rel=1e-6)
         assert gain["sigma"][name] == pytest.approx(information["sigma"][name], rel=1e-6)

@@ -8,12 +8,7 @@ import sys
 
 import pytest
 
-
-def free_port():
-    """Find a port that nobody listens on."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
+from benchmarks.servers import free_port
 
 
 def test_a_worker_for_nobody_is_refused(boresight, monkeypatch):

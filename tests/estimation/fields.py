@@ -1,12 +1,10 @@
 """Star fields with known truth for the estimation tests: random attitudes, uniform stars, no catalogue and no files."""
 
-from __future__ import annotations
-
 import numpy as np
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 
 PITCH = 2.2e-6
 ROWS, COLUMNS = 1944, 2592
@@ -20,14 +18,12 @@ NOISE_PX = 0.437
 
 
 def rotation(rng):
-    """A random rotation matrix: proper, for arcs cannot tell a mirror image but attitudes can."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.linalg.det(q)
 
 
 def star_field(rng, frames=200, mean_stars=10.7, noise_px=NOISE_PX, truth=TRUTH):
-    """Arcs of a simulated set, two exposures a frame, not yet weighed."""
     starts, frame_start, rows, cols, directions = [0], [0], [], [], []
     for _ in range(frames):
         for _ in range(2):
@@ -44,7 +40,6 @@ def star_field(rng, frames=200, mean_stars=10.7, noise_px=NOISE_PX, truth=TRUTH)
 
 
 def arranged(starts, frame_start, row_px, col_px, s_i, noise_px):
-    """Order given stars into an arc set."""
     star_start = np.array(starts)
     places, _ = arcsets.order(star_start, s_i)
     return ArcSet(
@@ -64,5 +59,4 @@ def arranged(starts, frame_start, row_px, col_px, s_i, noise_px):
 
 
 def weighed(arcs, x):
-    """The set with R taken at state x."""
     return arcsets.weigh(arcs, arcsets.angular_sigma(INVERTED_WANG, x, arcs))[0]

@@ -1,12 +1,10 @@
 """Star fields seen through the pinhole camera with radial distortion: the sensor of Wu et al. 2019 (W section 4.1)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from tests.estimation.fields import arranged, rotation
 
 WU_PITCH = 2.9e-6
@@ -20,7 +18,6 @@ PINHOLE = PINHOLE_RADIAL
 
 
 def wu_field(rng, frames=100, mean_stars=19.0, noise_px=0.2):
-    """Arcs of a simulated set of W's sensor, one exposure a frame, not yet weighed."""
     starts, rows, cols, directions = [0], [], [], []
     for _ in range(frames):
         n = max(4, rng.poisson(mean_stars))

@@ -8,17 +8,15 @@ from scipy.stats import chi2
 
 from boresight.estimation.attitude import (
     attitudes,
+    matrix_of,
     mean_rotation,
     mean_rotation_covariance,
-    triad,
-    wahba,
-)
-from boresight.estimation.rotations import (
-    matrix_of,
     product,
     quaternion_of,
     quaternion_of_vector,
     rotation_vector,
+    triad,
+    wahba,
 )
 from tests.strategies import rotations
 
@@ -26,14 +24,12 @@ PARITIES = pytest.mark.parametrize("parity", [1, -1])
 
 
 def field(rng, n=8, half_angle_rad=0.17):
-    """Unit directions (n, 3) within a field of view about z."""
     off = half_angle_rad * np.sqrt(rng.random(n))
     turn = 2 * np.pi * rng.random(n)
     return np.column_stack([np.sin(off) * np.cos(turn), np.sin(off) * np.sin(turn), np.cos(off)])
 
 
 def noisy(s, sigma_rad, rng):
-    """Directions with isotropic errors across the line of sight."""
     error = rng.normal(size=s.shape) * sigma_rad[:, None]
     moved = s + error - s * np.sum(error * s, axis=1, keepdims=True)
     return moved / np.linalg.norm(moved, axis=1, keepdims=True)
@@ -49,9 +45,7 @@ def test_without_noise_the_attitude_is_exact_for_either_parity(C, parity, n, see
     s_d = field(rng, n)
     s_d[0] = [0.1, 0.05, np.sqrt(1 - 0.0125)]
     s_d[1] = [-0.1, 0.02, np.sqrt(1 - 0.0104)]
-
     solved = wahba(s_d, triad(s_d, parity) @ C, rng.uniform(1e-5, 1e-3, n), parity)
-
     np.testing.assert_allclose(solved.C, C, atol=1e-12)
     np.testing.assert_allclose(matrix_of(solved.quaternion), C, atol=1e-12)
     assert solved.cost < 1e-15
@@ -63,9 +57,7 @@ def test_turning_either_frame_turns_the_attitude_with_it(before, after, seed):
     sigma = np.full(8, 1e-3)
     s_i = field(rng)
     s_d = noisy(s_i, sigma, rng)
-
     plain, turned = wahba(s_d, s_i, sigma), wahba(s_d @ after.T, s_i @ before, sigma)
-
     np.testing.assert_allclose(turned.C, after @ plain.C @ before, atol=1e-10)
     np.testing.assert_allclose(turned.covariance, after @ plain.covariance @ after.T, atol=1e-9 * 1e-3)
     assert turned.cost == pytest.approx(plain.cost, rel=1e-6)
@@ -79,9 +71,7 @@ def test_the_attitude_has_the_error_it_claims_and_the_cost_is_chi_square(parity)
     sigma = rng.uniform(5e-5, 3e-4, n)
     start = np.arange(runs + 1) * n
     measured = noisy(np.tile(s_d, (runs, 1)), np.tile(sigma, runs), rng)
-
     solved = attitudes(start, measured, np.tile(triad(s_d, parity) @ C, (runs, 1)), np.tile(sigma, runs), parity)
-
     theta = rotation_vector(quaternion_of(solved.C @ C.T))
     nees = np.einsum("ni,nij,nj->n", theta, np.linalg.inv(solved.covariance), theta)
     assert chi2.ppf(0.005, 3 * runs) < nees.sum() < chi2.ppf(0.995, 3 * runs)
@@ -96,7 +86,6 @@ def test_the_wrong_parity_leaves_a_cost_no_noise_explains(parity):
     rng = np.random.default_rng(42)
     s_d, sigma = field(rng), np.full(8, 1e-4)
     s_i = triad(s_d, parity) @ matrix_of(rng.normal(size=4))
-
     assert wahba(s_d, s_i, sigma, parity).cost < 1e-6
     assert wahba(s_d, s_i, sigma, -parity).cost > 1e3
 
@@ -108,7 +97,6 @@ def test_fewer_than_two_directions_give_no_attitude(s_d):
 
 def test_two_measured_directions_of_one_star_give_no_attitude():
     s_d = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, np.sqrt(0.99)]])
-
     assert wahba(s_d, s_d[[0, 0]], np.full(2, 1e-4)) is None
 
 
@@ -117,9 +105,7 @@ def test_many_exposures_at_once_are_each_what_they_are_alone():
     start = np.array([0, 0, 5, 6, 14, 14])
     s_i, sigma = field(rng, 14), rng.uniform(1e-4, 1e-3, 14)
     s_d = noisy(s_i, sigma, rng)
-
     solved = attitudes(start, s_d, s_i, sigma)
-
     np.testing.assert_array_equal(solved.known, [False, True, False, True, False])
     for exposure in (1, 3):
         stars = slice(start[exposure], start[exposure + 1])
@@ -131,7 +117,6 @@ def test_many_exposures_at_once_are_each_what_they_are_alone():
 
 def test_no_star_at_all_is_no_attitude_and_no_error():
     empty = np.zeros((0, 3))
-
     assert not attitudes(np.zeros(4, np.int64), empty, empty, np.zeros(0)).known.any()
 
 
@@ -140,10 +125,8 @@ def test_the_mean_is_blind_to_signs_and_turns_with_its_rotations(C, seed, n):
     rng = np.random.default_rng(seed)
     q = quaternion_of_vector(0.2 * rng.normal(size=(n, 3)))
     weights = rng.uniform(0.1, 1.0, n)
-
     mean = mean_rotation(q, weights)
     turned = mean_rotation(product(quaternion_of(C), q) * rng.choice([-1.0, 1.0], (n, 1)), weights)
-
     np.testing.assert_allclose(matrix_of(turned), C @ matrix_of(mean), atol=1e-9)
 
 
@@ -172,7 +155,6 @@ def test_the_covariance_of_the_mean_is_what_repetition_shows():
         errors.append(turn_between(matrix_of(mean_rotation(q, sigma**-2)), matrix_of(true)))
         claimed.append(mean_rotation_covariance(q, sigma**-2))
     whiten = np.linalg.inv(np.linalg.cholesky(np.mean(claimed, axis=0)))
-
     np.testing.assert_allclose(whiten @ np.cov(np.transpose(errors)) @ whiten.T, np.eye(3), atol=0.15)
 
 
@@ -182,9 +164,7 @@ def test_the_compiled_loop_equals_the_decomposition_by_numpy(seed, half_angle_ra
     start = np.cumsum([0, *rng.integers(3, 12, size=5)])
     s_d, sigma = field(rng, start[-1], half_angle_rad), rng.uniform(1e-5, 1e-3, start[-1])
     s_i = noisy(field(rng, start[-1], half_angle_rad) if seed % 2 else s_d, sigma, rng)
-
     found = attitudes(start, s_d, s_i, sigma, parity)
-
     for k in np.flatnonzero(found.known):
         stars = slice(start[k], start[k + 1])
         measured, weight = triad(s_d[stars], parity), 1 / sigma[stars] ** 2
@@ -200,7 +180,5 @@ def test_stars_without_a_direction_leave_the_other_exposures_their_attitude():
     s = field(np.random.default_rng(1), 12)
     lost = s.copy()
     lost[2] = np.nan
-
     found = attitudes(np.array([0, 4, 8, 12]), lost, s, np.full(12, 1e-4))
-
     assert found.known.tolist() == [False, True, True]

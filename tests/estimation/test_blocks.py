@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from benchmarks.stars import synthetic
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
 from boresight.estimation.batch import NormalEquations
 from boresight.estimation.blocks import FRAMES, computing_on, in_blocks
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.sensors import st16_sensor
-from boresight.studies.speed import synthetic
 
 SENSOR = st16_sensor(1)
 FREE = np.arange(8)

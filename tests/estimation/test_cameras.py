@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
+from boresight.cameras import CAMERA_MODELS, CameraModel
 from tests.estimation.fields import GROUND, PITCH, SCALE
 from tests.estimation.pinhole_fields import PINHOLE_GROUND, PINHOLE_SCALE
 
@@ -50,9 +50,7 @@ class TestCameraModel:
     @settings(deadline=None)  # the first call compiles
     def test_the_analytic_jacobian_equals_the_complex_step(self, case, shifts, place):
         x = case.state(shifts)
-
         s, jacobian = case.camera.directions_and_jacobian(x, np.array([place[0]]), np.array([place[1]]), PITCH)
-
         for p in range(len(x)):
             step = 1e-30 * max(abs(x[p]), 1e-3)
             moved = x.astype(complex)
@@ -64,9 +62,7 @@ class TestCameraModel:
     def test_the_jacobian_is_finite_for_a_star_on_the_principal_point(self, case):
         x = case.state(np.ones(8))
         row, col = case.camera.principal_point(x)
-
         s, jacobian = case.camera.directions_and_jacobian(x, np.array([row]), np.array([col]), PITCH)
-
         np.testing.assert_allclose(s, [[0, 0, 1]], atol=1e-15)
         assert np.isfinite(jacobian).all()
 
@@ -77,45 +73,36 @@ class TestCameraModel:
         # only inside the radius where the distortion turns back is there one place a ray
         radius = np.linspace(0, 2000, 400)
         assume((np.diff(case.camera.radial_tangent(x, radius, PITCH)[0]) > 0).all())
-
         row, col = case.camera.project(
             x, case.camera.directions(x, np.array([place[0]]), np.array([place[1]]), PITCH), PITCH
         )
-
         np.testing.assert_allclose([row[0], col[0]], place, atol=1e-8)
 
     def test_a_direction_behind_the_sensor_projects_to_nothing(self, case):
         row, col = case.camera.project(case.ground, np.array([[0.1, 0.1, -1.0]]), PITCH)
-
         assert np.isnan(row).all()
         assert np.isnan(col).all()
 
     def test_a_direction_beyond_the_turning_point_of_the_distortion_projects_to_nothing(self, case):
         x = case.ground.copy()
         x[case.barrel[0]] = case.barrel[1]
-
         row, _ = case.camera.project(x, np.array([[0.2, 0.0, 1.0]]), PITCH)
-
         assert np.isnan(row).all()
 
     @given(shifts=SHIFTS, place=DETECTOR)
     @settings(deadline=None)  # the first call compiles
     def test_the_solid_angle_of_a_pixel_is_the_area_its_edges_span(self, case, shifts, place):
         x, row, col = case.state(shifts), np.array([place[0]]), np.array([place[1]])
-
         step = 1e-30
         down = case.camera.directions(x, row + 1j * step, col, PITCH)[0].imag / step
         right = case.camera.directions(x, row, col + 1j * step, PITCH)[0].imag / step
-
         np.testing.assert_allclose(
             case.camera.solid_angle(x, row, col, PITCH), np.linalg.norm(np.cross(down, right)), rtol=1e-10
         )
 
     def test_the_radial_tangent_agrees_with_directions_along_an_untilted_radius(self, case):
         radius = np.array([0.0, 10.0, 500.0, 1500.0])
-
         tangent, gradient = case.camera.radial_tangent(case.ground, radius, PITCH)
-
         place = list(case.camera.principal_point(case.ground))
         place[case.axis] = place[case.axis] + radius
         s = case.camera.directions(case.ground, *np.broadcast_arrays(*place), PITCH)
@@ -129,7 +116,6 @@ class TestCameraModel:
 
     def test_every_parameter_has_a_symbol_a_unit_a_spread_and_a_range(self, case):
         n = len(case.camera.parameter_names)
-
         assert [
             len(case.camera.symbols),
             len(case.camera.units),

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch, cosine
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.consistency import chi_square
 from boresight.estimation.metrics import arc_errors
+from boresight.estimation.statistics.consistency import chi_square
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
 SETS = 60
@@ -14,9 +14,7 @@ SETS = 60
 
 def test_the_cost_is_the_sum_of_squared_cosine_errors_to_first_order():
     arcs = weighed(star_field(np.random.default_rng(1), frames=10), TRUTH)
-
     cost = batch.normal_equations(cosine.unweighted(arcs), TRUTH, FREE, SCALE).chi2
-
     squares = np.sum((np.cos(arcs.phi + arc_errors(arcs, TRUTH)) - np.cos(arcs.phi)) ** 2)
     variance = np.mean(np.sin(arcs.phi) ** 2 * (arcs.band**2).sum(axis=1))
     np.testing.assert_allclose(cost * variance, squares, rtol=5e-3)
@@ -26,9 +24,7 @@ def test_its_information_equals_the_plain_sandwich():
     field = star_field(np.random.default_rng(2), frames=3)
     sigma = arcsets.angular_sigma(INVERTED_WANG, TRUTH, field)
     arcs, _ = arcsets.weigh(field, sigma)
-
     worth = cosine.worth(arcs, TRUTH, FREE, SCALE)
-
     A, B = np.zeros((8, 8)), np.zeros((8, 8))
     blocks = [(slice(a, b)) for a, b in zip(arcs.star_start[:-1], arcs.star_start[1:], strict=True)]
     all_R = [arcsets.covariance(arcs.s_i[stars], sigma[stars]) for stars in blocks]
@@ -49,7 +45,6 @@ def test_its_information_equals_the_plain_sandwich():
 
 
 def _arcs_of(arcs, k):
-    """Places of the arcs of exposure k."""
     return slice(2 * arcs.star_start[k] - 3 * k, 2 * arcs.star_start[k + 1] - 3 * (k + 1))
 
 
@@ -66,7 +61,6 @@ def test_its_errors_are_spread_as_the_sandwich_says_and_a_third_wider_than_those
         claimed += error @ worth.claimed @ error
         errors.append(error)
         errors_of_arcs.append((batch.fit(arcs, first.x, FREE, SCALE).x - TRUTH) / SCALE)
-
     assert chi_square(held, 8 * SETS).consistent
     assert claimed / SETS > 2 * 8
     wider = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(errors_of_arcs), axis=0))
@@ -76,7 +70,5 @@ def test_its_errors_are_spread_as_the_sandwich_says_and_a_third_wider_than_those
 
 def test_no_direction_is_known_better_than_by_arclengths():
     arcs = weighed(star_field(np.random.default_rng(3), frames=30), TRUTH)
-
     worth, best = cosine.worth(arcs, TRUTH, FREE, SCALE), batch.normal_equations(arcs, TRUTH, FREE, SCALE).A
-
     assert np.linalg.eigvals(np.linalg.solve(best, worth.held)).real.max() < 1 + 1e-9

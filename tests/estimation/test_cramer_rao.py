@@ -4,19 +4,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.cramer_rao import centroid_rows
+from boresight.estimation.statistics.cramer_rao import centroid_rows
 from tests.estimation.fields import FREE, PITCH, SCALE, TRUTH, star_field, weighed
 
 
 def _projected(x, turn, s_d):
-    """Pixels of detector directions turned a little, (2 n,)."""
     return np.ravel(np.stack(INVERTED_WANG.project(x, Rotation.from_rotvec(turn).apply(s_d), PITCH), axis=-1))
 
 
 def _numeric_information(field):
-    """Fisher information by differences of the projection, parameters and attitude together, attitude then eliminated."""
     total = np.zeros((8, 8))
     for first, last in zip(field.star_start[:-1], field.star_start[1:], strict=True):
         s_d = INVERTED_WANG.directions(TRUTH, field.row_px[first:last], field.col_px[first:last], PITCH)
@@ -35,9 +33,7 @@ def _numeric_information(field):
 
 def test_information_is_that_of_the_projection_with_attitude_eliminated():
     field = star_field(np.random.default_rng(1), frames=6)
-
     found = centroid_rows(INVERTED_WANG, TRUTH, field, FREE, SCALE).information
-
     plain = _numeric_information(field)
     root = np.sqrt(np.diag(plain))
     np.testing.assert_allclose(found / np.outer(root, root), plain / np.outer(root, root), atol=2e-5)
@@ -45,10 +41,8 @@ def test_information_is_that_of_the_projection_with_attitude_eliminated():
 
 def test_arcs_hold_what_the_centroids_hold():
     field = weighed(star_field(np.random.default_rng(2), frames=40), TRUTH)
-
     bound = np.linalg.inv(centroid_rows(INVERTED_WANG, TRUTH, field, FREE, SCALE).information)
     claimed = np.linalg.inv(batch.normal_equations(field, TRUTH, FREE, SCALE).A)
-
     np.testing.assert_allclose(np.sqrt(np.diag(claimed) / np.diag(bound)), 1, atol=0.02)
 
 
@@ -59,7 +53,6 @@ def test_fewer_free_parameters_and_fewer_stars_hold_their_part():
     kept = np.ones(field.n_stars, bool)
     kept[field.star_start[:-1]] = False
     without = centroid_rows(INVERTED_WANG, TRUTH, field, FREE, SCALE, kept)
-
     np.testing.assert_allclose(some.information, whole.information[np.ix_([0, 4], [0, 4])], rtol=1e-9)
     assert (np.trace(without.N, axis1=1, axis2=2) > np.trace(whole.N, axis1=1, axis2=2)).all()
 
@@ -69,9 +62,7 @@ def test_attitude_covariance_is_the_spread_of_attitudes_fitted_to_noisy_stars():
     rows = centroid_rows(INVERTED_WANG, TRUTH, field, FREE, SCALE)
     rng = np.random.default_rng(5)
     K = rows.K[: field.star_start[1]].reshape(-1, 3)
-
     drawn = np.linalg.lstsq(K, rng.normal(size=(len(K), 4000)), rcond=None)[0]
-
     np.testing.assert_allclose(
         np.cov(drawn) / np.sqrt(np.outer(*[np.diag(rows.N[0])] * 2)), _correlation(rows.N[0]), atol=0.08
     )

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.estimation.difference import (
+from boresight.estimation.statistics.difference import (
     SharedData,
     covariance_of_difference,
     joint_test,
@@ -18,7 +18,6 @@ H = RNG.normal(size=(N_EXPOSURES, 4, N_PARAMETERS)) * np.array([1.0, 3.0, 0.2])
 
 
 def estimates(noise, chosen):
-    """Least squares of each trial from the chosen exposures: estimates (n_trials, n_parameters) and their covariance."""
     A, y = H[chosen].reshape(-1, N_PARAMETERS), noise[:, chosen].reshape(len(noise), -1)
     P = np.linalg.inv(A.T @ A)
     return y @ A @ P, P
@@ -26,7 +25,6 @@ def estimates(noise, chosen):
 
 @pytest.fixture(scope="module")
 def noise():
-    """White noise of every trial; the truth is zero."""
     return np.random.default_rng(8).normal(size=(N_TRIALS, N_EXPOSURES, 4))
 
 

@@ -1,13 +1,11 @@
 """The drift tests keep their false-alarm rate, see what they should, and agree with the naive forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.estimation.drift import Epoch, baseline_test, fit_line, mahalanobis, power, slope_test
+from boresight.estimation.statistics.drift import Epoch, baseline_test, fit_line, mahalanobis, power, slope_test
 
 K = 5
 SCALE = np.array([5e-5, 50.0, 1e6, 50.0, 1e-3])  # as unlike as a camera's parameters are
@@ -16,7 +14,6 @@ TRIALS = 4000
 
 
 def _covariance(rng: np.random.Generator, sigmas: float) -> np.ndarray:
-    """A full covariance, correlated up to 0.99, of `sigmas` SCALE."""
     A = rng.standard_normal((K, K)) + 2.0
     C = A @ A.T + 0.1 * np.eye(K)
     d = np.sqrt(np.diag(C))
@@ -29,7 +26,6 @@ def _drawn(rng: np.random.Generator, mean: np.ndarray, covariance: np.ndarray) -
 
 
 def _mission(rng: np.random.Generator, m: int, *, slope: float = 0.0, thermal: float = 0.0) -> list[Epoch]:
-    """Estimates at uneven times and temperatures, each with a covariance of its own; slope and effect in SCALE."""
     found = []
     for t in np.sort(rng.uniform(0, 400, m)):
         T = 20 + 8 * np.sin(t / 30)
@@ -44,7 +40,6 @@ def _share(rejections: list[bool]) -> float:
 
 
 def _within(alpha: float, trials: int) -> float:
-    """Four standard deviations of a share that is alpha."""
     return 4 * float(np.sqrt(alpha * (1 - alpha) / trials))
 
 

@@ -21,9 +21,7 @@ def _filtered(arcs, tuning, method="sqrf", free=FOCAL, spread=1.0):
 def test_the_information_is_the_geometric_sum_over_frames(method):
     arcs = weighed(star_field(np.random.default_rng(1), frames=60), TRUTH)
     share = 0.9
-
     claimed = np.linalg.inv(_filtered(arcs, Tuning(forgetting=share), method, FREE, 0.1).last.P)
-
     held = 100.0 * np.eye(8) * share**60
     for k in range(60):
         frame = batch.normal_equations(arcs.frames(k, k + 1), TRUTH, FREE, SCALE)
@@ -36,18 +34,14 @@ def test_the_information_is_the_geometric_sum_over_frames(method):
 def test_a_constant_parameter_comes_to_rest_at_the_information_of_that_many_frames(method):
     arcs = weighed(star_field(np.random.default_rng(2), frames=300), TRUTH)
     a_frame = batch.normal_equations(arcs, TRUTH, FOCAL, SCALE[FOCAL]).A[0, 0] / 300
-
     sigmas = _filtered(arcs, Tuning(forgetting=0.9), method).sigmas[100:, 0]
-
     assert np.mean(sigmas**-2) == pytest.approx(a_frame * 10, rel=0.05)
 
 
 @pytest.mark.parametrize("tuning", [Tuning(forgetting=0.97), Tuning(forgetting=0.95, process_noise=0.03)], ids=str)
 def test_the_filters_agree_on_what_they_forget(tuning):
     arcs = weighed(star_field(np.random.default_rng(3), frames=50), GROUND)
-
     sqrf, ekf, ukf = (_filtered(arcs, tuning, method, FREE).last for method in ("sqrf", "ekf", "ukf"))
-
     np.testing.assert_allclose(sqrf.P, ekf.P, atol=1e-8 * np.abs(ekf.P).max())
     sigma = np.sqrt(np.diag(ekf.P))
     np.testing.assert_allclose((sqrf.z - ekf.z) / sigma, 0, atol=1e-6)
@@ -62,7 +56,6 @@ def test_errors_are_spread_as_least_squares_with_fading_weights_has_them():
         history = _filtered(arcs, Tuning(forgetting=share))
         errors = (history.states[39::20, 0] - TRUTH[0]) / SCALE[0] / history.sigmas[39::20, 0]
         squares.append(np.mean(errors**2))
-
     spread = np.mean(squares)
     # 125 nearly independent errors: their mean square is known to 13 % (one sigma)
     assert spread == pytest.approx(1 / (1 + share), rel=0.4)
@@ -81,15 +74,12 @@ def test_a_drifting_focal_length_is_followed_and_lags_where_nothing_is_forgotten
         parts.append(weighed(star_field(np.random.default_rng([7, k]), frames=1, truth=truth), truth))
     arcs = _joined(parts)
     end = TRUTH[0] + (frames - 1) * a_frame
-
     follows, lags = (_filtered(arcs, choice, method) for choice in (tuning, Tuning()))
-
     assert abs(follows.last.x[0] - end) / SCALE[0] < 5 * follows.sigmas[-1, 0]
     assert abs(lags.last.x[0] - end) / SCALE[0] > 10 * lags.sigmas[-1, 0]
 
 
 def _joined(parts):
-    """One set of many frames, each from its own camera."""
     arrays = ("row_px", "col_px", "sigma_px", "s_i", "source_row", "phi", "band")
     stars = np.concatenate([[0], *(np.diff(part.star_start) for part in parts)]).cumsum()
     return replace(

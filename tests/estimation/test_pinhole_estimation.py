@@ -7,10 +7,10 @@ from boresight import kernels
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.metrics import arc_errors
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.pinhole_fields import PINHOLE, WU_TRUTH, wu_field
 
 FREE = np.arange(6)
@@ -62,7 +62,6 @@ def test_errors_of_the_batch_are_spread_as_its_covariance_says_and_residuals_as_
         total_nees += nees((fitted.x - WU_TRUTH) / SCALE, np.linalg.inv(fitted.A))
         total_chi2 += fitted.chi2
         dof += field.n_arcs - 6
-
     assert chi_square(total_nees, 6 * sets).consistent
     assert chi_square(total_chi2, dof).consistent
 
@@ -70,10 +69,8 @@ def test_errors_of_the_batch_are_spread_as_its_covariance_says_and_residuals_as_
 @pytest.mark.parametrize("method", ["ekf", "sqrf", "ukf"])
 def test_a_filter_ends_where_the_batch_does(method):
     field = _weighed(wu_field(np.random.default_rng(2), frames=60), WU_TRUTH)
-
     history = FILTERS[method](field, start(WU_TRUTH, 6, 10.0), FREE, SCALE, Tuning())
     fitted = batch.fit(field, WU_TRUTH, FREE, SCALE)
-
     sigma = batch.sigma_in_scale(fitted.A)
     np.testing.assert_allclose((history.last.x - fitted.x) / SCALE / sigma, 0, atol=0.15)
     np.testing.assert_allclose(history.sigmas[-1], sigma, rtol=0.05)
@@ -87,7 +84,6 @@ def test_a_filter_from_the_papers_start_is_as_uncertain_as_it_says(method):
         pooled = pool_start(_weighed(field, WU_TRUTH), START_ARCS_PER_PARAMETER * 6)
         last = FILTERS[method](pooled, start(START, 6, 10.0), FREE, SCALE, Tuning()).last
         total += nees((last.x - WU_TRUTH) / SCALE, last.P)
-
     assert chi_square(total, 6 * sets).consistent
 
 
@@ -95,5 +91,4 @@ def test_a_start_under_which_the_stars_have_no_direction_is_called_diverged():
     field = _weighed(wu_field(np.random.default_rng(3), frames=5), WU_TRUTH)
     blind = WU_TRUTH.copy()
     blind[4] = -50.0
-
     assert batch.fit(field, blind, FREE, SCALE).status == "diverged"

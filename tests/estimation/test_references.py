@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from boresight.estimation import references, singular_values
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.references import (
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation import singular_values
+from boresight.estimation.singular_values import Selection
+from boresight.estimation.statistics import references
+from boresight.estimation.statistics.references import (
     View,
     information_content,
     judged,
@@ -14,7 +16,6 @@ from boresight.estimation.references import (
     relative,
     seen,
 )
-from boresight.estimation.singular_values import Selection
 from tests.estimation.fields import FREE, SCALE, TRUTH, star_field, weighed
 
 VIEW = View(INVERTED_WANG, TRUTH, FREE, SCALE)
@@ -66,19 +67,16 @@ def test_observability_is_the_smallest_singular_value_of_the_rows_of_a_frame(fie
                 g = singular_values.stacked(s[stars], taken.rows, selection)[1]
                 rows.append(np.einsum("rnj,njp->rp", g, D[stars]) * SCALE)
             plain[k, model - 1] = np.linalg.svd(np.concatenate(rows), compute_uv=False)[-1]
-
     np.testing.assert_allclose(observability_of_models(VIEW, field.frames(0, 3)), plain, rtol=0.02)
 
 
 def test_the_first_singular_value_observes_least(field):
     alone = observability_of_values(VIEW, field)
-
     assert (np.median(alone, axis=0)[1:] > 3 * np.median(alone[:, 0])).all()
 
 
 def test_a_frame_with_fewer_rows_than_parameters_observes_nothing():
     field = weighed(star_field(np.random.default_rng(2), frames=2, mean_stars=1.0), TRUTH)  # four stars an exposure
-
     assert (np.diff(field.star_start) == 4).all()
     assert (observability_of_values(VIEW, field) == 0).all()  # two combinations of one value, twice
     assert observability_of_models(VIEW, field).shape == (2, 4)
@@ -95,7 +93,6 @@ def test_the_runs_in_which_frames_are_taken_change_nothing(field, monkeypatch, m
     runs = seen(VIEW, field)
     smallest, information = judged(VIEW, runs, Selection(4))
     one_by_one = [judged(VIEW, seen(VIEW, field.frames(k, k + 1)), Selection(4)) for k in range(field.n_frames)]
-
     assert sum(len(run.frame_start) - 1 for run in runs) == field.n_frames
     np.testing.assert_allclose(smallest, np.concatenate([found[0] for found in one_by_one]), rtol=1e-9)
     np.testing.assert_allclose(information, sum(found[1] for found in one_by_one), rtol=1e-9, atol=1e-6)

@@ -7,8 +7,8 @@ import pytest
 
 from boresight import kernels
 from boresight.estimation import batch
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.robust import insurance
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
 HUBER = 1.345
@@ -16,7 +16,6 @@ SETS = 40
 
 
 def _whitened(arcs, x):
-    """Whitened residuals and rows of a set, by the loop that the filters use."""
     e, H = np.empty(arcs.n_arcs), np.empty((arcs.n_arcs, 8))
     kernels.whitened_rows(
         arcs.model, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band, FREE, SCALE, e, H
@@ -25,7 +24,6 @@ def _whitened(arcs, x):
 
 
 def _soiled(field, rng, share=0.02):
-    """The same set with this share of its stars matched wrongly, 20 px off."""
     wrong = rng.uniform(size=field.n_stars) < share
     off = 20.0 * rng.normal(size=(2, field.n_stars)) * wrong
     return replace(field, row_px=field.row_px + off[0], col_px=field.col_px + off[1])
@@ -43,9 +41,7 @@ def _nees(fitted):
 def test_the_fused_equations_are_hubers():
     arcs = weighed(star_field(np.random.default_rng(1), frames=5), TRUTH)
     x = TRUTH + 0.1 * SCALE
-
     fused = batch.normal_equations(arcs, x, FREE, SCALE, HUBER)
-
     e, H = _whitened(arcs, x)
     beyond = np.abs(e) > HUBER
     assert 0 < beyond.sum() < len(e)
@@ -58,9 +54,7 @@ def test_the_fused_equations_are_hubers():
 def test_the_cost_falls_along_the_gradient_that_the_equations_give():
     arcs = weighed(star_field(np.random.default_rng(2), frames=5), TRUTH)
     x, step = TRUTH + 0.1 * SCALE, 1e-5
-
     slope = 2 * batch.normal_equations(arcs, x, FREE, SCALE, HUBER).b
-
     for p in range(8):
         ahead, behind = (x + side * step * SCALE * (np.arange(8) == p) for side in (1, -1))
         costs = [batch.normal_equations(arcs, at, FREE, SCALE, HUBER).chi2 for at in (ahead, behind)]
@@ -69,9 +63,7 @@ def test_the_cost_falls_along_the_gradient_that_the_equations_give():
 
 def test_an_infinite_threshold_is_least_squares():
     field = weighed(star_field(np.random.default_rng(3), frames=20), GROUND)
-
     plain, wide = batch.fit(field, GROUND, FREE, SCALE), batch.fit(field, GROUND, FREE, SCALE, threshold=1e9)
-
     np.testing.assert_allclose(wide.x, plain.x, rtol=1e-12)
     assert wide.beyond == 0
     # the noise's size is measured, not taken from the file, so information differs by what chi-square differs from 1
@@ -87,7 +79,6 @@ def test_under_gaussian_noise_sigmas_stay_honest_and_cost_a_fortieth():
         total += _nees(robust)
         beyond += robust.beyond / weighed(field, GROUND).n_arcs / SETS
         widened.append(batch.sigma_in_scale(robust.A) / batch.sigma_in_scale(plain.A))
-
     assert chi_square(total, 8 * SETS).consistent
     assert beyond == pytest.approx(0.1786, abs=0.005)  # 2 (1 - Phi(1.345))
     assert np.mean(widened) == pytest.approx(1.026, abs=0.01)
@@ -100,7 +91,6 @@ def test_with_two_stars_in_a_hundred_wrong_it_stays_near_the_truth_and_least_squ
         field = _soiled(star_field(rng, frames=50), rng)
         robust += _nees(_fitted_twice(field, HUBER))
         plain.append(_nees(_fitted_twice(field, np.inf)))
-
     assert chi_square(robust, 8 * SETS).consistent
     assert np.median(plain) > 100
 
@@ -109,8 +99,6 @@ def test_where_every_arc_is_beyond_the_threshold_there_is_no_information():
     arcs = weighed(star_field(np.random.default_rng(4), frames=2), GROUND)
     far = GROUND.copy()
     far[0] *= 10
-
     paid = insurance(arcs, far, 8, 1e-6)
-
     assert paid.beyond == arcs.n_arcs
     assert paid.information_share == 0

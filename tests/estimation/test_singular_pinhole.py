@@ -6,9 +6,9 @@ import pytest
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs
 from boresight.estimation.arcs import arclength
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.pinhole_fields import PINHOLE, WU_COLUMNS, WU_PITCH, WU_ROWS, WU_TRUTH, wu_field
 
 SIX = np.arange(6)
@@ -18,7 +18,6 @@ START_SIGMA = np.array([1e-3, 5e-4, 10.0, 10.0, 0.5, 1.0])
 
 
 def _in_chunks(field, method):
-    """The filter from W's start, its weights taken anew after the pooled first frames."""
     field = pool_start(field, START_ARCS_PER_PARAMETER * 6)
     first = FILTERS[method](field.frames(0, 1), start(WU_START, 6, 1.0), SIX, START_SIGMA, Tuning())
     return FILTERS[method](field.frames(1, field.n_frames), first.last, SIX, START_SIGMA, Tuning()).last
@@ -33,14 +32,12 @@ def ends():
 
 def test_the_six_parameters_are_found_and_the_mean_nees_lies_inside_its_bounds(ends):
     errors = [nees((last.x - WU_TRUTH) / START_SIGMA, last.P) for last in ends]
-
     bounds = chi_square(sum(errors), 6 * len(errors))
     assert bounds.consistent, (6 * bounds.mean, 6 * bounds.lower, 6 * bounds.upper)
 
 
 def test_every_parameter_is_within_four_of_its_sigmas(ends):
     whitened = [(last.x - WU_TRUTH) / START_SIGMA / np.sqrt(np.diag(last.P)) for last in ends]
-
     assert np.abs(whitened).max() < 4.2  # of 240
 
 
@@ -54,5 +51,4 @@ def test_arcs_without_noise_come_out_to_half_an_arc_second_after_a_hundred_frame
     for last in ends:
         found = PINHOLE.directions(last.x, row, col, WU_PITCH)
         errors.append(np.mean((arclength(found[i], found[j]) - arclength(true[i], true[j])) ** 2))
-
     assert np.degrees(np.sqrt(np.mean(errors))) * 3600 < 0.7

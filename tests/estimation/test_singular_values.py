@@ -5,20 +5,20 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from boresight.calibration.options import EITHER_FORM
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import singular_values
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.consistency import chi_square, nees
-from boresight.estimation.filters import FILTERS, IN_EITHER_FORM, Tuning
+from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import APART, STAR_MODELS, Selection
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, rotation, star_field, weighed
 
 SIGMA = 1e-4
 
 
 def _stars(rng, n):
-    """Directions of n stars on the detector."""
     return INVERTED_WANG.directions(TRUTH, rng.uniform(0, 1943, n), rng.uniform(0, 2591, n), PITCH)
 
 
@@ -26,9 +26,7 @@ def _stars(rng, n):
 def test_no_attitude_and_no_mirror_changes_a_singular_value(seed, n):
     rng = np.random.default_rng(seed)
     s = _stars(rng, n)
-
     turned = s @ rotation(rng).T * [1, -1, 1]
-
     np.testing.assert_allclose(
         singular_values.decomposition(turned)[0], singular_values.decomposition(s)[0], rtol=1e-12, atol=1e-12
     )
@@ -40,7 +38,6 @@ def test_the_squares_add_up_to_the_number_of_stars_so_the_first_adds_nothing(see
     sigma, g = singular_values.decomposition(s)[0], singular_values.gradients(s)
     across = g - np.einsum("knj,nj->kn", g, s)[..., None] * s  # directions stay unit vectors
     assume(sigma[2] > 1e-3)
-
     assert np.sum(sigma**2) == pytest.approx(n, rel=1e-13)
     np.testing.assert_allclose(np.einsum("k,knj->nj", sigma, across), 0, atol=1e-12)
 
@@ -53,9 +50,7 @@ def test_slopes_are_right_to_central_differences(seed, n):
     sigma = singular_values.decomposition(s)[0]
     assume(min(sigma[1] - sigma[2], sigma[2]) > 0.02)
     step = 1e-5 * rng.normal(size=s.shape)
-
     ahead, behind = (singular_values.decomposition(s + sign * step)[0] for sign in (1, -1))
-
     slope = np.einsum("knj,nj->k", singular_values.gradients(s), step)
     np.testing.assert_allclose(slope, (ahead - behind) / 2, atol=1e-9)
 
@@ -80,7 +75,6 @@ def test_slopes_by_a_complex_step_through_the_camera():
 
 
 def _determinant(A):
-    """Of a 3 by 3 matrix, written out for complex entries of very different size."""
     return A[0] @ np.array([A[1, 1] * A[2, 2] - A[1, 2] ** 2, A[1, 2] * A[0, 2] - A[0, 1] * A[2, 2],
                             A[0, 1] * A[1, 2] - A[1, 1] * A[0, 2]])  # fmt: skip
 
@@ -93,7 +87,6 @@ def test_the_models_combine_the_stars_as_the_paper_draws_them():
         ]
         for model in STAR_MODELS
     }
-
     assert listed[1] == [[1, 2, 3], [2, 3, 4], [3, 4, 5], [4, 5, 6], [5, 6, 1], [6, 1, 2]]
     assert listed[2] == listed[1]  # half of six is three
     assert sorted(map(sorted, listed[3])) == [sorted({1, 2, 3, 4, 5, 6} - {left}) for left in range(6, 0, -1)]
@@ -124,10 +117,8 @@ def test_the_sum_of_two_equal_values_has_a_slope_where_neither_has():
     azimuth = np.array([0.0, 2 * np.pi / 3, 4 * np.pi / 3])
     s = np.stack([0.1 * np.cos(azimuth), 0.1 * np.sin(azimuth), np.full(3, np.sqrt(0.99))], axis=1)
     step = 1e-6 * np.random.default_rng(5).normal(size=s.shape)
-
     ahead, behind = (singular_values.decomposition(s + sign * step)[0] for sign in (1, -1))
     slope = np.einsum("knj,nj->k", singular_values.gradients(s), step)
-
     assert (slope[1] + slope[2]) == pytest.approx((ahead - behind)[1:].sum() / 2, abs=1e-11)
     assert abs((ahead - behind)[1] / 2 - slope[1]) > 1e-8
 
@@ -137,11 +128,9 @@ def test_the_covariance_of_overlapping_combinations_is_that_of_many_noisy_exposu
     rng = np.random.default_rng(6)
     s, n, draws = _stars(rng, 7), 7, 4000
     taken = singular_values.exposure(s, np.full(n, SIGMA), Selection(model))
-
     noisy = s + SIGMA * rng.normal(size=(draws, n, 3))
     noisy /= np.linalg.norm(noisy, axis=-1, keepdims=True)
     z = np.array([singular_values.stacked(each, taken.rows, Selection(model))[0] for each in noisy])
-
     rows = singular_values.determined_rows(taken.R)
     whitened = np.linalg.solve(np.linalg.cholesky(taken.R[np.ix_(rows, rows)]), (z - taken.z)[:, rows].T)
     np.testing.assert_allclose(np.cov(whitened), np.eye(len(rows)), atol=5.5 / np.sqrt(draws))
@@ -155,14 +144,13 @@ def _last(field, method, tuning, x=TRUTH):
 
 @pytest.mark.parametrize("noise", [0.0, 0.02], ids=["no-q", "q"])
 @pytest.mark.parametrize("linearisations", [1, 6])
-@pytest.mark.parametrize("method", IN_EITHER_FORM)
+@pytest.mark.parametrize("method", EITHER_FORM)
 def test_the_gain_form_equals_the_information_form(method, linearisations, noise):
     field = weighed(star_field(np.random.default_rng(7), frames=8, mean_stars=7), GROUND)
     forms = [
         FILTERS[method](field, start(GROUND, 8, 3.0), FREE, SCALE, Tuning(linearisations, noise, 0.99, gain_form=form))
         for form in ("information", "gain")
     ]
-
     assert np.abs((forms[0].states - forms[1].states) / SCALE / forms[0].sigmas).max() < 1e-8
     np.testing.assert_allclose(forms[1].sigmas, forms[0].sigmas, rtol=1e-8)
     np.testing.assert_allclose(forms[1].nis, forms[0].nis, rtol=1e-7)
@@ -185,8 +173,6 @@ def test_every_model_is_consistent_over_many_sets(model):
 
 def test_all_three_values_equal_the_two_that_are_independent():
     field = weighed(star_field(np.random.default_rng(8), frames=20), TRUTH)
-
     two, three = (_last(field, "svd", Tuning(selection=Selection(4, values))) for values in ((2, 3), (1, 2, 3)))
-
     np.testing.assert_allclose(three.sigmas[-1], two.sigmas[-1], rtol=0.02)
     np.testing.assert_allclose((three.last.x - two.last.x) / SCALE / two.sigmas[-1], 0, atol=0.3)

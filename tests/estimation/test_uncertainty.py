@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch
 from boresight.estimation.arcs import arclength
-from boresight.estimation.cameras.inverted_wang import INVERTED_WANG
-from boresight.estimation.uncertainty import (
+from boresight.estimation.statistics.uncertainty import (
     AZIMUTHS,
     _arcs_from,
     arc_sigma,
@@ -41,9 +41,7 @@ def test_the_error_of_an_arc_is_the_spread_of_that_arc_over_drawn_parameters(P):
         ]
     )
     variance = np.where(on, arcs.var(axis=0), np.nan).reshape(-1, AZIMUTHS)
-
     sigma = arc_sigma(INVERTED_WANG, TRUTH, P, PLACES, LENGTH, DETECTOR)
-
     np.testing.assert_allclose(sigma, np.sqrt(np.nanmean(variance, axis=1)), rtol=0.05)
     np.testing.assert_allclose(arcs.mean(axis=0)[on], LENGTH, atol=1e-5)
 
@@ -51,7 +49,6 @@ def test_the_error_of_an_arc_is_the_spread_of_that_arc_over_drawn_parameters(P):
 def test_arcs_that_end_off_the_detector_do_not_count(P):
     _, far, on = _arcs_from(INVERTED_WANG, TRUTH, PLACES, LENGTH, DETECTOR)
     counts = on.reshape(-1, AZIMUTHS).sum(axis=1)
-
     assert (counts >= 2).all()
     assert counts[2] == AZIMUTHS
     assert counts[0] < AZIMUTHS / 2
@@ -66,10 +63,8 @@ def test_a_bulk_rotation_of_the_detector_is_no_difference():
     turned = moved.copy()
     turned[1] += 3.0
     turned[6] += 3.0 * PITCH / turned[0]  # the tilt that follows the principal point: all but a rotation
-
     difference = difference_over_detector(INVERTED_WANG, moved, turned, PLACES, PITCH)
     seen = INVERTED_WANG.directions(moved, *PLACES, PITCH) - INVERTED_WANG.directions(turned, *PLACES, PITCH)
-
     assert np.linalg.norm(seen, axis=-1).min() > 3e-4
     assert difference.max() < 2e-6
     assert difference_over_detector(INVERTED_WANG, TRUTH, TRUTH, PLACES, PITCH).max() < 1e-14
@@ -78,9 +73,7 @@ def test_a_bulk_rotation_of_the_detector_is_no_difference():
 def test_the_expected_difference_is_the_mean_square_of_differences_drawn(P):
     places = tuple(np.meshgrid(np.linspace(0, ROWS - 1, 5), np.linspace(0, COLUMNS - 1, 5), indexing="ij"))
     places = (places[0].ravel(), places[1].ravel())
-
     drawn = [difference_over_detector(INVERTED_WANG, x, TRUTH, places, PITCH) for x in _drawn(P, 2000, 2)]
-
     expected = expected_difference(INVERTED_WANG, TRUTH, P, places, PITCH)
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(drawn), axis=0)), expected, rtol=0.08)
 
@@ -90,7 +83,6 @@ def test_displacements_of_two_states_differ_by_the_radial_difference_and_a_pinho
     old, new = (displacement_px(INVERTED_WANG, x, TRUTH, radius, PITCH) for x in (TRUTH, moved))
     between = radial_difference(INVERTED_WANG, moved, TRUTH, P, radius, PITCH)
     assert new - old == pytest.approx(between.difference_px, abs=1e-9)
-
     pinhole = TRUTH.copy()
     pinhole[3] = pinhole[4] = 0.0
     assert displacement_px(INVERTED_WANG, pinhole, pinhole, radius, PITCH) == pytest.approx(0, abs=1e-9)

@@ -4,17 +4,16 @@ import numpy as np
 import pytest
 
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
-from boresight.estimation.consistency import chi_square, nees
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.metrics import arc_errors
+from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
 SINGLE = Tuning(linearisations=1)
 
 
 def _whitened(frame, x):
-    """Whitened residuals of one frame by dense substitution."""
     e, a0 = arc_errors(frame, x), 0
     for n in 2 * np.diff(frame.star_start) - 3:
         L = np.zeros((n, n))
@@ -26,7 +25,6 @@ def _whitened(frame, x):
 
 
 def _textbook(arcs, z, P, free, noise, forgetting=1.0):
-    """The unscented filter in covariance form: sigma points, cross covariance, gain, on residuals that should be zero."""
     n, total = len(free), 0.0
     for k in range(arcs.n_frames):
         frame = arcs.frames(k, k + 1)
@@ -49,10 +47,8 @@ def _textbook(arcs, z, P, free, noise, forgetting=1.0):
 def test_one_pass_is_the_textbook_filter(free, noise, forgetting):
     arcs = weighed(star_field(np.random.default_rng(1), frames=6), TRUTH)
     tuning = Tuning(linearisations=1, process_noise=noise, forgetting=forgetting)
-
     history = FILTERS["ukf"](arcs, start(GROUND, len(free), 5.0), free, SCALE[free], tuning)
     z, P, total = _textbook(arcs, np.zeros(len(free)), 25.0 * np.eye(len(free)), free, noise, forgetting)
-
     np.testing.assert_allclose(history.last.z, z, atol=1e-6)
     np.testing.assert_allclose(history.last.P, P, atol=1e-7 * np.abs(P).max())
     assert history.nis.sum() == pytest.approx(total, rel=1e-6)
@@ -62,9 +58,7 @@ def test_one_pass_is_the_textbook_filter(free, noise, forgetting):
 def test_from_near_the_truth_it_agrees_with_the_square_root_filter():
     for seed in range(5):
         arcs = weighed(star_field(np.random.default_rng(20 + seed), frames=60), TRUTH)
-
         unscented, extended = (FILTERS[m](arcs, start(TRUTH, 8, 1.0), FREE, SCALE, Tuning()) for m in ("ukf", "sqrf"))
-
         assert np.abs((unscented.last.x - extended.last.x) / SCALE / extended.sigmas[-1]).max() < 0.1
         np.testing.assert_allclose(unscented.sigmas[-1], extended.sigmas[-1], rtol=0.03)
 
@@ -81,16 +75,13 @@ def test_iterated_it_is_consistent_from_a_far_start_and_in_one_pass_it_is_not():
                 single.append(error)
             else:
                 iterated += error
-
     assert chi_square(iterated, 8 * sets).consistent
     assert np.median(single) > 100
 
 
 def test_points_in_a_settled_frame_are_drawn_once():
     arcs = weighed(star_field(np.random.default_rng(5), frames=80), TRUTH)
-
     passes = FILTERS["ukf"](arcs, start(TRUTH, 8, 1.0), FREE, SCALE, Tuning()).linearisations
-
     assert passes[0] > 1
     assert np.mean(passes[40:]) < 2.5
 
@@ -98,10 +89,8 @@ def test_points_in_a_settled_frame_are_drawn_once():
 def test_frames_in_parts_give_the_history_of_the_whole():
     arcs = weighed(star_field(np.random.default_rng(6), frames=12), TRUTH)
     run, begin, tuning = FILTERS["ukf"], start(TRUTH, 8, 10.0), Tuning(process_noise=0.02, forgetting=0.95)
-
     whole = run(arcs, begin, FREE, SCALE, tuning)
     first = run(arcs.frames(0, 5), begin, FREE, SCALE, tuning)
     second = run(arcs.frames(5, 12), first.last, FREE, SCALE, tuning)
-
     np.testing.assert_allclose(np.concatenate([first.states, second.states]), whole.states, rtol=1e-12)
     np.testing.assert_allclose(second.last.S, whole.last.S, rtol=1e-9, atol=1e-14)

@@ -20,7 +20,6 @@ def named(values):
 
 
 def ending(rng):
-    """Make the keys that every finished run has."""
     typical = np.array(TYPICAL)
     sigma = typical / np.array([120.0, 2.5, 2.8, 9.0, 11.0, 2.2, 2.0, 30.0])
     truth = np.array(INITIAL) + np.array(SHIFT) * typical
@@ -99,7 +98,6 @@ def ending(rng):
 
 
 def sequential(n_frames=200, seed=4):
-    """Make the result of a square-root filter."""
     rng = np.random.default_rng(seed)
     result = ending(rng)
     typical, k = np.array(TYPICAL), np.arange(1, n_frames + 1)[:, None]
@@ -125,7 +123,6 @@ def sequential(n_frames=200, seed=4):
 
 
 def batch(seed=5, n_iterations=7):
-    """Make the result of a batch fit."""
     result = ending(np.random.default_rng(seed))
     final, sigma = (np.array(list(result[key].values())) for key in ("parameters", "sigma"))
     weight = (0.5 ** np.arange(n_iterations + 1) ** 2)[:, None]

@@ -7,14 +7,12 @@ FLAGS = {3: ["double"], 7: ["solution type"]}
 
 
 def grid(rng, offset, spread):
-    """Make a smooth map over the detector."""
     rows, cols = np.linspace(0, 1943, 15), np.linspace(0, 2591, 20)
     radius = np.hypot(*np.meshgrid(rows - 972, cols - 1296, indexing="ij")) / 1620
     return rows.tolist(), cols.tolist(), offset + spread * (radius**3 + 0.1 * rng.normal(size=radius.shape))
 
 
 def bins(rng, low, high, unit):
-    """Make the residuals binned by one cause."""
     count = rng.poisson(300, 8)
     rms = rng.uniform(0.09, 0.11, 8)
     mean = rng.normal(size=8) * rms / np.sqrt(count)
@@ -31,7 +29,6 @@ def bins(rng, low, high, unit):
 
 
 def stars(rng, n_stars=40):
-    """Make the table of stars, worst first; the first two are suspect."""
     z = np.sort(np.abs(rng.normal(size=n_stars)))[::-1]
     z[:2] = (9.1, 5.2)
     sightings = rng.integers(5, 200, n_stars)
@@ -78,7 +75,6 @@ def residuals(rng, n_stars):
 
 
 def residual_field(rng, edge_px=0.1):
-    """Make cells of 12 by 16 with noise of their sigmas; the first row of cells is off by `edge_px` after the fit."""
     shape = (12, 16)
     sigma = 0.1 / np.sqrt(40)
 
@@ -180,7 +176,6 @@ def drop_one():
 
 
 def trust(sigma, n_frames=200, seed=6):
-    """Examine a result that claims these sigmas, {name: SI}."""
     rng = np.random.default_rng(seed)
     rows, cols, arc_sigma = grid(rng, 0.3, 0.4)
     further = [0, 50, 100, 200, 400, 800, 1600]
@@ -238,7 +233,6 @@ def trust(sigma, n_frames=200, seed=6):
 
 
 def frame_observability(n_frames=120):
-    """Judge single frames and references; every tenth frame has too few stars."""
     rng = np.random.default_rng(8)
     levels = {
         "model_1": 1.5e-5, "model_2": 1.3e-5, "model_3": 6.6e-6, "model_4": 6.3e-6,

@@ -2,7 +2,6 @@
 
 
 def matching():
-    """Tell of matches that rested after two cycles."""
     return {
         "given": 2233,
         "kept": 2201,
@@ -31,8 +30,6 @@ def matching():
 
 
 def shadow(n_frames=40, lost=(7,), gained=(1, 2, 3)):
-    """Set baseline and candidate side by side on the validation set."""
-
     def side(valid, matched):
         return {"valid": valid, "matched": matched if valid else 0, "reason": None if valid else "too few stars"}
 

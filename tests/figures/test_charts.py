@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from boresight.figures import FIGURES, Trace, radial_contrast
-from boresight.figures.axes import EXTRAPOLATED
+from boresight.figures import FIGURES, Trace
+from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.course import settled_step
-from boresight.figures.rms_tail import sigma_of_rms, tail_of, tailed
+from boresight.figures.rms_tail import tail_of, tailed
+from boresight.figures.style.axes import EXTRAPOLATED
+from boresight.verdicts.verdict import sigma_of_rms
 
 
 def named(drawn, name):
@@ -176,11 +178,11 @@ def test_radii_that_no_star_of_both_runs_reached_are_hatched_over_the_height_of_
         "sigma_arcsec": [0.0, 2.8, 14.0],
         "data_radius_px": 700.0,
     }
-    drawn = radial_contrast.draw(["one", "other"], 0, [None, curve])
+    drawn = radial_contrast.draw_radial_contrast(["one", "other"], 0, [None, curve])
     (hatched,) = named(drawn, EXTRAPOLATED)
     assert hatched.fillpattern.shape == "/"
     assert (min(hatched.x), max(hatched.x)) == (700.0, 1000.0)
     assert min(hatched.y) < 0.0
     assert max(hatched.y) > 4.0 + 3 * 0.5
-    whole = radial_contrast.draw(["one", "other"], 0, [None, {**curve, "data_radius_px": 1000.0}])
+    whole = radial_contrast.draw_radial_contrast(["one", "other"], 0, [None, {**curve, "data_radius_px": 1000.0}])
     assert named(whole, EXTRAPOLATED) == []

@@ -5,9 +5,9 @@ from dataclasses import asdict
 import click
 import pytest
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.cli import main
-from boresight.figures.command_line import calibrate_command
+from boresight.figures.notebook import calibrate_command
 
 CHANGED = {
     "method": "sqrf", "variant": "q", "free": ["f_m", "m0_px"], "match": "given", "match_parameters": "baseline",

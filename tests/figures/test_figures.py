@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 import pytest
 
 from boresight.figures import FIGURES, Trace, figure_json
-from boresight.figures.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, UI_REVISION
+from boresight.figures.style.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, UI_REVISION
 from tests.figures.examined import frame_observability, trust
 from tests.figures.flown import matching, shadow
 
@@ -20,7 +20,6 @@ FIRST_RUN_ONLY = {"residual-map", "residual-quiver"}  # says so
 
 
 def words(drawn: go.Figure) -> str:
-    """Join every annotation of a figure."""
     return " ".join(str(annotation.text) for annotation in drawn.layout.annotations)
 
 
@@ -74,7 +73,6 @@ def test_a_long_history_and_a_comparison_of_eight_stay_below_the_payload_limit(f
 
 @cache
 def long_result(n_frames):
-    """Make a sequential result whose history nobody has shortened."""
     rng = np.random.default_rng(1)
     names = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
     walk = rng.normal(size=(n_frames, 8)).cumsum(axis=0) * 1e-3

@@ -24,7 +24,8 @@ def running(sequential_result):
 def test_what_a_trace_says_of_its_growth_gives_the_points_that_it_shows(running, name):
     history = running["history"]
     figure = FIGURES[name].draw([Trace("Run", running)])
-    curves = [trace for trace in figure.data if trace.meta and not {"band", "level"} & set(trace.meta["follow"])]
+    growing = [trace for trace in figure.data if "follow" in (trace.meta or {})]
+    curves = [trace for trace in growing if not {"band", "level"} & set(trace.meta["follow"])]
     assert len(curves) == {"convergence": 9, "rms": 4}[name]
     for trace in curves:
         follow = trace.meta["follow"]
@@ -37,7 +38,7 @@ def test_what_a_trace_says_of_its_growth_gives_the_points_that_it_shows(running,
 def test_a_band_lies_three_sigmas_around_its_curve(running):
     figure = FIGURES["convergence"].draw([Trace("Run", running)])
     for trace in figure.data:
-        if trace.meta and trace.meta["follow"].get("band"):
+        if (trace.meta or {}).get("follow", {}).get("band"):
             follow = trace.meta["follow"]
             half = len(trace.y) // 2
             sigma = np.array(running["history"]["sigma"], float)[-half:, follow["index"]]
@@ -49,4 +50,4 @@ def test_a_band_lies_three_sigmas_around_its_curve(running):
 @pytest.mark.parametrize("name", ["convergence", "rms"])
 def test_only_the_figure_of_one_running_filter_says_how_it_grows(running, sequential_result, name):
     for traces in ([Trace("Run", sequential_result)], [Trace("a", running), Trace("b", running)]):
-        assert not any(trace.meta for trace in FIGURES[name].draw(traces).data)
+        assert not any("follow" in (trace.meta or {}) for trace in FIGURES[name].draw(traces).data)

@@ -12,7 +12,9 @@ MOST_BYTES = 1_000_000
 
 
 def test_the_page_says_what_the_registry_says():
-    assert (DOCS / "figures.md").read_text() == guide_page(), "write it again with `python docs/draw.py`"
+    assert (DOCS / "figures.md").read_text() == guide_page(), (
+        "write it again with `python -m benchmarks.pages --figures`"
+    )
 
 
 @pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())

@@ -2,12 +2,11 @@
 
 import pytest
 
-from boresight.estimation.observability import WEAK
-from boresight.figures.helpful_data import helpful_data, weakest_words
+from boresight.estimation.statistics.observability import WEAK
+from boresight.figures.charts.helpful_data import helpful_data, weakest_words
 
 
 def seen(direction, sigma, frames=200, **rest):
-    """Make a result whose weakest direction is given, known to so many typical sigmas."""
     weakest = {"direction": direction, "sentence": "Said elsewhere."}
     observed = {"singular_values": [9.0, 1.0], "sigma_of_direction": [0.1, sigma], "weakest": weakest}
     return {"observability": observed, "frames": frames, **rest}

@@ -1,14 +1,12 @@
 """Methods beside each other: their numbers, their way to the bound, and what references hold."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
 from boresight.figures import FIGURES, Trace
-from boresight.figures.method_scores import method_scores
+from boresight.figures.charts.methods import method_scores
 from boresight.figures.trust_parts import column
 
 
@@ -48,7 +46,6 @@ def test_the_cost_is_that_of_the_method_a_frame_and_a_replay_has_none(sequential
 
 
 def steps(values, sigma):
-    """A history of one parameter that takes these values."""
     return {
         "status": "converged",
         "parameter_names": ["f_m"],

@@ -7,7 +7,7 @@ from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 from boresight.figures.notebook import TEMPLATES, draw, table
 from boresight.figures.specimen import specimens
-from boresight.figures.tokens import TOKENS
+from boresight.figures.style.theme import TOKENS
 
 
 @pytest.fixture

@@ -6,10 +6,9 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
-from boresight.figures.evidence import verdict
-from boresight.figures.printed_table import digits, printed_rows
 from boresight.figures.report import command, render_report
-from boresight.figures.trust_marks import trust_doubts
+from boresight.figures.tables.parameter_table import digits, printed_rows
+from boresight.verdicts.verdict import trust_doubts, verdict
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 
@@ -20,7 +19,6 @@ def report(sequential_result):
 
 
 def without_library(text):
-    """Drop the drawing library, the longest script of the page."""
     return text.replace(max(re.findall(r"<script>.*?</script>", text, re.DOTALL), key=len), "")
 
 

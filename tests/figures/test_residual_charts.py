@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.figures import FIGURES, Trace
-from boresight.figures.residual_distribution import shares
-from boresight.figures.residual_outliers import reasons
-from boresight.figures.residual_quiver import CIRCLE, Cells, cells_of, scale_of
+from boresight.figures.charts.trust.residual_distribution import shares
+from boresight.figures.charts.trust.residual_outliers import reasons
+from boresight.figures.charts.trust.residual_quiver import CIRCLE, Cells, cells_of, scale_of
 
 
 def draw(name, result):
@@ -25,7 +25,6 @@ def test_arrows_and_noise_circles_are_drawn_to_the_scale_of_the_bar(sequential_r
     circles, arrows, _, bar = [trace for trace in drawn.data if trace.xaxis == "x2"]
     cells = cells_of(field, "after")
     scale = (bar.x[1] - bar.x[0]) / float(bar.text[1].split("px")[0])
-
     x, y = numbers(arrows.x).reshape(-1, 3), numbers(arrows.y).reshape(-1, 3)
     np.testing.assert_allclose(x[:, 1] - x[:, 0], scale * cells.d_col, rtol=1e-3, atol=0.02)
     np.testing.assert_allclose(y[:, 1] - y[:, 0], scale * cells.d_row, rtol=1e-3, atol=0.02)
@@ -36,7 +35,6 @@ def test_arrows_and_noise_circles_are_drawn_to_the_scale_of_the_bar(sequential_r
 def test_only_cells_clear_of_their_noise_are_diamonds_and_counted(sequential_result):
     drawn = draw("residual-quiver", sequential_result)
     feet = [trace for trace in drawn.data if trace.mode == "markers"][1]
-
     assert list(feet.marker.symbol[:16]) == ["diamond"] * 16  # the first row of cells is off by ten of its sigmas
     assert list(feet.marker.symbol[16:]).count("diamond") <= 3
     assert f"{list(feet.marker.symbol).count('diamond')} of 192 cell means" in drawn.layout.title.text
@@ -46,7 +44,6 @@ def test_before_is_left_out_where_the_old_parameters_have_no_residuals(sequentia
     trust = sequential_result["trust"]
     field = trust["residual_field"] | {"before": None}
     drawn = draw("residual-quiver", sequential_result | {"trust": trust | {"residual_field": field}})
-
     assert {trace.xaxis for trace in drawn.data} == {"x"}
     assert set(FIGURES["residual-quiver"].table(sequential_result)["when"]) == {"before", "after"}
 
@@ -55,7 +52,6 @@ def test_before_is_left_out_where_the_old_parameters_have_no_residuals(sequentia
 def test_the_scale_of_arrows_is_round_and_keeps_them_inside_their_cells(length_px, size_px):
     one = np.ones(3)
     scale = scale_of(Cells(one, one, length_px * one, 0 * one, one, one, one), size_px)
-
     assert scale * length_px <= size_px
     assert scale * length_px >= 0.3 * size_px
     assert float(f"{scale:.0e}"[0]) in {1, 2, 5}
@@ -63,7 +59,6 @@ def test_the_scale_of_arrows_is_round_and_keeps_them_inside_their_cells(length_p
 
 def test_shares_are_of_all_residuals_beyond_the_bins_too(sequential_result):
     part = sequential_result["trust"]["residual_distribution"]
-
     counts = part["before"]["counts"]
     assert shares(part, "before").sum() == pytest.approx(sum(counts) / (sum(counts) + 2010))
     assert shares(part, "after").sum() == pytest.approx(1)
@@ -74,7 +69,6 @@ def test_shares_are_of_all_residuals_beyond_the_bins_too(sequential_result):
 def test_quantiles_stand_beside_the_band_of_chance(sequential_result):
     part = sequential_result["trust"]["residual_distribution"]
     band, line = [trace for trace in draw("residual-distribution", sequential_result).data if trace.xaxis == "x2"]
-
     np.testing.assert_allclose(numbers(line.y), 0.01 * numbers(part["normal"]), atol=1e-6)
     np.testing.assert_allclose(numbers(band.y).max(), 3 * max(part["sigma_of_quantile"]), rtol=1e-5)
 
@@ -87,7 +81,6 @@ def test_reasons_are_counted_once_and_the_most_frequent_come_first():
             {"what": "exposures", "count": 7, "reason": "fewer than 4 usable stars"},
         ],
     }
-
     assert list(reasons(result).items()) == [
         ("two are near", 9), ("exposures: fewer than 4 usable stars", 7), ("no star is near", 5)
     ]  # fmt: skip
@@ -98,14 +91,12 @@ def test_reasons_are_counted_once_and_the_most_frequent_come_first():
 def test_outliers_name_their_frame_and_star(sequential_result):
     part = sequential_result["trust"]["residual_outliers"]
     places = draw("residual-outliers", sequential_result).data[0]
-
     assert places.text[0] == f"HIP {part['star_id'][0]}, frame {part['frame'][0]}"
     assert FIGURES["residual-outliers"].table(sequential_result)["frame"] == part["frame"]
 
 
 def test_one_outlier_is_drawn_on_the_whole_detector(sequential_result):
     drawn = draw("residual-outliers", sequential_result)
-
     assert drawn.layout.xaxis.range == (-0.5, 2591.5)
     assert drawn.layout.yaxis.range == (1943.5, -0.5)
     trust = sequential_result["trust"]
@@ -122,7 +113,6 @@ def test_the_rms_map_leaves_cells_without_stars_open(sequential_result):
     after = field["after"] | {"rms_px": [[None if np.isnan(value) else value for value in row] for row in rms]}
     part = field | {"after": after}
     drawn = draw("residual-rms", sequential_result | {"trust": trust | {"residual_field": part}})
-
     z = numbers(drawn.data[0].z)
     assert np.isnan(z[3, 4])
     assert np.isfinite(z).sum() == 191

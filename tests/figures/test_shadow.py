@@ -5,7 +5,7 @@ import orjson
 import pytest
 
 from boresight.figures import Trace, figure_json
-from boresight.figures.shadow import SHADOW
+from boresight.figures.charts.shadow import SHADOW
 
 
 def side(valid, matched):
@@ -13,7 +13,6 @@ def side(valid, matched):
 
 
 def view(n_frames=40, lost=(7,), gained=(1, 2, 3)):
-    """Make a view in which the baseline alone solves some frames and the candidate alone others."""
     rng = np.random.default_rng(3)
     return {
         "frames": [
@@ -40,7 +39,6 @@ def result(**sets):
 def test_the_validation_set_is_shown_before_the_calibration_set():
     both = SHADOW.draw([Trace("run", result(calibration=view(10), validation=view(20)))])
     one = SHADOW.draw([Trace("run", result(calibration=view(10)))])
-
     assert both.layout.title.text == "Validation set: 3 frames gained, 1 lost"
     assert one.layout.title.text.startswith("Calibration set")
     assert len(both.data[0].x) == 20
@@ -52,13 +50,11 @@ def test_frames_that_one_side_alone_solves_are_marked_by_their_own_shapes():
         for trace in SHADOW.draw([Trace("run", result(calibration=view()))]).data
         if trace.mode == "markers"
     }
-
     assert drawn == {"triangle-up-open": [1, 2, 3], "x-thin-open": [7]}
 
 
 def test_baseline_and_candidate_are_both_drawn_and_named():
     names = [trace.name for trace in SHADOW.draw([Trace("run", result(calibration=view()))]).data]
-
     assert names == [
         "baseline",
         "candidate",
@@ -69,7 +65,6 @@ def test_baseline_and_candidate_are_both_drawn_and_named():
 
 def test_nothing_lost_leaves_no_cross_in_the_legend():
     drawn = SHADOW.draw([Trace("run", result(calibration=view(lost=())))])
-
     assert [trace.showlegend for trace in drawn.data if trace.mode == "markers"] == [True, False]
 
 
@@ -77,9 +72,7 @@ def test_a_comparison_gives_each_candidate_its_colour_and_stays_small():
     many = [
         Trace(f"run {i}", result(validation=view(2000, lost=range(500), gained=range(500, 1000)))) for i in range(8)
     ]
-
     text = figure_json(SHADOW.draw(many))
-
     assert b"#3b8fe0" in text
     assert b"#d9730d" in text
     assert len(text) < 500_000
@@ -88,7 +81,6 @@ def test_a_comparison_gives_each_candidate_its_colour_and_stays_small():
 @pytest.mark.parametrize("document", [{}, {"shadow": None}, result(), result(validation={"frames": []})])
 def test_without_a_view_it_says_what_is_missing(document):
     drawn = SHADOW.draw([Trace("run", document)])
-
     assert not drawn.data
     assert "side by side when the run ends" in drawn.layout.annotations[0].text
     assert SHADOW.table(document) == {}
@@ -96,7 +88,6 @@ def test_without_a_view_it_says_what_is_missing(document):
 
 def test_the_table_lists_every_frame_with_the_stars_that_moved():
     columns = SHADOW.table(result(calibration=view()))
-
     assert {len(column) for column in columns.values()} == {40}
     assert columns["lost"][7] == "1 2"
     assert columns["candidate_reason"][7] == "too few stars"

@@ -18,7 +18,9 @@ def test_the_specimen_is_small_and_inside_the_package():
 @pytest.mark.parametrize("names", [("filter",), ("batch",), ("filter", "batch")], ids="-".join)
 def test_every_figure_has_something_to_draw_of_it(figure, names):
     drawn = figure.draw(specimen_traces(names))
-    assert drawn.data, f"make the specimen again with `python docs/draw.py --renew`: {figure.name} lacks its data"
+    assert drawn.data, (
+        f"make the specimen again with `python -m benchmarks.pages --figures --renew`: {figure.name} lacks its data"
+    )
     assert figure.table(specimens()[names[0]])
 
 

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from boresight.figures import theme
-from boresight.figures.tokens import TOKENS
+from boresight.figures.style import theme
+from boresight.figures.style.theme import TOKENS
 
 # Machado, Oliveira and Fernandes 2009, severity 1.0, on linear RGB
 DEFICIENCIES = {

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from boresight.figures.thinning import POINT_LIMIT, keep_extremes
+from boresight.figures.style.thinning import POINT_LIMIT, keep_extremes
 
 SERIES = arrays.arrays(
     np.float64, st.integers(1, 5000), elements=st.floats(-1e9, 1e9) | st.just(np.nan), fill=st.floats(-1, 1)

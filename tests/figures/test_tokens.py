@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.figures import theme
-from boresight.figures.tokens import PANELS, THEMES, TOKENS, contrast, read_themes
+from boresight.figures.style import theme
+from boresight.figures.style.theme import PANELS, THEMES, TOKENS, contrast, read_themes
 from boresight.resources import folder
 
 STATIC = folder("frontend") / "static"
-SHEETS = sorted(STATIC.glob("*.css"))
+SHEETS = sorted(STATIC.rglob("*.css"))
 EVERY_THEME = pytest.mark.parametrize("tokens", TOKENS.values(), ids=TOKENS)
 LETTERS, SHAPES = 4.5, 3.0
 SURFACES = ("surface-0", "surface-1", "surface-2", "surface-3")
@@ -33,7 +33,6 @@ colours = st.integers(0, 0xFFFFFF).map("#{:06x}".format)
 
 
 def too_faint(tokens, pairs, least):
-    """Name the pairs that are below a contrast."""
     found = ((one, other, contrast(tokens[one], tokens[other])) for one, other in pairs)
     return [f"{one} on {other}: {ratio:.2f}" for one, other, ratio in found if ratio < least]
 
@@ -75,7 +74,7 @@ def test_a_theme_knows_every_token_that_a_sheet_uses(tokens):
 
 
 def test_no_token_is_declared_in_vain():
-    texts = [path.read_text() for path in (*SHEETS, *(folder("frontend") / "templates").glob("*.html"))]
+    texts = [path.read_text() for path in (*SHEETS, *(folder("frontend") / "templates").rglob("*.html"))]
     used = {name for text in texts for name in re.findall(r"var\(--([\w-]+)", text)}
     drawn = {f"run-{place}" for place in range(1, 9)} | {"reference", "truth"}
     assert set(TOKENS["dark"]) - used - drawn == set()
@@ -89,11 +88,13 @@ def test_a_colour_stands_in_a_token_and_nowhere_else(sheet):
 
 def test_plots_take_their_colours_from_the_sheet():
     assert theme.RUN_COLOURS[0] == TOKENS["dark"]["run-1"]
-    changed = read_themes((STATIC / "style.css").read_text().replace("--run-1: #3b8fe0", "--run-1: #123456"))
+    changed = read_themes((STATIC / "shared" / "style.css").read_text().replace("--run-1: #3b8fe0", "--run-1: #123456"))
     assert {tokens["run-1"] for tokens in changed.values()} == {"#123456"}
 
 
 def test_a_sheet_without_a_theme_is_refused():
     with pytest.raises(ValueError, match="without contrast"):
-        read_themes((STATIC / "style.css").read_text().replace('[data-theme="contrast"]', '[data-theme="lost"]'))
+        read_themes(
+            (STATIC / "shared" / "style.css").read_text().replace('[data-theme="contrast"]', '[data-theme="lost"]')
+        )
     assert set(THEMES) == set(TOKENS)

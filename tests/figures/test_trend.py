@@ -1,12 +1,11 @@
 """The trend's figure: every number at its place, what does not count open, models apart, nothing too large to send."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
 
-from boresight.figures import figure_json, trend
+from boresight.figures import figure_json
+from boresight.figures.charts import trend
 
 NAMES = ["f_m", "b2_per_m2"]
 

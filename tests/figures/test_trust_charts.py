@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.figures import CHAPTERS, FIGURES, Trace
-from boresight.figures.innovations import running_mean
-from boresight.figures.more_data import round_ticks
-from boresight.figures.residual_map import CLEAR_SIGMA, Field, cell_means
-from boresight.figures.rms_axes import running, spread_of
+from boresight.figures.charts.rms import running, spread_of
+from boresight.figures.charts.trust.innovations import running_mean
+from boresight.figures.charts.trust.more_data import round_ticks
+from boresight.figures.charts.trust.residual_map import CLEAR_SIGMA, Field, cell_means
 
 PART_OF = {
     "two-halves": "two_halves",

@@ -2,10 +2,10 @@
 
 import pytest
 
-from boresight.figures.matching_table import flight_rows, match_counts, reason_tables
 from boresight.figures.report import MOST_STARS, render_report
-from boresight.figures.star_table import star_rows, to_flag
-from boresight.figures.trust_marks import prospects, trust_doubts, trust_level, trust_marks
+from boresight.figures.tables.matching_table import flight_rows, match_counts, reason_tables
+from boresight.figures.tables.star_table import star_rows, to_flag
+from boresight.verdicts.verdict import prospects, trust_doubts, trust_level, trust_marks
 
 
 def changed(result, part, **values):

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, Trace, figure_json
-from boresight.figures.alignment import ALIGNMENTS, aligned, name_axis
-from boresight.figures.envelope import as_band, span_of
+from boresight.figures.charts.alignment import ALIGNMENTS, aligned, name_axis
 from boresight.figures.focus import POINT_BUDGET, focus
-from boresight.figures.theme import run_styles
-from boresight.figures.thinning import keep_extremes, thinning
+from boresight.figures.style.envelope import as_band, span_of
+from boresight.figures.style.theme import run_styles
+from boresight.figures.style.thinning import keep_extremes, thinning
 from tests.figures.conftest import batch, sequential
 
 LONG = 30_000
@@ -97,6 +97,22 @@ def test_a_band_keeps_the_reference_and_replaces_all_others():
     names = {drawn.name for drawn in figure.data}
     assert names == {"Run 1 · tail", "Run 1 · aggregate", "lowest to highest of 11 runs"}
     assert len(figure_json(figure)) < len(figure_json(FIGURES["rms"].draw(traces))) / 2
+
+
+def test_a_reference_whose_name_begins_as_another_run_s_is_no_part_of_the_band():
+    labels = ("Run 12", "Run 1", "Run 2", "±3σ and more")
+    traces = [Trace(label, sequential(60, seed=k)) for k, label in enumerate(labels)]
+    figure = as_band(FIGURES["rms"].draw(traces), traces)
+    names = {drawn.name for drawn in figure.data}
+    assert names == {"Run 12 · tail", "Run 12 · aggregate", "lowest to highest of 3 runs"}
+    assert sum(drawn.name == "lowest to highest of 3 runs" for drawn in figure.data) == 4  # two panels, two curves
+
+
+def test_a_curve_says_whose_it_is_and_a_band_how_many_sigmas_it_reaches():
+    drawn = FIGURES["convergence"].draw([Trace("a", sequential(60))]).data
+    bands = [trace for trace in drawn if trace.fill == "toself"]
+    assert bands
+    assert all(trace.meta == {"run": "a", "part": "", "sigmas": 3} for trace in bands)
 
 
 def test_twenty_runs_have_twenty_lines():

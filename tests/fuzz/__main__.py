@@ -20,7 +20,6 @@ TELL_EVERY_S = 30
 
 
 def main() -> int:
-    """Run, write the counts, and return 1 where anything failed."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz")
     parser.add_argument("--requests", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=1)

@@ -18,8 +18,8 @@ import pyarrow.csv
 import pyarrow.parquet
 import requests
 
-from boresight.calibration.settings import CalibrationSettings
-from boresight.gates.profile import DEFAULT_PROFILE
+from boresight.calibration.options import CalibrationSettings
+from boresight.verdicts.gates.profile import DEFAULT_PROFILE
 from tests.api.conftest import House
 from tests.fuzz.judge import Asker, Tally, bare_case
 from tests.fuzz.world import World
@@ -40,14 +40,11 @@ MOST_FRAMES = 6
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of document: the operation that takes it, and how a request with a changed one is made."""
-
     operation: str
     make: Callable[[World, random.Random], dict[str, Any]]
 
 
 def places(document: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield the way to every place in a document."""
     yield way
     if isinstance(document, dict):
         for name, value in document.items():
@@ -58,7 +55,6 @@ def places(document: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]
 
 
 def changed(document: Any, random_: random.Random) -> Any:
-    """Return a document with one to three places changed."""
     found = copy.deepcopy(document)
     for _ in range(random_.choice((1, 1, 1, 2, 3))):
         ways = [way for way in places(found) if way]
@@ -73,7 +69,6 @@ def changed(document: Any, random_: random.Random) -> Any:
 
 
 def _change(holder: Any, last: Any, random_: random.Random) -> None:
-    """Change one place."""
     act = random_.random()
     if act < 0.6:
         holder[last] = copy.deepcopy(random_.choice(ODD))
@@ -174,7 +169,6 @@ def _upload(world: World, random_: random.Random) -> dict[str, Any]:
 
 
 def _file(house: House, random_: random.Random) -> tuple[bytes, str]:
-    """Return a telemetry file with a few places changed, and a name for it."""
     lines = [line.split(b",") for line in house.telemetry_csv.splitlines()]
     frames = sorted({int(line[0].strip(b'"')) for line in lines[1:]})[:MOST_FRAMES]
     kept = [lines[0], *(line for line in lines[1:] if int(line[0].strip(b'"')) in frames)]
@@ -221,7 +215,6 @@ def _as_lines(content: bytes) -> bytes:
 
 
 def _torn(content: bytes, random_: random.Random) -> bytes:
-    """Flip bytes, cut, or double a piece."""
     place = random_.randrange(len(content))
     return random_.choice(
         (
@@ -262,7 +255,6 @@ KINDS = (
 
 
 def fuzz_document(world: World, kind: Kind, asker: Asker, count: int, seed: int, tally: Tally) -> None:
-    """Send changed documents of one kind."""
     random_ = random.Random(f"{seed} {kind.operation} {asker.name}")
     operation = world.operations[kind.operation]
     for _ in range(count):

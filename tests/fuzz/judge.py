@@ -47,7 +47,6 @@ class Asker:
     log_ins: int = 0
 
     def log_in(self) -> None:
-        """Begin a new log-in."""
         self.session.close()
         self.session = requests.Session()
         if self.name is None:
@@ -59,7 +58,6 @@ class Asker:
         self.log_ins += 1
 
     def send(self, request: dict[str, Any], *, whole: bool = True) -> requests.Response:
-        """Send a request; again after a new log-in where the answer is that nobody is logged in."""
         own = {"authorization", "x-csrf-token", "cookie"} if self.name else {"cookie"}
         headers = {name: value for name, value in (request.get("headers") or {}).items() if name.lower() not in own}
         sent = {**request, "headers": headers, "timeout": LONGEST_WAIT_S, "allow_redirects": False, "stream": not whole}
@@ -73,8 +71,6 @@ class Asker:
 
 @dataclass
 class Tally:
-    """What was asked and what was found."""
-
     requests: int = 0
     unsendable: int = 0
     statuses: Counter[int] = field(default_factory=Counter)
@@ -85,7 +81,6 @@ class Tally:
     undocumented: list[str] = field(default_factory=list)
 
     def judge(self, kind: str, asker: Asker, case: Case, request: dict[str, Any], answer: requests.Response) -> None:
-        """Count an answer, and keep what is wrong with it."""
         self.requests += 1
         self.statuses[answer.status_code] += 1
         self.by_asker[asker.name or "anonymous"] += 1
@@ -99,11 +94,9 @@ class Tally:
 
     @property
     def failures(self) -> list[str]:
-        """Everything that must not be."""
         return [*self.server_errors, *self.undocumented]
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts."""
         return {
             "requests": self.requests,
             "operations": len(self.operations),
@@ -116,7 +109,6 @@ class Tally:
 
 
 def _failures(case: Case, answer: requests.Response) -> list[str]:
-    """Hold an answer against what the document says of it."""
     if answer.headers.get("content-type", "").startswith("text/event-stream"):
         return []  # endless: its status and type are all there is to see
     try:
@@ -129,10 +121,8 @@ def _failures(case: Case, answer: requests.Response) -> list[str]:
 
 
 def _told(request: dict[str, Any]) -> str:
-    """Write a request so that a person can send it again."""
     return repr({name: value for name, value in request.items() if name != "timeout"})[:SHOWN]
 
 
 def bare_case(operation: APIOperation, **given: Any) -> Case:
-    """Return a case that says only which operation was asked."""
     return operation.Case(method=operation.method.upper(), **given)

@@ -25,7 +25,6 @@ QUIET = list(HealthCheck)
 
 
 def fuzz_operation(world: World, operation: APIOperation, asker: Asker, count: int, seed: int, tally: Tally) -> None:
-    """Ask one operation as one identity."""
     random_ = random.Random(f"{seed} {operation.label} {asker.name}")
     for mode, share in ((GenerationMode.POSITIVE, count - count // 2), (GenerationMode.NEGATIVE, count // 2)):
         if share:
@@ -41,7 +40,6 @@ def _drawn(
     random_: random.Random,
     tally: Tally,
 ) -> None:
-    """Draw cases of one mode and send them."""
     goal = tally.requests + count
 
     @hypothesis.seed(random_.randrange(1 << 32))
@@ -68,7 +66,6 @@ def _drawn(
 
 
 def send(world: World, case: Case, asker: Asker, random_: random.Random, tally: Tally) -> None:
-    """Send one case with numbers and tags that there are, and judge its answer."""
     try:
         request = case.as_transport_kwargs(base_url=world.house.address)
         _aim(world, case.operation, request, random_)
@@ -83,7 +80,6 @@ def send(world: World, case: Case, asker: Asker, random_: random.Random, tally: 
 
 
 def _aim(world: World, operation: APIOperation, request: dict[str, Any], random_: random.Random) -> None:
-    """Let a request name what there is."""
     path = operation.path
     names = re.findall(r"{(\w+)}", path)
     if names and (path.endswith(SHUTS_OUT) or random_.random() < HITS):
@@ -104,7 +100,6 @@ def _aim(world: World, operation: APIOperation, request: dict[str, Any], random_
 
 
 def _aim_members(world: World, path: str, holder: dict[str, Any], random_: random.Random) -> None:
-    """Replace numbers in a query or a body."""
     for name in holder:
         number = world.number(name, path, random_)
         if number is not None and random_.random() < HITS:
@@ -112,14 +107,12 @@ def _aim_members(world: World, path: str, holder: dict[str, Any], random_: rando
 
 
 def _given(path: str, url: str) -> list[str]:
-    """Return what a made-up address says for its parameters."""
     pattern = re.sub(r"{\w+}", "(.*)", re.escape(path).replace(r"\{", "{").replace(r"\}", "}"))
     found = re.search(f"{pattern}$", url)
     return list(found.groups()) if found else []
 
 
 def _tag(world: World, path: str, parts: dict[str, str]) -> str:
-    """Return the tag that something has now, read by the administrator; not counted as a request."""
     noun = path[: path.index("}") + 1]
     answer = world.read(noun.format(**parts).removeprefix("/api/v1/"))
     return str(answer.headers.get("etag", '"v1"'))

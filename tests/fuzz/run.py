@@ -39,13 +39,11 @@ def fuzz(world: World, requests: int, seed: int = 1, tell: Any = None) -> Tally:
 
 
 def _piece(requests: int, world: World) -> int:
-    """Return how many requests of one operation are sent at a time."""
     jobs = len(world.operations) * len(world.askers) / (1 - OF_DOCUMENTS)
     return max(1, min(PIECE, int(requests / jobs)))  # so that one turn comes to every operation
 
 
 def _jobs(world: World) -> Iterator[Any]:
-    """Yield what is asked, one piece a turn: documents lie among the operations in their share."""
     operations = [(operation, asker) for operation in world.operations.values() for asker in world.askers]
     documents = [(kind, asker) for kind in KINDS for asker in world.askers[:2]]
     share = OF_DOCUMENTS / (1 - OF_DOCUMENTS)

@@ -1,4 +1,4 @@
-"""Three thousand made-up requests over every operation, as administrator, analyst and anonymous; `make fuzz` sends more."""
+"""Made-up requests over every operation, as administrator, analyst and anonymous; `make fuzz` sends more."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import pytest
 
 from boresight.sky.catalogue import load_catalogue
 from tests.api.conftest import house_in
+from tests.effort import effort
 from tests.fuzz.documents import KINDS, ODD, changed, places
 from tests.fuzz.run import fuzz
 from tests.fuzz.world import furnished
 
-REQUESTS = 3000
+REQUESTS = effort(800, 3000)
 
 
 def test_no_request_ends_in_a_server_error_or_in_an_answer_that_is_not_documented(

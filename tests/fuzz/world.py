@@ -43,8 +43,6 @@ SHUTS_OUT = (":disable", ":change-roles", ":change-password", ":end-sessions")
 
 @dataclass
 class World:
-    """What is asked, who asks, and what there is."""
-
     house: House
     operations: dict[str, APIOperation]
     askers: list[Asker]
@@ -63,17 +61,14 @@ class World:
         return random_.choice(known) if known else None
 
     def read(self, path: str) -> requests.Response:
-        """Read something as the administrator, whose log-ins the run may have ended meanwhile; not counted as a request."""
         return self.askers[0].send({"method": "GET", "url": f"{self.house.address}/api/v1/{path}"})
 
     def close(self) -> None:
-        """Close every connection."""
         for asker in self.askers:
             asker.session.close()
 
 
 def furnished(house: House) -> World:
-    """Fill a server, and return what there is."""
     for name in FURNITURE:
         who, options = GOOD[name](house)
         ask(house.person(who), name, options)
@@ -103,6 +98,5 @@ def _person(house: House, name: str) -> int:
 
 
 def _numbers(house: House, noun: str) -> list[int]:
-    """Return the numbers of a list's first page."""
     items: list[Mapping[str, Any]] = house.person("adele").get(f"/api/v1/{noun}?limit=200").json()["items"]
     return [item["id"] for item in items if item["id"] is not None]

@@ -17,24 +17,29 @@ import orjson
 import pytest
 from fastapi import Response
 
-from boresight.api.cookies import SESSION_COOKIE
 from boresight.calibration import listening
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.calibration.options import CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.access import sessions
+from boresight.console.access.credentials import SESSION_COOKIE
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import migrate, open_engine, utc_now, writing
 from boresight.server import create_app
-from boresight.services import audit, parameter_sets, sessions, users
-from boresight.services.actors import COMMAND_LINE, Actor
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
-from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import open_blobs
-from boresight.store.sessions import migrate, open_engine, utc_now, writing
-from boresight.store.tables import Blob, Run, Sensor, TelemetrySet
+from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import sensor_document
-from boresight.workers.summary import summary_of
-from tests.passwords import new_password
+from boresight.verdicts.summary import summary_of
+from tests.passwords import add_person
 from tests.stores import copied, environment_in
 
 PASSWORD = "correct horse battery"
@@ -49,9 +54,7 @@ PEOPLE = {
 
 
 @pytest.fixture(scope="session")
-def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
-    """Calibrate the first simulated sensor by batch and by filter; `sqrf-partial` is the filter on its way."""
-    catalogue = load_catalogue(tmp_path_factory.mktemp("catalogue"))
+def results(catalogue: Catalogue) -> dict[str, dict[str, Any]]:
     scenario = dataclasses.replace(calibration_scenario(1), frames=40)
     held_out = dataclasses.replace(validation_scenario(1), frames=20)
     telemetry = simulate(scenario, np.random.default_rng(1), catalogue)
@@ -81,20 +84,12 @@ def _settings(folder: Path) -> Settings:
 
 @pytest.fixture(scope="session")
 def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any]) -> Path:
-    """Make the store once: people, sensor 1, a calibration and a validation set, runs 1 (batch) and 2 (filter)."""
     settings = _settings(tmp_path_factory.mktemp("furnished"))
     engine, blobs = open_engine(settings.database_url), open_blobs(settings.blob_place)
     migrate(engine)
     with writing(engine) as session:
         for name, (printed_name, roles) in PEOPLE.items():
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=printed_name,
-                password=new_password(PASSWORD),
-                roles=roles,
-            )
+            add_person(session, name, *roles, printed_name=printed_name)
         description = calibration_scenario(1).sensor
         names = CAMERA_MODELS[description.camera_model].parameter_names
         sensor = Sensor(
@@ -135,8 +130,6 @@ def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any])
 
 @dataclass
 class House:
-    """A store that tests write into, and the application on top of it."""
-
     settings: Settings
     app: Any = field(init=False)
 
@@ -149,7 +142,6 @@ class House:
         self.blobs = self.app.state.blobs
 
     def add_run(self, method: str = "batch", *, state: str = "QUEUED", result: Any = None, **columns: Any) -> int:
-        """Store a run in a state, with its result where it has one."""
         with writing(self.engine) as session:
             sensor = session.get_one(Sensor, columns.pop("sensor_id", 1))
             values = {
@@ -183,12 +175,10 @@ class House:
             return run.id
 
     def actor(self, name: str) -> Actor:
-        """Return a person as a log-in makes them."""
         number = list(PEOPLE).index(name) + 1
         return Actor(number, name, PEOPLE[name][0], frozenset(PEOPLE[name][1]), "session")
 
     def visitor(self, name: str) -> Visitor:
-        """Let a person of PEOPLE in."""
         carrier = Response()
         with writing(self.engine) as session:
             _, token = sessions.begin(session, list(PEOPLE).index(name) + 1, sessions.Client())
@@ -199,15 +189,11 @@ class House:
 
 @dataclass
 class Visitor:
-    """A person at a browser without scripts; the cookies are kept from page to page."""
-
     app: Any
     csrf_token: str
     cookies: httpx.Cookies
 
     def send(self, method: str, path: str, **options: Any) -> httpx.Response:
-        """Send a request and wait for the answer."""
-
         async def exchange() -> httpx.Response:
             transport = httpx.ASGITransport(self.app)
             async with httpx.AsyncClient(transport=transport, base_url="http://test", cookies=self.cookies) as client:
@@ -218,19 +204,16 @@ class Visitor:
         return asyncio.run(exchange())
 
     def get(self, path: str, *, status: int = 200) -> str:
-        """Open a page and return it."""
         answer = self.send("GET", path)
         assert answer.status_code == status, answer.text
         return answer.text
 
     def post(self, path: str, **form: Any) -> httpx.Response:
-        """Send a form with the log-in's token."""
         return self.send("POST", path, data={"csrf_token": self.csrf_token, **form})
 
 
 @pytest.fixture
 def house(furnished: Path, tmp_path: Path) -> Any:
-    """Give a test its own copy of the furnished store."""
     shutil.copytree(furnished, tmp_path / "data")
     copied(furnished, tmp_path / "data")
     house = House(_settings(tmp_path / "data"))
@@ -239,7 +222,6 @@ def house(furnished: Path, tmp_path: Path) -> Any:
 
 
 def words(page: str) -> str:
-    """Return a page's words as a reader meets them, spaces made one."""
     main = page[page.index("<main") : page.index("</main>")]
     text = re.sub(r"<[^>]+>", " ", main)
     for entity, letter in (
@@ -256,5 +238,4 @@ def words(page: str) -> str:
 
 @pytest.fixture
 def read() -> Any:
-    """Return the function that reads a page's words."""
     return words

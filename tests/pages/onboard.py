@@ -1,37 +1,23 @@
 """A table definition for the sensor of these tests, and its sets at a state on board."""
 
-from __future__ import annotations
-
 from typing import Any
 
-from boresight.services import read_backs, table_definitions, uplinks
-from boresight.store.sessions import Session, reading, writing
-from boresight.store.tables import ParameterSet
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import read_backs, table_definitions
+from boresight.console.uplinks import service as uplinks
+from boresight.platform.db.sessions import Session, reading, writing
 from tests.passwords import proved
+from tests.services.onboard import DOCUMENT
 
 from .conftest import PASSWORD
 
-NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
-DOCUMENT: dict[str, Any] = {
-    "table_id": "STR_CAM",
-    "flight_software_version": "4.2.1",
-    "length_bytes": 68,
-    "fields": [
-        {"name": name.upper(), "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
-        for place, name in enumerate(NAMES)
-    ],
-    "crc": {"name": "CRC-16/CCITT-FALSE", "offset_bytes": 64, "over": [0, 64]},
-}
-
 
 def define(house: Any) -> None:
-    """Put the definition into force for sensor 1."""
     with writing(house.engine) as session:
         table_definitions.set_definition(session, house.actor("ada"), 1, DOCUMENT, "As flown.", 0)
 
 
 def climb(house: Any, *states: str, set_id: int = 1) -> None:
-    """Bring a set to one state after another, each by its door: statement, dump, signature."""
     for state in states:
         with reading(house.engine) as session:
             undefined = table_definitions.definition_in_force(session, 1) is None
@@ -53,19 +39,16 @@ def _step(session: Session, house: Any, set_id: int, state: str) -> None:
 
 
 def table(house: Any, set_id: int = 1) -> bytes:
-    """Return the bytes that a read-back is held against."""
     with reading(house.engine) as session:
         return read_backs.reference_of(session, house.blobs, session.get_one(ParameterSet, set_id)).content
 
 
 def version(house: Any, set_id: int = 1) -> str:
-    """Return the version that a form carries."""
     with reading(house.engine) as session:
         return str(session.get_one(ParameterSet, set_id).version)
 
 
 def send_dump(house: Any, visitor: Any, dump: bytes, **typed: str) -> Any:
-    """Upload a dump with the form of the page."""
     data = {"csrf_token": visitor.csrf_token, "source": "TM 4711", "version": version(house), **typed}
     files = {"file": ("dump.bin", dump, "application/octet-stream")}
     return visitor.send("POST", "/parameter-sets/1/uplink/read-back", data=data, files=files)

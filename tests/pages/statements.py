@@ -1,7 +1,5 @@
 """Counting what a page asks of its store."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,15 +10,12 @@ import sqlalchemy as sa
 
 @dataclass
 class Asked:
-    """What was asked of the store: statements, and the rows that came."""
-
     statements: int = 0
     rows: int = 0
 
 
 @contextmanager
 def counted(engine: Any) -> Iterator[Asked]:
-    """Count the statements and the rows that are fetched."""
     asked = Asked()
 
     def _statement(*event: Any) -> None:

@@ -1,10 +1,8 @@
 """Numbers in addresses that no row can have."""
 
-from __future__ import annotations
-
 import pytest
 
-from boresight.pages.addresses import GREATEST_NUMBER
+from boresight.console.pages.rendering import GREATEST_NUMBER
 
 HUGE = "99999999999999999999999"
 

@@ -1,16 +1,14 @@
 """The administration page: how people, keys, workers, approval, audit and backup are at."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 
 import pytest
 
-from boresight.pages.administration import keys_at, warnings
-from boresight.services import users
-from boresight.store.sessions import writing
-from boresight.store.tables import ApiKey, User
+from boresight.console.access import users
+from boresight.console.access.tables import ApiKey, User
+from boresight.console.administration.pages import keys_at, warnings
+from boresight.platform.db.sessions import writing
 from tests.passwords import new_password
 
 

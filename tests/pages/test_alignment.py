@@ -18,8 +18,6 @@ ALIGNMENT = {
 
 @pytest.fixture
 def place_of(house, results):
-    """Make a candidate of a run with an alignment, and return its address."""
-
     def place(alignment):
         run = house.add_run("batch", state="SUCCEEDED", result={**results["batch"], "alignment": alignment})
         return house.visitor("ada").post(f"/runs/{run}/parameter-set").headers["location"]
@@ -35,7 +33,6 @@ def requested(house, place):
 
 def test_the_page_of_a_set_and_of_its_request_show_rotation_uncertainty_and_update(house, place_of, read):
     place = place_of(ALIGNMENT)
-
     for address in (place, requested(house, place)):
         text = read(house.visitor("alan").get(address))
         assert ALIGNMENT["sentence"] in text
@@ -47,7 +44,6 @@ def test_the_page_of_a_set_and_of_its_request_show_rotation_uncertainty_and_upda
 
 def test_the_alignment_is_read_before_the_signature(house, place_of):
     page = house.visitor("alan").get(requested(house, place_of(ALIGNMENT)))
-
     assert page.index('id="change-title"') < page.index('id="alignment-title"') < page.index('id="sign-title"')
 
 
@@ -76,5 +72,4 @@ def test_a_baseline_that_was_calibrated_itself_is_a_caution_for_the_next(house, 
     )
     olga = house.visitor("olga")
     olga.post(f"{first}/promote", version=olga.get(first).split('name="version" value="')[1].split('"')[0])
-
     assert "PS-ST16-1-1 is no ground calibration" in read(olga.get(place_of(ALIGNMENT | {"frames": 11})))

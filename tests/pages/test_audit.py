@@ -1,13 +1,10 @@
 """The audit log as a page."""
 
-from __future__ import annotations
-
 import pytest
 
-from boresight.pages.audit import line_of
-from boresight.pages.audit_changes import changes
-from boresight.services import audit
-from boresight.store.sessions import reading, writing
+from boresight.console.audit.pages import changes, line_of
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
 from tests.stores import drop_triggers
 
 
@@ -23,7 +20,7 @@ def test_the_light_says_whether_the_chain_holds(house, read):
 
 
 def test_a_long_chain_is_verified_when_asked(house, read, monkeypatch):
-    monkeypatch.setattr("boresight.pages.audit.VERIFIED_AT_EVERY_VISIT", 1)
+    monkeypatch.setattr("boresight.console.audit.pages.VERIFIED_AT_EVERY_VISIT", 1)
     visitor = house.visitor("victor")
     assert "NOT VERIFIED" in read(visitor.get("/audit"))
     assert "CHAIN HOLDS" in read(visitor.get("/audit?verify=1"))
@@ -33,7 +30,7 @@ def test_records_of_one_object_are_found_by_its_address(house, read):
     page = read(house.visitor("victor").get("/audit?object=users/2"))
     assert "users/2" in page
     assert "users/3" not in page
-    assert "No record of runs/99." in read(house.visitor("victor").get("/audit?object=runs/99"))
+    assert 'class="empty"' in house.visitor("victor").get("/audit?object=runs/99")
 
 
 def test_older_records_follow_where_the_page_ended(house):
@@ -56,7 +53,7 @@ def test_filters_in_the_address_narrow_the_list_and_stay_in_the_form(house, read
     assert "runs/1" in page
     assert "runs/2" not in page
     assert "<option selected>tested</option>" in visitor.get("/audit?action=tested")
-    assert "No record is like this." in read(visitor.get("/audit?since=2100-01-01"))
+    assert 'class="empty"' in visitor.get("/audit?since=2100-01-01")
     assert "runs/2" in read(visitor.get("/audit?since=2020-01-01T00:00Z&until=2100-01-01&action=tested"))
     assert "'soon' is no time" in read(visitor.get("/audit?since=soon"))
 

@@ -1,10 +1,8 @@
 """What an audit record changed, as people read it."""
 
-from __future__ import annotations
-
 import pytest
 
-from boresight.pages.audit_changes import changes, title_of, unit_of
+from boresight.console.audit.pages import changes, title_of, unit_of
 
 
 @pytest.mark.parametrize(

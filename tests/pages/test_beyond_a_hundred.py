@@ -7,23 +7,30 @@ import re
 import pytest
 import sqlalchemy as sa
 
-from boresight.pages.run import parameter_set_of
-from boresight.services import alarms, approvals, audit, gate_profiles, lists, packages, parameter_sets, runs
-from boresight.services.actors import COMMAND_LINE, POLICY
-from boresight.store.sessions import reading, utc_now, writing
-from boresight.store.tables import (
-    Alarm,
-    Approval,
-    Campaign,
-    CampaignRun,
-    Package,
-    ParameterSet,
-    Run,
-    RunEvent,
-    Sensor,
-    Signature,
-    TelemetrySet,
-)
+from boresight.console import lists
+from boresight.console.access import sessions as session_list
+from boresight.console.access.tables import LoginSession
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals import gate_profiles, proposals
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
+from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.fleet.pages import overview
+from boresight.console.fleet.tables import Sensor
+from boresight.console.notes import service as notes
+from boresight.console.notes.tables import Note
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import service as runs
+from boresight.console.runs.pages.run import parameter_set_of
+from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.uplinks import packages
+from boresight.console.uplinks.tables import Package
+from boresight.platform.actors import COMMAND_LINE, POLICY
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, utc_now, writing
 
 from .statements import counted
 
@@ -160,6 +167,52 @@ def test_the_overview_counts_what_came_back_approved_sets_baselines_and_alarms_b
     page = house.visitor("ada").get("/")
     assert page.count(">ALARM</span>") >= 100  # of the sensors that are drawn, however many alarms are newer
     assert count_in(read(page), "more") >= MANY - 8
+
+
+def test_the_overview_counts_every_sensor_whose_newest_run_failed_whatever_it_draws(house, read):
+    with writing(house.engine) as session:
+        sensor = session.get_one(Sensor, 1)
+        for number in range(2, MANY + 2):
+            other = like(sensor, name=f"Fleet-{number}")
+            session.add(other)
+            session.flush()
+            session.add(like(session.get_one(Run, 1), sensor_id=other.id, state="FAILED", reason="x", summary=None))
+        audit.append(session, COMMAND_LINE, "brought in", "sensors")
+    page = house.visitor("ada").get("/")
+    assert page.count('<h3 class="name">') == overview.MOST_TILES < MANY
+    assert count_in(read(page), "more") == MANY + 1 - overview.MOST_ACTIONS  # and run 1, which converged
+
+
+def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(house, read):
+    many = 2 * MANY
+    house.visitor("ada").get("/sensors/1/gates")
+    with writing(house.engine) as session:
+        first = gate_profiles.list_profiles(session, 1)[0]
+        session.add(first)
+        session.flush()
+        for number in range(1, many + 1):
+            when = utc_now()
+            session.add_all((
+                Note(subject_kind="runs", subject_id=1, user_id=ADA, printed_name="Ada", text="n", made_utc=when),
+                ChangeProposal(
+                    sensor_id=1, kind="gate-profile", base_number=0, document={}, sha256=f"{number:064x}", reason="r",
+                    proposed_utc=when, proposed_by=ADA, expires_utc="2999-01-01T00:00:00.000000Z", state="OPEN",
+                ),
+                LoginSession(user_id=ADA, token_hash=str(number), created_utc=when, last_used_utc=when, address="", user_agent=""),
+                like(first, number=first.number + number, sha256=f"{number:064x}"),
+            ))  # fmt: skip
+        audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
+    with reading(house.engine) as session:
+        assert (
+            notes.count_notes(session, "runs", 1)
+            == len(notes.list_notes(session, house.actor("ada"), "runs", 1))
+            == many
+        )
+        assert proposals.count_open(session) == len(proposals.list_proposals(session, state="OPEN")) == many
+        assert len(session_list.list_sessions(session, house.actor("ada"), is_open=True)) > many
+    visitor = house.visitor("ada")
+    assert f"Notes {many}" in " ".join(read(visitor.get("/runs/1")).split())
+    assert visitor.get("/sensors/1/gates").count("<tr") > many
 
 
 def test_a_run_finds_its_set_however_many_are_newer(full):

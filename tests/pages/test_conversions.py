@@ -1,12 +1,10 @@
 """A parameter set in another camera model, on its page and in the API."""
 
-from __future__ import annotations
-
 import pytest
 
-from boresight.pages import conversions
-from boresight.services.parameter_sets import get_parameter_set
-from boresight.store.sessions import reading
+from boresight.console.parameter_sets import pages as conversions
+from boresight.console.transitions import get_parameter_set
+from boresight.platform.db.sessions import reading
 
 STRAIGHT = "/parameter-sets/1"  # the ground calibration: no decentring
 

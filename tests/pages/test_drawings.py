@@ -1,12 +1,10 @@
 """The server's drawings: what is drawn is proportional to what was counted."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.pages.drawings import detector_map, histogram, number_bars, round_steps
+from boresight.console.pages.drawings import detector_map, histogram, number_bars, round_steps
 
 WORDS = {"name": "n", "title": "t", "x_title": "x", "y_title": "y"}
 

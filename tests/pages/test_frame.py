@@ -1,7 +1,5 @@
 """What every page has around its content, and refusals as pages."""
 
-from __future__ import annotations
-
 import json
 import re
 import threading
@@ -12,13 +10,12 @@ from urllib.parse import quote
 
 import pytest
 
-from boresight.pages.fleet import REST, FleetMemory, fleet_standing, worst_standing
-from boresight.pages.frame import FLASH_COOKIE, NAVIGATION
-from boresight.services import audit
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.marks import Marks
-from boresight.store.sessions import writing
-from boresight.store.tables import Sensor
+from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.frame import FLASH_COOKIE, NAVIGATION, REST, FleetMemory, fleet_standing, worst_standing
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.db.marks import Marks
+from boresight.platform.db.sessions import writing
 
 PAGES = ("/sensors", "/sensors/1", "/telemetry", "/audit", "/users")
 
@@ -110,7 +107,7 @@ def test_a_frame_stands_where_the_store_cannot_be_read(house, monkeypatch):
     def broken(_session):
         raise OSError("disk I/O error")
 
-    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", broken)
+    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", broken)
     page = visitor.get("/audit")
     assert "The store could not be read." in page
     assert "disk I/O" not in page
@@ -123,8 +120,8 @@ def test_the_frame_has_read_the_store_before_the_page_holds_a_connection(house, 
         held.append(house.engine.pool.checkedout())
         return fleet_standing(session)
 
-    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", watched)
-    monkeypatch.setattr("boresight.pages.fleet.HELD_S", 0.0)
+    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", watched)
+    monkeypatch.setattr("boresight.console.pages.frame.HELD_S", 0.0)
     for path in PAGES:
         house.visitor("ada").get(path)
     assert held == [0] * len(PAGES)
@@ -137,7 +134,7 @@ def test_the_top_bar_looks_at_the_fleet_once_for_many_pages_and_again_after_any_
         looks.append(house.engine)
         return fleet_standing(session)
 
-    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", watched)
+    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", watched)
     visitor = house.visitor("ada")
     visitor.get("/audit")
     del looks[:]
@@ -160,9 +157,9 @@ def test_a_look_at_a_large_fleet_is_followed_by_a_rest_whatever_is_committed(hou
         clock[0] += 2.0
         return (worst_standing([]), 0, 0)
 
-    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", look)
-    monkeypatch.setattr("boresight.pages.fleet.LARGE", large)  # there is one sensor
-    monkeypatch.setattr("boresight.pages.fleet.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", look)
+    monkeypatch.setattr("boresight.console.pages.frame.LARGE", large)  # there is one sensor
+    monkeypatch.setattr("boresight.console.pages.frame.time", SimpleNamespace(monotonic=lambda: clock[0]))
     memory = FleetMemory(house.engine, Marks(house.engine))
     for _ in range(3):
         memory.standing(clock[0])
@@ -181,8 +178,8 @@ def test_a_look_answers_who_asked_before_it_began_whatever_is_committed_after_it
         asked.append(1)
         return (worst_standing([]), 0, 0)
 
-    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", look)
-    monkeypatch.setattr("boresight.pages.fleet.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", look)
+    monkeypatch.setattr("boresight.console.pages.frame.time", SimpleNamespace(monotonic=lambda: clock[0]))
     memory = FleetMemory(house.engine, Marks(house.engine))
     memory.standing(99.0)
     with writing(house.engine) as session:
@@ -201,7 +198,7 @@ def test_one_page_looks_at_the_fleet_for_all_that_ask_meanwhile(house, monkeypat
         go.wait(5)
         return (worst_standing([]), 0, 0)
 
-    monkeypatch.setattr("boresight.pages.fleet.fleet_standing", look)
+    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", look)
     memory = FleetMemory(house.engine, Marks(house.engine))
     with ThreadPoolExecutor(4) as pool:
         found = [pool.submit(memory.standing, time.monotonic()) for _ in range(4)]

@@ -5,9 +5,9 @@ import re
 import orjson
 import pytest
 
+from boresight.console.administration.pages import STATES
+from boresight.console.pages.formats import LEVEL_OF_STATE, LEVELS
 from boresight.figures import FIGURES
-from boresight.pages.gallery import STATES
-from boresight.pages.states import LEVEL_OF_STATE, LEVELS
 
 
 def test_every_figure_of_the_registry_is_in_the_gallery_with_its_guide(house, read):

@@ -1,7 +1,5 @@
 """The pages that choose sensors, of a fleet of a thousand: as small and as quick as of three hundred, and every sensor in reach."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Iterator
@@ -10,10 +8,16 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import audit, campaigns, runs
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.sessions import reading, utc_now, writing
-from boresight.store.tables import Alarm, Blob, ParameterSet, Sensor, TelemetrySet
+from boresight.console.alarms.tables import Alarm
+from boresight.console.campaigns import service as campaigns
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import service as runs
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import reading, utc_now, writing
 from tests.pages.conftest import House, _settings
 from tests.stores import copied
 
@@ -37,7 +41,6 @@ LAST = "Fleet-0290"  # in either fleet, and beyond the first two hundred by name
 
 
 def furnish(house: House, n: int) -> House:
-    """Add sensors up to n, each with a telemetry set of either purpose; the last named has an alarm."""
     with writing(house.engine) as session:
         first, now = session.get_one(Sensor, 1), utc_now()
         added = [
@@ -67,7 +70,6 @@ def furnish(house: House, n: int) -> House:
 
 @pytest.fixture(scope="module")
 def fleets(furnished: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[int, House]]:
-    """Two stores that differ in how many sensors there are."""
     made = {}
     for n in (300, 1000):
         folder = tmp_path_factory.mktemp(f"fleet-of-{n}") / "data"
@@ -81,24 +83,20 @@ def fleets(furnished: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 @pytest.fixture(autouse=True)
 def one_look(monkeypatch):
-    """Let the top bar's look at the fleet hold for as long as any: what is counted here is what pages ask."""
-    monkeypatch.setattr("boresight.pages.fleet.REST", 1e9)
+    monkeypatch.setattr("boresight.console.pages.frame.REST", 1e9)
 
 
 @pytest.fixture
 def ada(fleets):
-    """An analyst of the larger fleet."""
     return fleets[1000].visitor("ada")
 
 
 def selected(page: str, name: str) -> tuple[str, str]:
-    """Return value and words of what is selected in a field."""
     select = page[page.index(f'id="{name}"') :]
     return re.search(r'<option value="(\d+)"[^>]* selected[^>]*>([^<]*)', select[: select.index("</select>")]).groups()
 
 
 def hold(page: str, name: str) -> list[str]:
-    """Return the sensors that a list of fields is about."""
     return re.findall(rf'name="{name}-(\d+)"', page)
 
 
@@ -135,10 +133,8 @@ def test_a_list_is_narrowed_by_name_or_by_a_link_to_a_sensor_that_no_menu_would_
 
 
 @pytest.mark.parametrize("text", ["%", "_", "Fleet-0290'", "x" * 500])
-def test_what_is_sought_is_taken_as_it_is_written(ada, read, text):
-    assert "No telemetry set fits these filters" in read(
-        ada.send("GET", "/telemetry", params={"sensor_name": text}).text
-    )
+def test_what_is_sought_is_taken_as_it_is_written(ada, text):
+    assert 'class="empty"' in ada.send("GET", "/telemetry", params={"sensor_name": text}).text
 
 
 @pytest.mark.parametrize("path", ["/runs", "/telemetry", "/alarms", "/parameter-sets"])
@@ -288,5 +284,5 @@ def test_sensors_that_an_address_names_begin_a_campaign(ada):
 def test_parameter_sets_are_narrowed_by_the_sensor_s_name(fleets, ada, read):
     with reading(fleets[1000].engine) as session:
         assert session.scalar(sa.select(sa.func.count(ParameterSet.id))) == 1
-    assert "No set fits these filters" in read(ada.get("/parameter-sets?sensor_name=fleet"))
+    assert 'class="empty"' in ada.get("/parameter-sets?sensor_name=fleet")
     assert "PS-" in read(ada.get("/parameter-sets?sensor_name=st16"))

@@ -1,14 +1,12 @@
 """The comparison of methods on one data set."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest
 
-from boresight.figures.method_scores import method_scores
-from boresight.pages.method_panel import method_panel
-from boresight.pages.methods import METHODS
+from boresight.calibration.options import METHODS
+from boresight.console.runs.pages.compare import method_panel
+from boresight.figures.charts.methods import method_scores
 
 
 def one(run_id=1, method="batch", set_id=1, result=None, **settings):
@@ -24,7 +22,7 @@ def test_two_methods_on_one_set_are_set_beside_each_other_with_when_to_use_which
     text = read(house.visitor("victor").get("/compare?runs=1,2"))
     for said in ("Methods", "Claimed error", "ms / frame", "Converged after", "Condition number", "When to use which"):
         assert said in text
-    for method in METHODS:
+    for method in METHODS.values():
         assert (method.when[:40] in text) == (method.name in {"batch", "sqrf"})
 
 

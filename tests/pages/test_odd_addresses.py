@@ -8,14 +8,13 @@ from urllib.parse import quote
 
 import hypothesis
 import pytest
-from fastapi import APIRouter
 from fastapi.routing import APIRoute
 from hypothesis import strategies as st
 
-from boresight import pages
-from tests.api.conftest import House, catalogue, house
+from boresight.console import pages
+from tests.api.conftest import House, house
 
-__all__ = ["catalogue", "house"]
+__all__ = ["house"]
 
 NAMES = (
     "sensor", "sensor_id", "set", "data", "state", "method", "sort", "columns", "before", "runs", "reference", "clone", "preset",
@@ -32,15 +31,8 @@ QUERY = st.lists(st.tuples(st.sampled_from(NAMES), ODD), max_size=4)
 
 
 def _paths() -> list[str]:
-    router = APIRouter()
-    pages.join(router)
-    found: set[str] = set()
-    for name in dir(pages):
-        module = getattr(pages, name)
-        for route in getattr(getattr(module, "router", None), "routes", ()):
-            if isinstance(route, APIRoute) and "GET" in route.methods:
-                found.add(route.path)
-    return sorted(found)
+    routes = [route for module in pages.modules() for router in pages.routers(module) for route in router.routes]
+    return sorted({route.path for route in routes if isinstance(route, APIRoute) and "GET" in route.methods})
 
 
 PATHS = _paths()

@@ -1,17 +1,16 @@
 """The fleet at a glance."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 from weakref import WeakKeyDictionary
 
 import pytest
 
-from boresight.pages import overview
+from boresight.console.approvals import submissions
+from boresight.console.fleet.pages import overview
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.sessions import writing
 from boresight.resources import folder
-from boresight.services import parameter_sets
-from boresight.store.sessions import writing
 
 
 @pytest.fixture
@@ -21,10 +20,9 @@ def house(house):
 
 
 def submitted(house):
-    """Submit the set of run 1 as the analyst."""
     with writing(house.engine) as session:
         row = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
-        parameter_sets.submit(
+        submissions.submit(
             session, house.actor("ada"), house.blobs, row.id, "Focus moved with temperature.", row.version
         )
         return row.name
@@ -44,8 +42,8 @@ def test_names_of_sensors_and_sets_may_wrap(house):
     assert '<h3 class="name"><a href="/sensors/1">' in page
     assert '<dd class="name"><a href="/parameter-sets/1">' in page
     sheets = folder("frontend") / "static"
-    assert re.search(r"\.tile \.name {[^}]*overflow-wrap: anywhere", (sheets / "style-fleet.css").read_text())
-    sheet = (sheets / "pages.css").read_text()
+    assert re.search(r"\.tile \.name {[^}]*overflow-wrap: anywhere", (sheets / "fleet" / "fleet.css").read_text())
+    sheet = (sheets / "shared" / "style.css").read_text()
     assert re.search(r"\.todo li {[^}]*overflow-wrap: anywhere", sheet)
 
 
@@ -111,11 +109,11 @@ def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(
 def test_what_the_page_counts_and_what_it_draws_are_one_look_and_it_says_what_is_not_judged_yet(
     house, read, monkeypatch
 ):
-    monkeypatch.setattr("boresight.services.judgements._known", WeakKeyDictionary())
-    monkeypatch.setattr("boresight.services.fleet.MOST_JUDGED", 0)
+    monkeypatch.setattr("boresight.console.fleet.status._known", WeakKeyDictionary())
+    monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 0)
     page = house.visitor("ada").get("/")
     assert "of 1 it is not known yet whether the ground calibration holds" in read(page)
     assert '<a href="/sensors?status=normal">1</a>' in page
     assert '<li class="tile tile-normal">' in page
-    monkeypatch.setattr("boresight.services.fleet.MOST_JUDGED", 1)
+    monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 1)
     assert "not known yet" not in read(house.visitor("victor").get("/?again=1"))

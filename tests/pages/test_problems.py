@@ -1,12 +1,10 @@
 """Refusals as pages: each names the problem, the request and the next step; a missing role, who can give it."""
 
-from __future__ import annotations
-
 import pytest
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
-from boresight.api.problems import KINDS
+from boresight.console.pages.problem import problem_page
 from boresight.errors import (
     OverloadedError,
     PasswordDueError,
@@ -14,7 +12,7 @@ from boresight.errors import (
     TooManyAttemptsError,
     UnauthenticatedError,
 )
-from boresight.pages.problem import problem_page
+from boresight.platform.web.problems import KINDS
 
 SENTENCE = "This is what happened."
 LOG_IN = {PasswordDueError, SessionEndedError, UnauthenticatedError}  # they lead to a page where something can be done

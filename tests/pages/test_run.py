@@ -1,15 +1,13 @@
 """The run page."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
 
-from boresight.figures.evidence import marks
-from boresight.figures.parameter_table import parameter_rows
-from boresight.store.sessions import utc_now, writing
-from boresight.store.tables import RunEvent
+from boresight.console.runs.tables import RunEvent
+from boresight.figures.tables.parameter_table import parameter_rows
+from boresight.platform.db.sessions import utc_now, writing
+from boresight.verdicts.verdict import marks
 
 
 def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(house, read, results):
@@ -109,7 +107,7 @@ def test_an_analyst_cancels_a_queued_run_and_it_says_who_did(house, read):
 def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused(house, read):
     run_id = house.add_run()
     victor = house.visitor("victor")
-    assert "Only an analyst may cancel runs" in read(victor.get(f"/runs/{run_id}"))
+    assert 'class="button-danger" disabled' in victor.get(f"/runs/{run_id}")
     victor.post(f"/runs/{run_id}/cancel")
     assert "This needs the role analyst" in read(victor.get(f"/runs/{run_id}"))
 

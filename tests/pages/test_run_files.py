@@ -1,9 +1,7 @@
 """What a run gives to take along."""
 
-from __future__ import annotations
-
-from boresight.store.sessions import utc_now, writing
-from boresight.store.tables import RunEvent
+from boresight.console.runs.tables import RunEvent
+from boresight.platform.db.sessions import utc_now, writing
 
 
 def test_the_log_is_text_a_line_an_event(house):

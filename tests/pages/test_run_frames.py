@@ -6,26 +6,18 @@ import re
 import numpy as np
 import pytest
 
-from boresight.pages.frame_drawing import SCALES, round_down, usual_scale
-from boresight.pages.run_frames import FramePage
-from boresight.services import audit
-from boresight.services.actors import COMMAND_LINE
+from boresight.console.runs.pages.frames import SCALES, FramePage, round_down, usual_scale
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import writing
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import writing
-from boresight.store.tables import TelemetrySet
 from boresight.telemetry.writers import write_parquet
 
 
 @pytest.fixture(scope="module")
-def catalogue(tmp_path_factory):
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
-
-
-@pytest.fixture(scope="module")
 def table(tmp_path_factory, catalogue):
-    """The telemetry that the runs of the furnished store were made from, as it is stored."""
     path = tmp_path_factory.mktemp("table") / "table.parquet"
     scenario = dataclasses.replace(calibration_scenario(1), frames=40)
     write_parquet(simulate(scenario, np.random.default_rng(1), catalogue), path)
@@ -55,7 +47,6 @@ def frames_page(house, run_id, **query):
 
 def test_a_frame_opens_from_its_address_with_scale_exposure_and_parameters(house, read, run_id):
     page = frames_page(house, run_id, frame=7, exposure=1, scale=500, show="both")
-
     text = read(page)
     assert "Frame 7" in text
     assert "On the detector, exposure 1" in text
@@ -67,7 +58,6 @@ def test_a_frame_opens_from_its_address_with_scale_exposure_and_parameters(house
 
 def test_the_drawing_s_vectors_are_the_table_s_residuals_at_the_stated_scale(house, read, run_id):
     page = frames_page(house, run_id, frame=7, scale=1000)
-
     line = re.search(
         r'<line class="new" x1="([^"]+)" y1="([^"]+)" x2="([^"]+)" y2="([^"]+)" data-dx="([^"]+)" data-dy="([^"]+)"',
         page,
@@ -80,9 +70,7 @@ def test_the_drawing_s_vectors_are_the_table_s_residuals_at_the_stated_scale(hou
 def test_without_a_frame_the_worst_one_opens_and_the_worst_are_listed_first(house, read, run_id, results):
     trust = results["batch"]["trust"]
     worst = trust["worst_frames"]["frame"] if trust.get("worst_frames") else None
-
     page = frames_page(house, run_id)
-
     assert "Worst frames" in read(page)
     if worst:
         assert f"<h2>Frame {worst[0]}</h2>" in page
@@ -97,7 +85,6 @@ def test_a_frame_that_is_not_there_says_which_there_are(house, read, run_id):
 
 def test_a_queued_run_shows_its_frames_under_the_parameters_it_has(house, read):
     text = read(frames_page(house, house.add_run("batch"), frame=3))
-
     assert "The run has no parameters of its own to show this frame under." in text
     assert "On the detector" in text
 
@@ -106,13 +93,11 @@ def test_missing_telemetry_is_said_and_the_page_still_opens(house, read, run_id)
     with writing(house.engine) as session:
         table = session.get_one(TelemetrySet, 1).table_sha256
     house.blobs.path(table).unlink()
-
     assert "No frame can be shown: The stored file" in read(frames_page(house, run_id, frame=3))
 
 
 def test_the_usual_scale_shows_the_typical_residual_as_three_hundredths_of_the_width():
     star = {"fate": "used", "new": {"d_px": [0.03, 0.04]}, "old": None}
-
     assert usual_scale([star] * 5, ["new"], 2592) == 1000  # 0.05 px is drawn 50 px long
     assert usual_scale([], ["new"], 2592) == 1
     assert list(SCALES[:4]) == [1, 2, 5, 10]
@@ -125,5 +110,4 @@ def test_scale_bars_are_round(value, rounded):
 
 def test_addresses_leave_out_what_is_taken_away():
     page = FramePage(address={"frame": "3", "exposure": "1"})
-
     assert page.to(exposure=None, frame=4) == "?part=frames&frame=4"

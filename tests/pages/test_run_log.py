@@ -1,51 +1,53 @@
 """The log tab: how grave a line is, the filter in the address, and the lines after a line."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
 
-from boresight.pages.run_log import level_of_line
-from boresight.store.sessions import utc_now, writing
-from boresight.store.tables import RUN_STATES, RunEvent
+from boresight.console.runs.run_events import Line, write_event
+from boresight.console.runs.tables import RUN_STATES
+from boresight.platform.db.sessions import writing
 
 LINES = [
-    ("state", "QUEUED", "info"),
-    ("state", "RUNNING: attempt 1 on host/1", "info"),
-    ("log", "10 %: frame 4: 4 of 40 frames", "info"),
-    ("log", "Attempt 1: its server was stopped", "warning"),
-    ("state", "QUEUED: again, because its server was stopped", "warning"),
-    ("lost", "Attempt 2: its worker process died", "error"),
-    ("log", "Traceback (most recent call last):\n  <b>1</b> / 0", "error"),
-    ("state", "CANCELLING: Cancelled by Ada.", "warning"),
-    ("state", "FAILED: given up", "error"),
+    (Line.moved("QUEUED"), "QUEUED", "info"),
+    (Line.begun(1, "host/1"), "RUNNING: attempt 1 on host/1", "info"),
+    (Line.log("10 %: frame 4: 4 of 40 frames", {"fraction": 0.1}), "10 %: frame 4: 4 of 40 frames", "info"),
+    (Line.attempt_ended(1, "its server was stopped", is_lost=False), "Attempt 1: its server was stopped", "warning"),
+    (Line.queued_again("its server was stopped"), "QUEUED: again, because its server was stopped", "warning"),
+    (Line.attempt_ended(2, "its worker process died", is_lost=True), "Attempt 2: its worker process died", "error"),
+    (Line.log("Traceback:\n  <b>1</b> / 0", level="error"), "Traceback:\n  <b>1</b> / 0", "error"),
+    (Line.moved("CANCELLING", "Cancelled by Ada."), "CANCELLING: Cancelled by Ada.", "warning"),
+    (Line.moved("FAILED", "given up"), "FAILED: given up", "error"),
 ]
 
 
 @pytest.fixture
 def run_id(house):
-    """A run with one line of every kind."""
     made = house.add_run(state="FAILED", reason="given up")
     with writing(house.engine) as session:
-        for kind, message, _ in LINES:
-            session.add(RunEvent(run_id=made, attempt=1, at_utc=utc_now(), kind=kind, message=message))
+        for line, *_ in LINES:
+            write_event(session, made, 1, line)
     return made
 
 
 def shown(page):
-    """The levels of the lines that a page shows, in order."""
     return re.findall(r'<li data-line="\d+" data-level="(\w+)"', page)
 
 
-@pytest.mark.parametrize(("kind", "message", "level"), LINES)
-def test_how_grave_a_line_is_follows_from_its_kind_and_words(kind, message, level):
-    assert level_of_line(RunEvent(kind=kind, message=message)) == level
+@pytest.mark.parametrize(("line", "message", "level"), LINES)
+def test_a_line_has_its_sentence_and_how_grave_it_is(line, message, level):
+    assert (line.message, line.level) == (message, level)
+
+
+def test_the_api_gives_what_a_line_says_as_fields_too(house, run_id):
+    lines = house.visitor("victor").send("GET", f"/api/v1/runs/{run_id}/log").json()["items"]
+    told = [(line["state"], line["cause"], line["level"], line["numbers"]) for line in lines]
+    assert told == [(line.state, line.cause, line.level, line.numbers) for line, *_ in LINES]
 
 
 @pytest.mark.parametrize("state", RUN_STATES)
 def test_every_end_without_a_result_is_more_than_information(state):
-    grave = level_of_line(RunEvent(kind="state", message=state)) != "info"
+    grave = Line.moved(state).level != "info"
     assert grave is (state in {"FAILED", "LOST", "CANCELLED", "CANCELLING"})
 
 
@@ -58,8 +60,9 @@ def test_the_filter_is_in_the_address_and_each_choice_says_how_many_lines_it_has
     assert f'href="/runs/{run_id}/log" download' in page
 
 
-def test_a_log_in_which_nothing_is_that_grave_says_so(house, read):
-    assert "No line is that grave." in read(house.visitor("victor").get("/runs/1?part=log&level=error"))
+def test_a_log_in_which_nothing_is_that_grave_says_so(house):
+    page = house.visitor("victor").get("/runs/1?part=log&level=error")
+    assert "<li" not in page.split('<ol class="log"')[1].split("</ol>")[0]
 
 
 def test_a_level_that_is_none_is_refused(house, run_id):

@@ -1,21 +1,18 @@
 """The parts of the run page: trust and matching, each in every state."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
 
+from boresight.console.runs.pages.run import TITLES
 from boresight.figures import CHAPTERS, FIGURES
-from boresight.pages.run_tabs import TITLES
-from boresight.store.sessions import utc_now
+from boresight.platform.db.sessions import utc_now
 from tests.figures.examined import trust
 from tests.figures.flown import matching, shadow
 
 
 @pytest.fixture
 def examined(house, results):
-    """Store a run whose result has an examination and matching; return its result's parts and its number."""
     made = examined_result(results["batch"])
     return made, house.add_run("batch", state="SUCCEEDED", result=made)
 

@@ -1,13 +1,13 @@
 """What a run's page says of its state: what it waits for, who stopped it and when, what ended it, what to do next."""
 
-from __future__ import annotations
-
 import re
+from dataclasses import asdict, replace
 
 import pytest
 
-from boresight.store.sessions import utc_after, utc_now, writing
-from boresight.store.tables import RunEvent
+from boresight.console.runs.run_events import Line
+from boresight.console.runs.tables import RunEvent
+from boresight.platform.db.sessions import utc_after, utc_now, writing
 
 FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}
 HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8.6}
@@ -15,12 +15,9 @@ HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8
 
 @pytest.fixture
 def tell(house):
-    """Write a line of a run's log."""
-
-    def write(run_id, message, kind="state", *, attempt=1, at_utc=None):
+    def write(run_id, line, *, at_utc=None):
         with writing(house.engine) as session:
-            at_utc = at_utc or utc_now()
-            session.add(RunEvent(run_id=run_id, attempt=attempt, at_utc=at_utc, kind=kind, message=message))
+            session.add(RunEvent(run_id=run_id, attempt=1, at_utc=at_utc or utc_now(), **asdict(line)))
 
     return write
 
@@ -48,7 +45,7 @@ def test_a_queued_run_says_what_it_waits_for(house, read, workers, said):
 
 def test_a_run_that_is_computed_again_says_why(house, read, tell):
     run_id = house.add_run(state="RUNNING", attempt=2, started_utc=utc_now())
-    tell(run_id, "QUEUED: again, because its server host/1 was not heard of any more")
+    tell(run_id, replace(Line.queued_again("its server host/1 was not heard of any more"), message="in other words"))
     text = read(house.visitor("victor").get(f"/runs/{run_id}"))
     assert "Attempt 1 ended without a result: its server host/1 was not heard of any more." in text
     assert "attempt 2" in text
@@ -73,7 +70,7 @@ def test_a_silent_worker_is_said_to_be_silent(house, read):
 
 def test_a_run_that_is_being_stopped_says_since_when(house, read, tell):
     run_id = house.add_run(state="CANCELLING", reason="Cancelled by Ada Analyst: wrong set.", started_utc=utc_now())
-    tell(run_id, "CANCELLING: Cancelled by Ada Analyst: wrong set.", at_utc=utc_after(-12.0))
+    tell(run_id, Line.moved("CANCELLING", "Cancelled by Ada Analyst: wrong set."), at_utc=utc_after(-12.0))
     text = read(house.visitor("victor").get(f"/runs/{run_id}"))
     assert "Stopping: Cancelled by Ada Analyst: wrong set. Asked at" in text
     assert re.search(r"\b1[2-9] s ago", text)
@@ -92,8 +89,8 @@ def test_a_lost_run_says_when_it_was_last_heard_of_and_offers_to_run_it_again(ho
 def test_a_failed_run_shows_its_cause_the_end_of_its_log_and_the_next_step(house, read, tell):
     run_id = house.add_run(state="FAILED", reason="Its telemetry is gone.")
     for k in range(9):
-        tell(run_id, f"step {k}", "log")
-    tell(run_id, "FAILED: Its telemetry is gone.")
+        tell(run_id, Line.log(f"step {k}"))
+    tell(run_id, Line.moved("FAILED", "Its telemetry is gone."))
     page = house.visitor("ada").get(f"/runs/{run_id}")
     text = read(page)
     assert '<p role="alert">Its telemetry is gone.</p>' in page

@@ -1,12 +1,10 @@
 """What a reader asks of a run's charts in the address, and the facts that stand beside them."""
 
-from __future__ import annotations
-
 import pytest
 from starlette.datastructures import QueryParams
 
-from boresight.figures.evidence import marks
-from boresight.pages.run_views import course_facts, sight_facts, tail_facts, view_of
+from boresight.console.runs.pages.run import course_facts, sight_facts, tail_facts, view_of
+from boresight.verdicts.verdict import marks
 
 
 def view(text, result):

@@ -1,7 +1,5 @@
 """The page of a person's log-ins, and what the log-in page says of one that has ended."""
 
-from __future__ import annotations
-
 import re
 
 

@@ -1,7 +1,5 @@
 """Short tables that a press on a heading sorts, the list of sensors, and the sheet that holds them in narrow windows."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -12,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from boresight.pages import sensors
-from boresight.pages.sensors import EXAMPLE
+from boresight.console.fleet.pages import sensors
+from boresight.console.fleet.pages.sensors import EXAMPLE
 
 STATIC = Path(__file__).parents[2] / "frontend" / "static"
 
@@ -25,7 +23,7 @@ def headings(table):
 @pytest.mark.parametrize("address", ["/users", "/uplink", "/presets"])
 def test_a_short_table_is_sorted_by_its_headings(house, address):
     page = house.visitor("adele").get(address)
-    assert 'src="/static/sort-table.js"' in page
+    assert 'src="/static/shared/sort-table.js"' in page
     tables = re.findall(r"<table class=.data[^>]* data-sortable>.*?</table>", page, re.DOTALL)
     assert tables
     for table in tables:
@@ -41,7 +39,6 @@ def names_of(page):
 
 @pytest.fixture
 def fleet(house):
-    """Four more sensors, of other detectors and focal lengths; B-3 has the longest, A-2 the most pixels."""
     visitor = house.visitor("ada")
     for name, f_m, rows in (("A-1", 0.02, 500), ("A-2", 0.03, 9000), ("B-3", 0.05, 600), ("B-4", 0.04, 700)):
         document = json.loads(EXAMPLE) | {"name": name}
@@ -109,7 +106,7 @@ def test_a_csv_of_sensors_has_the_fields_of_the_columns_that_are_picked(house):
 
 
 def test_in_a_narrow_window_counts_stand_off_names_end_in_dots_and_edges_hint_at_more():
-    sheet = (STATIC / "frame.css").read_text()
+    sheet = (STATIC / "shared" / "style.css").read_text()
     narrow = sheet.partition("@media (max-width: 900px)")[2]
     assert re.search(r"\.side \.badge { margin-left: var\(--space-2\); }", narrow)
     assert re.search(r"\.label a {[^}]*display: inline-block;[^}]*text-overflow: ellipsis;", narrow)

@@ -1,15 +1,15 @@
 """State words and their levels."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest
 
-from boresight.figures.evidence import LEVEL_OF_STATUS
-from boresight.pages.fleet import worst_standing
-from boresight.pages.states import LEVEL_OF_STATE, LEVELS, level_of, worst
-from boresight.store.tables import APPROVAL_STATES, GROUND_STATES, ONBOARD_STATES, RUN_STATES
+from boresight.console.approvals.tables import APPROVAL_STATES
+from boresight.console.pages.formats import LEVEL_OF_STATE, LEVELS, level_of, worst
+from boresight.console.pages.frame import worst_standing
+from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATES
+from boresight.console.runs.tables import RUN_STATES
+from boresight.verdicts.verdict import LEVEL_OF_STATUS
 
 
 @pytest.mark.parametrize("state", sorted({*RUN_STATES, *GROUND_STATES, *ONBOARD_STATES, *APPROVAL_STATES}))

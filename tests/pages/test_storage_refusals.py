@@ -1,20 +1,18 @@
 """A disk that takes no write is 503 with Retry-After by every form of every page, and no fault of what was typed."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from importlib import import_module
-from pkgutil import iter_modules
 
 import pytest
 from fastapi.routing import APIRoute
 
-from boresight import pages
+from boresight.console import pages
+from boresight.console.approvals.pages import gates as gate_report
+from boresight.console.pages import rendering as attempts
+from boresight.console.telemetry import pages as telemetry
+from boresight.console.webhooks import service as webhooks
 from boresight.disks import full
 from boresight.errors import StorageError
-from boresight.pages import attempts, gate_report, telemetry
-from boresight.services import webhooks
 
 from .conftest import PASSWORD
 from .test_alarms import drifting  # noqa: F401 - a fixture
@@ -80,9 +78,7 @@ FORMS = {  # who sends which form to which page
 
 
 def _forms() -> set[str]:
-    """Return the address of every form that a page takes."""
-    modules = [import_module(f"boresight.pages.{found.name}") for found in iter_modules(pages.__path__)]
-    routes = [route for module in modules if hasattr(module, "router") for route in module.router.routes]
+    routes = [route for module in pages.modules() for router in pages.routers(module) for route in router.routes]
     return {route.path for route in routes if isinstance(route, APIRoute) and "POST" in route.methods}
 
 

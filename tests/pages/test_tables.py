@@ -1,30 +1,26 @@
 """Long lists: the address holds the whole view, a heading turns the order, and the file is what is looked at."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
 
 import pytest
 
-from boresight.pages.approvals import REQUESTS
-from boresight.pages.audit import RECORDS
-from boresight.pages.parameter_set_list import SETS as PARAMETER_SETS
-from boresight.pages.runs import RUNS
-from boresight.pages.telemetry import SETS as TELEMETRY
-from boresight.store.lists import LISTS
+from boresight.console.approvals.pages.approval import REQUESTS
+from boresight.console.audit.pages import RECORDS
+from boresight.console.list_queries import LISTS
+from boresight.console.parameter_sets.pages import SETS as PARAMETER_SETS
+from boresight.console.runs.pages.list import RUNS
+from boresight.console.telemetry.pages import SETS as TELEMETRY
 
 TABLES = {table.name: table for table in (RUNS, TELEMETRY, PARAMETER_SETS, REQUESTS, RECORDS)}
 
 
 def rows(answer):
-    """The rows of a CSV."""
     return list(csv.DictReader(io.StringIO(answer.text)))
 
 
 def numbers(page):
-    """The runs of a page of the list, in its order."""
     return [int(found) for found in re.findall(r'<th scope="row"><a href="/runs/(\d+)"', page)]
 
 

@@ -1,12 +1,10 @@
 """A sensor's timeline: the answer for a time with who said so, and the events."""
 
-from __future__ import annotations
-
 import re
 from urllib.parse import quote
 
-from boresight.services import uplinks
-from boresight.store.sessions import reading, utc_after, writing
+from boresight.console.uplinks import service as uplinks
+from boresight.platform.db.sessions import reading, utc_after, writing
 
 from .onboard import climb, define
 

@@ -1,13 +1,11 @@
 """Forms keep what was typed: whatever a form is refused for, its page comes back with the words of whoever filled it in."""
 
-from __future__ import annotations
-
 from html import unescape
 
 import pytest
 
-from boresight.services import parameter_sets
-from boresight.store.sessions import writing
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.sessions import writing
 
 WORDS = 'Words of a tired operator, "quoted" & <kept>.'
 ODD = '{"name": "half of a document'
@@ -53,7 +51,6 @@ FORMS = {  # who sends what to which address, and what of it must be there again
 
 @pytest.fixture
 def office(house, results):
-    """A candidate, set 2, and a set of another run that waits for a signature, set 3 of request 1."""
     run_id = house.add_run(state="SUCCEEDED", result=results["batch"] | {"iterations": 77})
     with writing(house.engine) as session:
         parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)

@@ -1,11 +1,9 @@
 """Webhooks: administrators make them, try them and send again what failed; others are told who may."""
 
-from __future__ import annotations
-
 import re
 
-from boresight.services import webhooks
-from boresight.store.sessions import writing
+from boresight.console.webhooks import service as webhooks
+from boresight.platform.db.sessions import writing
 
 FORM = {
     "label": "Mission chat",
@@ -15,7 +13,6 @@ FORM = {
 
 
 def _made(house) -> str:
-    """Make a webhook as the administrator does and return its address."""
     answer = house.visitor("adele").post("/webhooks", **FORM)
     assert answer.status_code == 200
     return re.search(r'href="(/webhooks/\d+)"', answer.text)[1]

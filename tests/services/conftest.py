@@ -1,7 +1,5 @@
 """A store with people in it: a real database, copied for each test from one that was filled once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,13 +7,22 @@ from typing import Any
 import orjson
 import pytest
 
-from boresight.services import approvals, audit, parameter_sets, sensors, users
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
-from boresight.store.tables import ParameterSet, Run, Sensor, TelemetrySet
-from tests.passwords import new_password, proved
-from tests.stores import copied, url_in
+from boresight.console import transitions
+from boresight.console.access import users
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals import submissions
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Engine, Session, open_engine, reading, utc_now, writing
+from tests.passwords import add_person, approve
+from tests.stores import copied, open_migrated, url_in
 
 PASSWORD = "correct horse battery"
 PEOPLE: Mapping[str, tuple[str, ...]] = {
@@ -57,20 +64,11 @@ SENSOR: dict[str, Any] = {
 
 @pytest.fixture(scope="session")
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder whose store every test starts from."""
     folder = tmp_path_factory.mktemp("filled")
-    engine = open_engine(url_in(folder))
-    migrate(engine)
+    engine = open_migrated(url_in(folder))
     with writing(engine) as session:
         for name, roles in PEOPLE.items():
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name.title(),
-                password=new_password(PASSWORD),
-                roles=roles,
-            )
+            add_person(session, name, *roles)
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     engine.dispose()  # the last connection folds the write-ahead log into the file
     return folder
@@ -96,7 +94,6 @@ def blobs(tmp_path: Path) -> BlobStore:
 
 @pytest.fixture
 def people(engine: Engine) -> Mapping[str, Actor]:
-    """Everyone, as they act under a log-in."""
     with reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
         return {name: users.actor_of(session, row.id) for name, row in rows.items()}
@@ -104,8 +101,6 @@ def people(engine: Engine) -> Mapping[str, Actor]:
 
 @pytest.fixture
 def finished_run(blobs: BlobStore) -> Callable[..., Run]:
-    """Make a run of the sensor that ended with a result; what the test is about can be given."""
-
     def make(session: Session, launched_by: int | None = None, state: str = "SUCCEEDED", **result: Any) -> Run:
         sensor = session.get_one(Sensor, 1)
         document = _result() | result
@@ -133,7 +128,6 @@ def finished_run(blobs: BlobStore) -> Callable[..., Run]:
 def candidate(
     engine: Engine, blobs: BlobStore, people: Mapping[str, Actor], finished_run: Callable[..., Run]
 ) -> Callable[..., ParameterSet]:
-    """Make a candidate of a run that Ana launched, each with another focal length."""
     made = []
 
     def make(launched_by: str = "ana") -> ParameterSet:
@@ -150,13 +144,11 @@ def candidate(
 def submitted(
     engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> Callable[[], ParameterSet]:
-    """Make a candidate and have Ana submit it."""
-
     def make() -> ParameterSet:
         row = candidate()
         with writing(engine) as session:
-            parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
-            return parameter_sets.get_parameter_set(session, row.id)
+            submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+            return transitions.get_parameter_set(session, row.id)
 
     return make
 
@@ -165,29 +157,17 @@ def submitted(
 def approved(
     engine: Engine, people: Mapping[str, Actor], submitted: Callable[[], ParameterSet]
 ) -> Callable[[], ParameterSet]:
-    """Make a submitted set and have Cy sign it."""
-
     def make() -> ParameterSet:
         row = submitted()
         with writing(engine) as session:
             approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-            approvals.sign(
-                session,
-                people["cy"],
-                approval.id,
-                "APPROVE",
-                "I approve",
-                "",
-                proved(session, people["cy"], PASSWORD),
-                approval.version,
-            )
-            return parameter_sets.get_parameter_set(session, row.id)
+            approve(session, people["cy"], approval)
+            return transitions.get_parameter_set(session, row.id)
 
     return make
 
 
 def _telemetry(session: Session, blobs: BlobStore) -> TelemetrySet:
-    """The one set of telemetry that all these runs are said to have used."""
     if (row := session.get(TelemetrySet, 1)) is not None:
         return row
     sha256 = _stored(session, blobs, b"telemetry")
@@ -212,7 +192,6 @@ def _stored(session: Session, blobs: BlobStore, content: bytes) -> str:
 
 
 def _result() -> dict[str, Any]:
-    """A calibration's JSON, as far as a parameter set takes from it."""
     names = list(SENSOR["initial"])
     sigma = dict.fromkeys(names, 1e-6)
     matrix = [[1e-12 if row == column else 0.0 for column in range(8)] for row in range(8)]

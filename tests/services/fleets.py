@@ -1,21 +1,19 @@
 """A fleet for campaigns: sensors, each with sets that are named and never looked into."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
-from boresight.services import audit
-from boresight.services.actors import COMMAND_LINE
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Session, utc_now
-from boresight.store.tables import Sensor, TelemetrySet
+from boresight.console.fleet.tables import Sensor
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Session, utc_now
 
 PURPOSES = ("calibration", "validation")
 
 
 def add_fleet(session: Session, blobs: BlobStore, document: Mapping[str, Any], n: int) -> list[int]:
-    """Add n sensors with a calibration and a validation set each; return their numbers."""
     now = utc_now()
     added = [Sensor(name=f"ST-{k:04}", document={**document, "name": f"ST-{k:04}"}, created_utc=now) for k in range(n)]
     session.add_all(added)
@@ -26,7 +24,6 @@ def add_fleet(session: Session, blobs: BlobStore, document: Mapping[str, Any], n
 
 
 def add_sets(session: Session, blobs: BlobStore, sensor_ids: list[int], purposes: tuple[str, ...] = PURPOSES) -> None:
-    """Give sensors a new set of each purpose."""
     for purpose in purposes:
         content = f"{purpose} {session.query(TelemetrySet).count()}".encode()
         sha256 = register_blob(session, blobs, blobs.put(content), "text/csv").sha256

@@ -1,16 +1,17 @@
 """A table definition for the sensor of these tests, and the way of a set to the spacecraft."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
-from boresight.services import audit, table_definitions, uplinks
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.read_backs import Reference, read_back, reference_of
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import ParameterSet, Promotion, TableDefinition, Uplink
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks import table_definitions
+from boresight.console.uplinks.read_backs import Reference, read_back, reference_of
+from boresight.console.uplinks.tables import TableDefinition, Uplink
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, reading, writing
 from tests.passwords import proved
 
 from .conftest import PASSWORD
@@ -29,7 +30,6 @@ DOCUMENT: dict[str, Any] = {
 
 
 def define(engine: Engine, actor: Actor, **changed: Any) -> TableDefinition:
-    """Put a table definition into force for sensor 1."""
     with writing(engine) as session:
         current = table_definitions.definition_in_force(session, 1)
         seen = 0 if current is None else current.number
@@ -37,7 +37,6 @@ def define(engine: Engine, actor: Actor, **changed: Any) -> TableDefinition:
 
 
 def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
-    """Bring a set to one state after another, each by its door: statement, CRC, signature."""
     for state in states:
         if state == "VERIFIED":
             _tell_crc(engine, actor, set_id)
@@ -53,7 +52,6 @@ def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
 
 
 def _tell_crc(engine: Engine, actor: Actor, set_id: int) -> None:
-    """Read a set back by the CRC that it was sent with; where there is no table definition yet, put one into force."""
     with reading(engine) as session:
         known = table_definitions.definition_in_force(session, 1)
     if known is None:
@@ -65,25 +63,21 @@ def _tell_crc(engine: Engine, actor: Actor, set_id: int) -> None:
 
 
 def sent_table(engine: Engine, set_id: int = 1) -> Reference:
-    """Return what a read-back of a set that no package carried is held against."""
     with reading(engine) as session:
         return reference_of(session, BlobStore(Path("nowhere")), session.get_one(ParameterSet, set_id))
 
 
 def newest(engine: Engine, set_id: int = 1) -> Uplink:
-    """Return a set's newest record."""
     with reading(engine) as session:
         return uplinks.list_uplinks(session, parameter_set_id=set_id, limit=1)[0]
 
 
 def onboard(engine: Engine, set_id: int = 1) -> str:
-    """Return a set's on-board state."""
     with reading(engine) as session:
         return session.get_one(ParameterSet, set_id).onboard_state
 
 
 def promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
-    """Bring about the rows of a promotion at a time of the test's choice."""
     for other in session.query(ParameterSet).filter_by(sensor_id=row.sensor_id, ground_state="BASELINE"):
         other.ground_state = "SUPERSEDED"
     session.flush()

@@ -1,13 +1,16 @@
 """That a set is active is signed: an operator in person, the password again, a meaning, a source."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
+from boresight.console.access import users
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.service import add_entry
+from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import (
     BoresightError,
     ConflictError,
@@ -17,11 +20,9 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import audit, uplinks, users
-from boresight.services.actors import Actor
-from boresight.services.onboard import add_entry
-from boresight.store.sessions import Engine, reading, utc_now, writing
-from boresight.store.tables import Package, ParameterSet, Uplink
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, reading, utc_now, writing
 from tests.passwords import new_password, proved
 
 from .conftest import PASSWORD
@@ -32,7 +33,6 @@ MEANING = "I saw this table active in telemetry."
 
 
 def activate(engine: Engine, actor: Actor, **given: Any) -> Uplink:
-    """Sign that set 1 is active, as the actor who saw it as it is."""
     entry = {"source": "TM page STR-2", "meaning": MEANING, "password": PASSWORD} | given
     with writing(engine) as session:
         entry["proof"] = proved(session, actor, entry.pop("password"))
@@ -42,7 +42,6 @@ def activate(engine: Engine, actor: Actor, **given: Any) -> Uplink:
 
 @pytest.fixture
 def verified(engine: Engine, people: People) -> None:
-    """Set 1, verified by its CRC."""
     climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED")
 
 

@@ -1,11 +1,9 @@
 """Actors: who may do what, and that a refusal says who may."""
 
-from __future__ import annotations
-
 import pytest
 
 from boresight.errors import ForbiddenError
-from boresight.services.actors import (
+from boresight.platform.actors import (
     COMMAND_LINE,
     SYSTEM,
     Actor,

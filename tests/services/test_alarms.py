@@ -1,7 +1,5 @@
 """Alarms come and go by themselves, and leave only by a person: every step allowed or refused, on record."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,6 +7,13 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms import watch
+from boresight.console.alarms.tables import Alarm
+from boresight.console.alarms.watch import chain_condition
+from boresight.console.fleet.drift import GROUND_SHIFTED
+from boresight.console.fleet.status import fleet_overview
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import (
     ConflictError,
     ForbiddenError,
@@ -17,13 +22,10 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import alarms, audit, watch
-from boresight.services.actors import Actor
-from boresight.services.conditions import chain_condition
-from boresight.services.drift import GROUND_SHIFTED
-from boresight.services.fleet import fleet_overview
-from boresight.store.sessions import Session, utc_after
-from boresight.store.tables import Alarm, AuditRecord, ParameterSet
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import Session, utc_after
 from tests.missions import add_run, add_set, make_baseline
 
 BROKEN = chain_condition("broken", "Record 7 is not as it was written.")
@@ -31,7 +33,6 @@ BROKEN = chain_condition("broken", "Record 7 is not as it was written.")
 
 @pytest.fixture
 def alarm(session: Session) -> Alarm:
-    """An alarm that was just raised."""
     assert watch.watch_chain(session, BROKEN) == 1
     (row,) = alarms.list_alarms(session)
     return row

@@ -2,9 +2,9 @@
 
 import pytest
 
-from boresight.services import parameter_sets
-from boresight.store.documents import sha256_of
-from boresight.store.sessions import writing
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import writing
 
 ALIGNMENT = {
     "quaternion": [0.0, 1e-5, 0.0, 1.0],
@@ -32,14 +32,12 @@ def set_with(engine, blobs, people, finished_run):
 
 def test_a_set_carries_the_alignment_of_its_run(set_with):
     row = set_with(alignment=ALIGNMENT)
-
     assert row.document["alignment"] == ALIGNMENT
     assert row.sha256 == sha256_of(row.document)
 
 
 def test_another_alignment_is_another_set(set_with):
     document = set_with(alignment=ALIGNMENT).document
-
     assert sha256_of(document) != sha256_of(document | {"alignment": ALIGNMENT | {"frames": 11}})
 
 

@@ -1,17 +1,18 @@
 """API keys: shown once, kept hashed, never more than their owner, never beyond their scopes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console.access import api_keys, users
+from boresight.console.access.tables import ApiKey
+from boresight.console.approvals import submissions
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
-from boresight.services import api_keys, audit, parameter_sets, users
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, reading, utc_after, writing
-from boresight.store.tables import ApiKey, ParameterSet
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, reading, utc_after, writing
 
 
 @pytest.fixture
@@ -109,7 +110,7 @@ def test_what_a_key_changed_is_on_record_as_the_key(
         key, secret = api_keys.create_key(session, people["ana"], label="robot", scopes=["parameter-sets"])
     with writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
-        parameter_sets.submit(session, robot, blobs, row.id, "better", row.version)
+        submissions.submit(session, robot, blobs, row.id, "better", row.version)
     with reading(engine) as session:
         record = audit.last_change(session, f"parameter-sets/{row.id}")
         assert record is not None

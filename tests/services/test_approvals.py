@@ -1,11 +1,15 @@
 """Approvals: a second person, in person, on what was shown; one refusal blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console.access import api_keys, users
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import (
     BoresightError,
     ConflictError,
@@ -16,11 +20,10 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import api_keys, approvals, audit, parameter_sets, users
-from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, utc_now, writing
-from boresight.store.tables import Approval, ParameterSet, Signature, TableDefinition
+from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, utc_now, writing
 from tests.passwords import proved
 
 PASSWORD = "correct horse battery"
@@ -31,12 +34,10 @@ People = Mapping[str, Actor]
 def request_of(
     engine: Engine, people: People, candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> Callable[..., Approval]:
-    """Submit a candidate: by whom, of a run that whom launched."""
-
     def make(submitted_by: str = "ana", launched_by: str = "ana") -> Approval:
         row = candidate(launched_by)
         with writing(engine) as session:
-            return parameter_sets.submit(session, people[submitted_by], blobs, row.id, "better", row.version)
+            return submissions.submit(session, people[submitted_by], blobs, row.id, "better", row.version)
 
     return make
 
@@ -54,7 +55,6 @@ def _sign(engine: Engine, actor: Actor, approval: Approval, decision: str = "APP
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
-    """Return the states of request and set."""
     with reading(engine) as session:
         row = session.get_one(Approval, approval.id)
         return row.state, session.get_one(ParameterSet, row.parameter_set_id).ground_state
@@ -85,7 +85,7 @@ def test_one_refusal_blocks(
     assert record is not None
     assert "too few stars at the rim" in str(record.reason)
     with writing(engine) as session, pytest.raises(ConflictError, match="is REJECTED: Cy refused it"):
-        parameter_sets.submit(session, people["ana"], blobs, row.id, "once more", row.version)
+        submissions.submit(session, people["ana"], blobs, row.id, "once more", row.version)
 
 
 def test_a_refusal_stops_even_what_another_approved(
@@ -98,7 +98,7 @@ def test_a_refusal_stops_even_what_another_approved(
     _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
     assert _states(engine, approval) == ("REJECTED", "REJECTED")
     with writing(engine) as session, pytest.raises(ConflictError, match="not APPROVED"):
-        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 4)
+        promotions.promote(session, people["dee"], approval.parameter_set_id, 4)
 
 
 def test_a_refusal_comes_too_late_after_the_promotion(
@@ -107,7 +107,7 @@ def test_a_refusal_comes_too_late_after_the_promotion(
     approval = request_of()
     _sign(engine, people["cy"], approval)
     with writing(engine) as session:
-        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 3)
+        promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
     with pytest.raises(ConflictError, match="is APPROVED: Cy approved it"):
         _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
     assert _states(engine, approval) == ("APPROVED", "BASELINE")
@@ -157,7 +157,7 @@ def test_a_set_submitted_by_a_key_is_submitted_by_its_owner(
         secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
     with writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
-        approval = parameter_sets.submit(session, robot, blobs, row.id, "better", row.version)
+        approval = submissions.submit(session, robot, blobs, row.id, "better", row.version)
     with pytest.raises(ForbiddenError, match="You submitted this set"):
         _sign(engine, people["bo"], approval)
 

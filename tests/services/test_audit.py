@@ -1,22 +1,19 @@
 """The audit log: one chain whoever writes, and a change by hand is found where it was made."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import audit
-from boresight.services.actors import SYSTEM
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import AuditRecord
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import Engine, Session, reading, writing
 from tests.stores import triggers_aside
 
 
 @pytest.fixture
 def log(engine: Engine) -> Engine:
-    """A store with ten records more than it began with."""
     with writing(engine) as session:
         for number in range(10):
             audit.append(session, SYSTEM, "counted", f"numbers/{number}", None, {"ψ": number / 7}, "because")
@@ -24,7 +21,6 @@ def log(engine: Engine) -> Engine:
 
 
 def _by_hand(engine: Engine, statement: str) -> None:
-    """Change the database as somebody who owns the file could."""
     with writing(engine) as session:
         connection = session.connection()
         with triggers_aside(connection):

@@ -1,7 +1,5 @@
 """The export of the audit log: whoever holds it needs nothing but Python to know that no byte of it moved."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -17,12 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.services import audit
-from boresight.services.actors import SYSTEM, Policy
-from boresight.services.audit_export import verifier, write_export
-from boresight.services.audit_verifier import canonical, hash_of, verify
-from boresight.store import chain
-from boresight.store.sessions import Engine, reading, writing
+from boresight.platform.actors import SYSTEM, Policy
+from boresight.platform.audit import chain
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.audit_verifier import canonical, hash_of, verify
+from boresight.platform.audit.export import verifier, write_export
+from boresight.platform.db.sessions import Engine, reading, writing
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=20),
@@ -40,7 +38,6 @@ def _export(engine: Engine, form: str = "jsonl", policy: Policy | None = None) -
 
 @pytest.fixture
 def log(engine: Engine) -> Engine:
-    """A store with a few records of every kind of value."""
     with writing(engine) as session:
         audit.append(session, SYSTEM, "counted", "numbers/1", None, {"ψ": 1e22, "σ": [0.1, -0.0, None]}, 'a "reason"\n')
         audit.append(session, SYSTEM, "counted", "numbers/2", {"n": 1}, {"n": 2})
@@ -124,7 +121,6 @@ def test_a_gap_is_let_pass_before_a_record_of_an_older_version_only(log: Engine)
 
 
 def _exported(records: list[dict[str, Any]], last_line: bytes) -> bytes:
-    """Write records and a last line that fits them, as an export of a database edited by hand would."""
     body = b"".join(f"{canonical(record)}\n".encode() for record in records)
     last = json.loads(last_line)
     del last["sha256"]
@@ -146,7 +142,6 @@ def test_the_program_in_the_zip_runs_without_boresight_and_finds_a_flipped_byte(
 
 
 def _bare(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    """Run the program in an interpreter that finds nothing but its own standard library."""
     command = [sys.executable, "-I", "-S", "verify_audit.py", "audit.jsonl", *options]
     return subprocess.run(command, cwd=folder, env={}, capture_output=True, text=True, check=False)
 

@@ -1,19 +1,20 @@
 """Parameters of every camera model go the whole way to the baseline."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
 
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.services import approvals, parameter_sets, sensors
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, writing
-from boresight.store.tables import Run
-from tests.passwords import proved
-from tests.services.conftest import PASSWORD, SENSOR
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.fleet import service as sensors
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.runs.tables import Run
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, writing
+from tests.passwords import approve
+from tests.services.conftest import SENSOR
 
 MIDDLE = {"m0_px": 971.5, "n0_px": 1295.5, "u0_px": 1295.5, "v0_px": 971.5, "f_m": 0.016, "g_y": 1.0, "s": 1.0}
 
@@ -41,19 +42,10 @@ def test_a_set_of_every_model_is_approved_and_becomes_baseline(
         )  # fmt: skip
         run.sensor_id, run.sensor_document = sensor.id, sensor.document
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
-        parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        approvals.sign(
-            session,
-            people["cy"],
-            approval.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            approval.version,
-        )
-        promoted = parameter_sets.promote(session, people["dee"], row.id, row.version)
+        approve(session, people["cy"], approval)
+        promoted = promotions.promote(session, people["dee"], row.id, row.version)
 
     assert promoted.ground_state == "BASELINE"
     assert promoted.document["parameters"] == estimate

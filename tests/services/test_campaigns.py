@@ -1,18 +1,20 @@
 """Campaigns: one setting over many sensors, counted, stopped and launched again as one, a thousand sensors in one transaction."""
 
-from __future__ import annotations
-
 import time
 
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.campaigns import service as campaigns
+from boresight.console.campaigns.service import Member, result_of
+from boresight.console.campaigns.tables import CampaignRun
+from boresight.console.runs import service as runs
+from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.telemetry import service as telemetry_sets
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, campaigns, runs, telemetry_sets
-from boresight.services.campaign_places import Member
-from boresight.services.campaign_views import result_of
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import AuditRecord, CampaignRun, Run, RunEvent
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import reading, writing
 
 from .conftest import SENSOR
 from .fleets import add_fleet, add_sets
@@ -22,7 +24,6 @@ BATCH = {"method": "batch"}
 
 @pytest.fixture
 def fleet(engine, people, blobs):  # noqa: ARG001 - people are made in a transaction of their own, before this one begins
-    """Three sensors with sets; sensor 1 of the store has none."""
     with writing(engine) as session:
         return add_fleet(session, blobs, SENSOR, 3)
 
@@ -54,7 +55,6 @@ def test_every_sensor_gets_a_run_on_its_newest_sets_and_one_without_telemetry_th
     add_sets(session, blobs, fleet[:1])
     row = launch()
     standings = {one.sensor_id: one for one in campaigns.results(session, row.id)}
-
     assert set(standings) == {1, *fleet}
     assert standings[1].run_id is None
     assert "ST16-1 has no calibration set; upload one" in standings[1].refusal
@@ -73,7 +73,6 @@ def test_sets_can_be_named_and_validation_left_out(session, fleet, launch):
     calibration = telemetry_sets.list_telemetry_sets(session, sensor_id=fleet[1], purpose="validation")[0]
     row = launch([Member(fleet[0], validation_set_id=None), Member(fleet[1], calibration.id, None)])
     first, second = campaigns.results(session, row.id)
-
     assert first.validation_set_id is None
     assert second.telemetry_set_id == calibration.id
 
@@ -82,14 +81,12 @@ def test_a_set_of_another_sensor_is_that_sensors_cause_and_not_the_campaigns(ses
     other = telemetry_sets.list_telemetry_sets(session, sensor_id=fleet[1], purpose="calibration")[0]
     row = launch([Member(fleet[0], other.id), Member(fleet[1])])
     first, second = campaigns.results(session, row.id)
-
     assert "telemetry of another sensor" in first.refusal
     assert second.state == "QUEUED"
 
 
 def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch):
     said = launch(validate_only=True, preset="drift-tracking", settings={"process_noise_sigma": 0.1})
-
     assert (said["sensors"], said["runs"], said["preset"]) == (4, 3, "Drift tracking")
     assert said["settings"]["process_noise_sigma"] == 0.1
     assert said["predicted_s"] > 0
@@ -124,7 +121,6 @@ def test_what_is_no_campaign_is_refused(launch, given, error, said):
 def test_states_are_counted_and_the_campaign_has_one_word_and_one_fraction(session, people, launch):
     row = launch()
     first, second, third = (one.run_id for one in campaigns.results(session, row.id) if one.run_id)
-
     view = campaigns.read_campaign(session, row.id)
     assert (view.sensors, view.ended, view.failed, view.state) == (4, 1, 1, "UNDER WAY")
     assert view.fraction == 0.25
@@ -146,7 +142,6 @@ def test_a_campaign_whose_every_run_succeeded_says_so(session, people, fleet, la
             "SUCCEEDED",
             summary={"level": "normal", "rms_final_arc_rad": 1e-5, "weak_directions": 1},
         )
-
     assert campaigns.read_campaign(session, row.id).state == "SUCCEEDED"
     line = result_of(campaigns.results(session, row.id)[0])
     assert (line["level"], line["rms_final_arc_rad"], line["weak_directions"], line["state"]) == (
@@ -163,9 +158,7 @@ def test_cancelling_stops_what_waits_and_what_computes_and_leaves_what_ended(ses
     first, second, third = (one.run_id for one in campaigns.results(session, row.id) if one.run_id)
     _end(session, people, first, "SUCCEEDED")
     _end(session, people, second, "RUNNING")
-
     campaigns.cancel_campaign(session, people["ana"], row.id, "wrong settings")
-
     states = {one.run_id: (one.state, one.reason) for one in campaigns.results(session, row.id)}
     assert states[first] == ("SUCCEEDED", None)
     assert states[second][0] == "CANCELLING"
@@ -185,9 +178,7 @@ def test_the_failed_are_launched_again_and_the_newest_run_of_each_counts(session
     _end(session, people, second.run_id, "FAILED", reason="No stars.")
     _end(session, people, third.run_id, "LOST", reason="Gone.")
     add_sets(session, blobs, [1], ("calibration",))
-
     campaigns.relaunch_failed(session, people["ana"], row.id)
-
     after = {one.sensor_id: one for one in campaigns.results(session, row.id)}
     assert len(after) == 4
     assert after[first.sensor_id].run_id == first.run_id

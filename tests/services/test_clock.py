@@ -1,19 +1,23 @@
 """A jump of the clock lets no request expire before a person has seen it; the clocks are injected, nobody sleeps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
-from boresight.api.heartbeat import Heartbeat
-from boresight.services import alarms, approvals, clock, lists, parameter_sets
-from boresight.services.actors import Actor, Policy
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Alarm, Approval, ParameterSet
-from tests.passwords import proved
+from boresight.console import lists
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms import watch as clock
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals import submissions
+from boresight.console.approvals.tables import Approval
+from boresight.console.jobs.heartbeat import Heartbeat
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.platform.actors import Actor, Policy
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, writing
+from tests.passwords import approve
 
 AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
 DAY_S = 86_400.0
@@ -21,8 +25,6 @@ PASSWORD = "correct horse battery"
 
 
 class Hands:
-    """Two clocks that a test sets."""
-
     def __init__(self) -> None:
         self.wall_s, self.steady_s = 1.8e9, 1000.0
 
@@ -42,10 +44,9 @@ def hands(monkeypatch: pytest.MonkeyPatch) -> Hands:
 def due(
     engine: Engine, people: Mapping[str, Actor], blobs: BlobStore, candidate: Callable[..., ParameterSet]
 ) -> Approval:
-    """A request whose time is over."""
     row = candidate()
     with writing(engine) as session:
-        return parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)
+        return submissions.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)
 
 
 def _state(engine: Engine, approval: Approval) -> str:
@@ -82,16 +83,7 @@ def test_whoever_signs_between_the_jump_and_the_next_beat_finds_the_request_open
 ) -> None:
     hands.wall_s += 40 * DAY_S
     with writing(engine) as session:
-        approvals.sign(
-            session,
-            people["cy"],
-            due.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            due.version,
-        )
+        approve(session, people["cy"], due)
     assert _state(engine, due) == "APPROVED"
 
 

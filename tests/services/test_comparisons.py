@@ -1,7 +1,5 @@
 """Comparisons: what data two runs share decides on the sigma of their difference, and unlike runs are refused."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,20 +7,19 @@ import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 import pytest
 
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.runs import comparisons
+from boresight.console.runs.comparisons import UnlikeModelsError, compare, document, read_run_ids, table
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.services import comparisons, parameter_sets
-from boresight.services.comparisons import UnlikeModelsError, compare, document, read_run_ids, table
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import utc_now
-from boresight.store.tables import TelemetrySet
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import utc_now
 
 NAMES = ["f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y"]
 
 
 @pytest.fixture
 def run_on(session, blobs, finished_run, tmp_path):
-    """Make a run on exposures of these numbers, with f off by `step` and every sigma so large."""
-
     def make(exposures, step=0.0, sigma=1e-6):
         row = finished_run(session)
         place = np.concatenate([np.random.default_rng(number).uniform(0, 1000, (4, 2)) for number in exposures])

@@ -4,15 +4,20 @@ import time
 
 import pytest
 
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.services import audit, runs, sensors, table_definitions, telemetry_sets, users
-from boresight.services.demonstration import LOG_INS, create_demonstration
-from boresight.services.telemetry_sets import load_telemetry
+from boresight.cameras import CAMERA_MODELS
+from boresight.cli.demonstration import LOG_INS, create_demonstration
+from boresight.console.access import users
+from boresight.console.access.tables import ROLES
+from boresight.console.fleet import service as sensors
+from boresight.console.runs import service as runs
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.uplinks import table_definitions
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import migrate, open_engine, reading, writing
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import migrate, open_engine, reading, writing
-from boresight.store.tables import ROLES
+from boresight.telemetry.working_table import WorkingTable
 from tests.passwords import proved
 from tests.stores import url_in
 
@@ -82,7 +87,7 @@ def test_every_sensor_has_a_calibration_and_a_shorter_validation_set_that_read_b
         for sensor in sensors.list_sensors(session):
             found = telemetry_sets.list_telemetry_sets(session, sensor_id=sensor.id)
             assert {row.purpose: row.frames for row in found} == {"calibration": 200, "validation": 80}
-        assert len(load_telemetry(session, filled.blobs, found[0].id)) == found[0].stars
+        assert len(WorkingTable(filled.blobs.path(found[0].table_sha256))) == found[0].stars
 
 
 def test_every_sensor_has_a_batch_and_a_filter_run_queued_with_validation_and_a_label(filled):

@@ -1,11 +1,13 @@
 """Around a request: the second person at another's console, who is asked to decide, what is said, what was opened."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console.access import users
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import (
     BoresightError,
     ConflictError,
@@ -15,10 +17,9 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import approvals, audit, users
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Approval, ParameterSet, Signature
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, reading, writing
 from tests.passwords import new_password, proved
 
 PASSWORD = "correct horse battery"
@@ -27,7 +28,6 @@ People = Mapping[str, Actor]
 
 @pytest.fixture
 def request_id(engine: Engine, submitted: Callable[[], ParameterSet]) -> int:
-    """Have Ana submit a set."""
     row = submitted()
     with reading(engine) as session:
         return approvals.list_approvals(session, parameter_set_id=row.id)[0].id

@@ -1,18 +1,15 @@
 """What counts as a calibration of its own, when a sensor drifts, and what is advised."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from boresight.services import drift
-from boresight.services.advice import advise
-from boresight.services.trend import Trend, _periods, trend_of
-from boresight.services.trend_views import trend_document
-from boresight.store.sessions import Session
+from boresight.console.fleet import drift
+from boresight.console.fleet.trend import Trend, _periods, trend_of
+from boresight.console.fleet.trend_document import advise, trend_document
+from boresight.platform.db.sessions import Session
 from tests.missions import add_run, add_set, make_baseline
 
 FIRST = np.eye(8)[0]  # a1: the store keeps keys sorted
@@ -21,7 +18,6 @@ FIRST = np.eye(8)[0]  # a1: the store keeps keys sorted
 def _mission(
     session: Session, rng: np.random.Generator, days: list[float], slope: float = 0.0, **kept: Any
 ) -> list[int]:
-    """Calibrate the sensor on these days, a1 moving by `slope` typical sigmas a day."""
     return [add_run(session, add_set(session, 1, day), rng, slope * day * FIRST, **kept).id for day in days]
 
 
@@ -112,7 +108,6 @@ def test_after_a_promotion_the_drift_that_led_to_it_is_history(session: Session)
 
 
 def test_looks_at_a_sensor_that_holds_alarm_as_seldom_as_is_said(session: Session) -> None:
-    """The whole path, from the store on: 400 missions of five calibrations, at an alpha that can be counted."""
     rng = np.random.default_rng(12)
     _baselined(session, rng)
     _mission(session, rng, [30, 60, 90, 120, 150])

@@ -1,31 +1,25 @@
 """A dry run tells size, time with its spread, and what a forecast sees; forecasts are kept, and failing ones are sentences."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
-from boresight.calibration.settings import CalibrationSettings
-from boresight.services import audit, runs
-from boresight.services.forecasts import Sight
-from boresight.services.run_estimates import pace_of
-from boresight.sky.catalogue import load_catalogue
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import utc_now, writing
-from boresight.store.tables import Run, Sensor, TelemetrySet
-from boresight.telemetry.readers import write_parquet
+from boresight.calibration.options import CalibrationSettings
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs import service as runs
+from boresight.console.runs.dry_runs import Sight, pace_of
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import utc_now, writing
+from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 from tests.calibration.conftest import telemetry
 from tests.calibration.judged import st16_sensor
 from tests.estimation.fields import GROUND
 
 SETTINGS = {"method": "batch", "match": "given"}
-
-
-@pytest.fixture(scope="module")
-def catalogue(tmp_path_factory):
-    return load_catalogue(tmp_path_factory.mktemp("catalogue"))
 
 
 @pytest.fixture
@@ -35,7 +29,6 @@ def sight(blobs, catalogue):
 
 @pytest.fixture
 def session(engine, people, blobs, tmp_path):
-    """A transaction with a telemetry set of stars that can be looked at."""
     write_parquet(telemetry(1, frames=30), tmp_path / "table.parquet")
     with writing(engine) as session:
         sha256 = register_blob(session, blobs, blobs.put(tmp_path / "table.parquet"), "text/csv").sha256
@@ -58,7 +51,6 @@ def _asked(session, people, sight, **settings):
 
 def test_a_dry_run_foretells_every_free_parameters_sigma_and_says_it_in_words(session, people, sight):
     forecast = _asked(session, people, sight, free=["f_m", "b2_per_m2"])["forecast"]
-
     assert list(forecast["sigma"]) == ["f_m", "b2_per_m2"]
     assert all(0 < sigma < forecast["typical_sigma"][name] for name, sigma in forecast["sigma"].items())
     assert forecast["sentence"] == "2 parameters, all observable with this coverage."
@@ -67,7 +59,6 @@ def test_a_dry_run_foretells_every_free_parameters_sigma_and_says_it_in_words(se
 
 def test_a_forecast_is_kept_until_a_setting_or_the_sensor_changes(session, people, sight):
     first = _asked(session, people, sight)["forecast"]
-
     assert _asked(session, people, sight)["forecast"] is first
     assert _asked(session, people, sight, method="sqrf")["forecast"] is not first
     sensor = session.get_one(Sensor, 1)
@@ -78,19 +69,16 @@ def test_a_forecast_is_kept_until_a_setting_or_the_sensor_changes(session, peopl
 
 
 def test_only_the_latest_forecasts_are_kept(blobs, catalogue, monkeypatch):
-    monkeypatch.setattr("boresight.services.forecasts.KEPT", 3)
+    monkeypatch.setattr("boresight.console.runs.dry_runs.KEPT", 3)
     sight = Sight(blobs, lambda: catalogue, Path("nowhere"))
     for number in range(5):
         sight.forecast(f"{number:064}", {}, CalibrationSettings())
-
     assert len(sight._made) == 3
 
 
 def test_a_table_that_is_gone_is_a_sentence_of_the_forecast_and_no_refusal(session, people, sight, blobs):
     blobs.path(session.get_one(TelemetrySet, 1).table_sha256).unlink()
-
     forecast = _asked(session, people, sight)["forecast"]
-
     assert forecast["at"] is None
     assert "is missing" in forecast["sentence"]
     assert "restore it from a backup" in forecast["sentence"]
@@ -98,7 +86,6 @@ def test_a_table_that_is_gone_is_a_sentence_of_the_forecast_and_no_refusal(sessi
 
 def test_without_stars_to_look_at_the_dry_run_still_tells_its_size(session, people, blobs):
     blind = Sight(blobs, lambda: None, Path("nowhere"))
-
     assert _asked(session, people, None)["forecast"] is None
     assert "no star catalogue" in _asked(session, people, blind)["forecast"]["sentence"]
     assert _asked(session, people, blind)["frames"] == 30
@@ -118,7 +105,6 @@ def test_the_time_is_told_with_the_spread_of_past_runs_and_how_many_they_were(se
         _run_of(session, people, seconds)
     pace = pace_of(session, "batch")
     summary = _asked(session, people, None)
-
     assert guess.runs == 0
     assert guess.low < guess.s_per_star < guess.high
     assert (pace.runs, pace.s_per_star, pace.low, pace.high) == (11, 6e-3, pytest.approx(2e-3), pytest.approx(10e-3))
@@ -131,7 +117,6 @@ def test_the_time_is_told_with_the_spread_of_past_runs_and_how_many_they_were(se
 def test_one_past_run_alone_is_taken_to_be_within_a_factor_of_two(session, people):
     _run_of(session, people, 4.0)
     pace = pace_of(session, "batch")
-
     assert (pace.runs, pace.low, pace.high) == (1, 2e-3, 8e-3)
 
 

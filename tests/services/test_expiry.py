@@ -1,20 +1,23 @@
 """Requests that wait too long, and the way back: a request of its own kind with less time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from datetime import datetime
 
 import pytest
 
-from boresight.api.heartbeat import Heartbeat
+from boresight.console import transitions
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval
+from boresight.console.jobs.heartbeat import Heartbeat
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ConflictError, ForbiddenError
-from boresight.services import approvals, audit, parameter_sets
-from boresight.services.actors import POLICY, Actor, Policy
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Approval, ParameterSet
-from tests.passwords import proved
+from boresight.platform.actors import POLICY, Actor, Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, writing
+from tests.passwords import approve
 
 PASSWORD = "correct horse battery"
 AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
@@ -24,27 +27,23 @@ Ask = Callable[..., Approval]
 
 @pytest.fixture
 def ask(engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..., ParameterSet]) -> Ask:
-    """Submit a candidate under a policy."""
-
     def make(policy: Policy = POLICY) -> Approval:
         row = candidate()
         with writing(engine) as session:
-            return parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=policy)
+            return submissions.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=policy)
 
     return make
 
 
 def _sign(engine: Engine, actor: Actor, approval: Approval) -> None:
     with writing(engine) as session:
-        approvals.sign(
-            session, actor, approval.id, "APPROVE", "I approve", "", proved(session, actor, PASSWORD), approval.version
-        )
+        approve(session, actor, approval)
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
     with reading(engine) as session:
         row = approvals.get_approval(session, approval.id)
-        return row.state, parameter_sets.get_parameter_set(session, row.parameter_set_id).ground_state
+        return row.state, transitions.get_parameter_set(session, row.parameter_set_id).ground_state
 
 
 def _days(approval: Approval) -> float:
@@ -89,9 +88,9 @@ def test_an_approval_that_nobody_used_in_time_promotes_nothing(
 ) -> None:
     approval = ask()
     _sign(engine, people["cy"], approval)
-    monkeypatch.setattr("boresight.services.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
+    monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
     with writing(engine) as session, pytest.raises(ConflictError, match="expired at"):
-        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 3)
+        promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
     assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
 
 
@@ -102,10 +101,10 @@ def test_what_expired_may_be_submitted_again_and_what_was_promoted_never_expires
     _sign(engine, people["cy"], used)
     with writing(engine) as session:
         approvals.expire_due(session)
-        row = parameter_sets.get_parameter_set(session, late.parameter_set_id)
-        parameter_sets.submit(session, people["ana"], blobs, row.id, "once more", row.version)
-        parameter_sets.promote(session, people["dee"], used.parameter_set_id, 3)
-    monkeypatch.setattr("boresight.services.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
+        row = transitions.get_parameter_set(session, late.parameter_set_id)
+        submissions.submit(session, people["ana"], blobs, row.id, "once more", row.version)
+        promotions.promote(session, people["dee"], used.parameter_set_id, 3)
+    monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
     with writing(engine) as session:
         assert approvals.expire_due(session) == []
     assert _states(engine, used) == ("APPROVED", "BASELINE")
@@ -117,15 +116,15 @@ def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(
     approval = ask()
     _sign(engine, people["cy"], approval)
     with writing(engine) as session:
-        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 3)
+        promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
         ground = parameter_sets.list_parameter_sets(session, ground_state="SUPERSEDED")[0]
-        back = parameter_sets.roll_back(session, people["dee"], blobs, ground.id, "it drifts", ground.version)
+        back = submissions.roll_back(session, people["dee"], blobs, ground.id, "it drifts", ground.version)
     assert (approval.kind, _days(approval)) == ("PROMOTION", 30.0)
     assert (back.kind, _days(back), back.submitted_by) == ("ROLLBACK", 3.0, people["dee"].user_id)
     _sign(engine, people["cy"], back)
     with writing(engine) as session:
-        row = parameter_sets.get_parameter_set(session, ground.id)
-        assert parameter_sets.promote(session, people["dee"], row.id, row.version).ground_state == "BASELINE"
+        row = transitions.get_parameter_set(session, ground.id)
+        assert promotions.promote(session, people["dee"], row.id, row.version).ground_state == "BASELINE"
         record = audit.last_change(session, f"parameter-sets/{ground.id}")
         assert record is not None
         assert (record.action, (record.after or {})["kind"]) == ("promoted", "ROLLBACK")
@@ -135,10 +134,10 @@ def test_a_roll_back_that_expired_stays_superseded(engine: Engine, people: Peopl
     approval = ask()
     _sign(engine, people["cy"], approval)
     with writing(engine) as session:
-        parameter_sets.promote(session, people["dee"], approval.parameter_set_id, 3)
+        promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
         ground = parameter_sets.list_parameter_sets(session, ground_state="SUPERSEDED")[0]
         asked = (blobs, ground.id, "it drifts", ground.version)
-        back = parameter_sets.roll_back(session, people["dee"], *asked, policy=AT_ONCE)
+        back = submissions.roll_back(session, people["dee"], *asked, policy=AT_ONCE)
         approvals.expire_due(session)
     assert _states(engine, back) == ("EXPIRED", "SUPERSEDED")
 
@@ -148,6 +147,6 @@ def test_there_is_no_way_back_to_what_never_was_baseline(
 ) -> None:
     row = candidate()
     with writing(engine) as session, pytest.raises(ConflictError, match="was never baseline"):
-        parameter_sets.roll_back(session, people["dee"], blobs, row.id, "it drifts", row.version)
+        submissions.roll_back(session, people["dee"], blobs, row.id, "it drifts", row.version)
     with writing(engine) as session, pytest.raises(ForbiddenError, match="analyst or operator"):
-        parameter_sets.roll_back(session, people["cy"], blobs, row.id, "it drifts", row.version)
+        submissions.roll_back(session, people["cy"], blobs, row.id, "it drifts", row.version)

@@ -1,21 +1,21 @@
 """The fleet at a glance: the worst that is known of a sensor, with the sentence why."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
-from boresight.services import parameter_sets, uplinks
-from boresight.services.actors import Actor
-from boresight.services.conditions import conditions
-from boresight.services.fleet import STATUS_WORDS, Known, SensorTile, findings, fleet_overview, standings
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, reading, utc_after, writing
-from boresight.store.tables import ParameterSet, Run
-from boresight.workers.summary import summary_of
+from boresight.console.alarms.watch import conditions
+from boresight.console.approvals import submissions
+from boresight.console.fleet.status import STATUS_WORDS, Known, SensorTile, findings, fleet_overview, standings
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.uplinks import service as uplinks
+from boresight.platform.actors import Actor
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, reading, utc_after, writing
+from boresight.verdicts.summary import summary_of
 from tests.missions import add_run, add_set
 
 from .onboard import climb, promote_by_hand
@@ -109,7 +109,7 @@ def test_a_request_that_waits_is_a_caution(
 ) -> None:
     row = candidate()
     with writing(engine) as session:
-        parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
     tile = _tile(engine)
     assert (tile.status, tile.sentence) == ("caution", f"{row.name} waits for a signature.")
 
@@ -189,7 +189,7 @@ def test_a_ground_shift_beyond_what_a_look_asks_anew_is_said_once_it_is_known(
     rng = np.random.default_rng(6)
     for day in range(4):
         add_run(session, add_set(session, 1, 30.0 * day), rng, 30.0 * np.eye(8)[0])
-    monkeypatch.setattr("boresight.services.fleet.MOST_JUDGED", 0)
+    monkeypatch.setattr("boresight.console.fleet.status.MOST_JUDGED", 0)
     assert [one.status for one in standings(session)] == ["normal"]
     conditions(session)
     assert [one.status for one in standings(session)] == ["caution"]

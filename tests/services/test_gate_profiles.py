@@ -1,24 +1,23 @@
 """Gate profiles of stored sensors: who sets them, what they move, and what they would have blocked."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
 
+from boresight.console import transitions
+from boresight.console.approvals import gate_profiles, gates
+from boresight.console.approvals import service as approvals
 from boresight.errors import ForbiddenError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
-from boresight.gates import DEFAULT_PROFILE
-from boresight.services import approvals, audit, gate_profiles, gates, parameter_sets
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.sessions import reading, writing
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
+from boresight.verdicts.gates import DEFAULT_PROFILE
 
 SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]}
 
 
 @pytest.fixture
 def set_profile(engine, people):
-    """Set a profile of the sensor as the administrator, but for what is given."""
-
     def act(who: str | Actor = "root", seen: int | None = 0, **given: Any):
         values = {"sensor_id": 1, "document": SHIFT, "reason": "To be tried.", **given}
         with writing(engine) as session:
@@ -34,7 +33,6 @@ def test_the_default_is_in_force_until_another_is_set(engine, set_profile):
         row = gate_profiles.profile_in_force(session, 1)
         assert (row.number, row.document, row.id) == (0, DEFAULT_PROFILE, None)
         assert [one.number for one in gate_profiles.list_profiles(session, 1)] == [0]
-
     set_profile()
     with reading(engine) as session:
         assert [one.number for one in gate_profiles.list_profiles(session, 1)] == [1, 0]
@@ -95,7 +93,7 @@ def test_other_limits_make_undecided_requests_stale(set_profile, submitted, engi
     with reading(engine) as session:
         request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
         assert request.state == "STALE"
-        assert parameter_sets.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
+        assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
 
 
 def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_stores_nothing(
@@ -108,7 +106,6 @@ def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_store
         finished_run(session, state="FAILED")
     with reading(engine) as session:
         tried = gate_profiles.dry_run(session, blobs, 1, SHIFT)
-
     assert [(one.run.id, one.set_name) for one in tried] == [(never_made, None), (assessed.run_id, assessed.name)]
     assert [one.blocking for one in tried] == [[], ["parameter-shift"]]  # the first is where the sensor started
     assert [one.blocking_now for one in tried] == [[], []]

@@ -1,28 +1,25 @@
 """Gate reports of stored sets: what they rest on, when they hold, what they say at submission and on lists."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
+from boresight.console.approvals import gate_profiles, gates
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, NotFoundError, StaleError
-from boresight.gates import DEFAULT_PROFILE
-from boresight.services import audit, gate_profiles, gates, parameter_sets
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import ParameterSet
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import reading, writing
+from boresight.verdicts.gates import DEFAULT_PROFILE
 
 
 def limits(**gates: Any) -> dict[str, Any]:
-    """A profile that differs from the default in some gates, their names with low lines."""
     return {"gates": [{"name": name.replace("_", "-"), **entry} for name, entry in gates.items()]}
 
 
 @pytest.fixture
 def assess(engine, blobs, people):
-    """Assess a set as Ana, without looking at frames."""
-
     def run(parameter_set_id: int, who: str = "ana"):
         with reading(engine) as session:
             assessment = gates.measure(session, blobs, None, parameter_set_id)
@@ -34,7 +31,6 @@ def assess(engine, blobs, people):
 
 def test_a_set_of_a_poor_run_is_not_blocked_by_the_default_profile(candidate: Callable[..., ParameterSet], assess):
     report = assess(candidate().id).document
-
     status = {answer["name"]: answer["status"] for answer in report["gates"]}
     assert report["schema"] == "boresight.gate-report/1"
     assert list(status) == [entry["name"] for entry in DEFAULT_PROFILE["gates"]]
@@ -49,7 +45,6 @@ def test_a_set_of_a_poor_run_is_not_blocked_by_the_default_profile(candidate: Ca
 def test_a_report_binds_what_it_rests_on_and_is_recorded_in_the_audit(candidate, assess, engine):
     row = candidate()
     report = assess(row.id)
-
     bound = report.document["bound"]
     with reading(engine) as session:
         assert bound["incumbent_sha256"] == parameter_sets.baseline_of(session, 1).sha256
@@ -71,7 +66,6 @@ def test_a_report_of_what_moved_meanwhile_is_refused(candidate, engine, blobs, p
         assessment = gates.measure(session, blobs, None, row.id)
     with writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, limits(coverage={"limit": 0.2}), "More stars.", 0)
-
     with writing(engine) as session, pytest.raises(StaleError, match="The profile moved while PS-ST16-1-1"):
         gates.record_report(session, people["ana"], assessment)
 
@@ -90,7 +84,6 @@ def test_a_report_holds_until_the_profile_moves(candidate, assess, engine, peopl
 
 def test_the_baseline_has_nothing_to_be_compared_with(assess):
     report = assess(1).document
-
     answers = {answer["name"]: answer for answer in report["gates"]}
     assert answers["covariance"]["status"] == "PASS"
     assert answers["parameter-shift"]["status"] == "NO-DATA"
@@ -111,7 +104,6 @@ def test_there_is_nothing_to_say_of_no_set(session, blobs):
 def test_a_submission_takes_the_report_that_holds_or_a_light_one(candidate, assess, engine, blobs, people):
     known, new = candidate(), candidate()
     report = assess(known.id)
-
     with writing(engine) as session:
         assert gates.report_for_submission(session, people["ana"], blobs, known.id).id == report.id
         light = gates.report_for_submission(session, people["ana"], blobs, new.id)

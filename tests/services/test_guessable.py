@@ -1,15 +1,13 @@
 """Which passwords are refused: those guessed early, however they are dressed, and those made of the person's names."""
 
-from __future__ import annotations
-
 import time
 
 import pytest
 from zxcvbn.matching import RANKED_DICTIONARIES
 
+from boresight.console.access import passwords
+from boresight.console.access.passwords import guessable
 from boresight.errors import RefusedInputError
-from boresight.services import passwords
-from boresight.services.guessable import guessable
 
 NAMES = ("j.doe", "Jane Q. Doesmith")
 COMMONEST = sorted(RANKED_DICTIONARIES["passwords"], key=RANKED_DICTIONARIES["passwords"].get)
@@ -102,6 +100,7 @@ def test_a_password_that_cannot_be_written_proves_nothing_and_costs_as_much() ->
         assert not passwords.check(passwords.StoredPassword(), odd).fits
 
 
+@pytest.mark.usefixtures("product_hashes")
 def test_the_parameters_of_the_hash_are_at_least_what_owasp_asks() -> None:
     variant, _, parameters = passwords.prepare("correct horse battery").hash().split("$")[1:4]
     named = dict(part.split("=") for part in parameters.split(","))

@@ -1,22 +1,22 @@
 """What is remembered of drift: as good as a judgement made anew, and made anew when anything it rests on changed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from boresight.services import audit, drift, judgements
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.conditions import conditions
-from boresight.services.trend import trend_of
-from boresight.store import sensors, trends
-from boresight.store.sessions import Engine, Session, reading, writing
+from boresight.console.alarms.watch import conditions
+from boresight.console.fleet import drift
+from boresight.console.fleet import queries as sensors
+from boresight.console.fleet import status as judgements
+from boresight.console.fleet.trend import trend_of
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, Session, reading, writing
 from tests.missions import add_run, add_set, make_baseline
 
 
 def _remembered(session: Session) -> judgements.Judgement:
     heads, baselines = sensors.sensor_heads(session, [1]), sensors.baseline_heads(session)
-    return judgements.judgements(session, heads, baselines, trends.stamps(session))[1]
+    return judgements.judgements(session, heads, baselines, sensors.stamps(session))[1]
 
 
 def test_it_equals_a_judgement_made_anew_after_every_change_of_the_trend(session: Session) -> None:
@@ -57,7 +57,7 @@ def test_a_second_look_at_an_unchanged_fleet_reads_no_run(engine: Engine, monkey
 
 def test_who_must_not_wait_asks_of_a_few_anew_and_is_told_the_rest_when_it_is_known(session: Session) -> None:
     heads, baselines = sensors.sensor_heads(session), sensors.baseline_heads(session)
-    stamps = trends.stamps(session)
+    stamps = sensors.stamps(session)
     assert judgements.judgements(session, heads, baselines, stamps, most=0) == {}
     known = judgements.judgements(session, heads, baselines, stamps, most=1)
     assert list(known) == [1]
@@ -69,7 +69,7 @@ def test_a_judgement_that_is_out_of_date_stands_until_it_is_made_anew(session: S
 
     def told(most: int | None) -> dict[int, judgements.Judgement]:
         heads, baselines = sensors.sensor_heads(session), sensors.baseline_heads(session)
-        return judgements.judgements(session, heads, baselines, trends.stamps(session), most=most)
+        return judgements.judgements(session, heads, baselines, sensors.stamps(session), most=most)
 
     before = told(None)
     for day in range(4):

@@ -1,16 +1,12 @@
 """How attempts are slowed down: by name and place together, and by places that try many names."""
 
-from __future__ import annotations
-
 import pytest
 
+from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginLimiter, Tried, place_of_address
 from boresight.errors import TooManyAttemptsError
-from boresight.services.login_limiter import FORGET_S, HELD_S, LoginLimiter, Tried, place_of_address
 
 
 class Clock:
-    """A clock that is set by hand."""
-
     def __init__(self) -> None:
         self.now_s = 1000.0
 
@@ -29,7 +25,6 @@ def limiter(clock: Clock) -> LoginLimiter:
 
 
 def _fail(limiter: LoginLimiter, clock: Clock, tried: Tried) -> float:
-    """Fail once as soon as that is possible; returns the seconds that were waited."""
     began_s = clock.now_s
     while True:
         try:
@@ -42,7 +37,6 @@ def _fail(limiter: LoginLimiter, clock: Clock, tried: Tried) -> float:
 
 
 def _tries_in_an_hour(limiter: LoginLimiter, clock: Clock, tried: list[Tried]) -> int:
-    """Try from all these places whenever one of them is let in; returns how many passwords were checked in an hour."""
     tries, end_s = 0, clock.now_s + 3600.0
     while clock.now_s < end_s:
         for one in tried:
@@ -104,7 +98,7 @@ def test_many_names_from_a_place_keep_nobody_waiting_who_logged_in_from_there(
 def test_what_is_refused_pushes_out_no_count(
     limiter: LoginLimiter, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("boresight.services.login_limiter.MOST_COUNTS", 200)
+    monkeypatch.setattr("boresight.console.access.log_in_attempts.MOST_COUNTS", 200)
     for number in range(34):
         _fail(limiter, clock, Tried(f"name-{number}", "6.6.6.6"))
     for number in range(1000):
@@ -162,7 +156,7 @@ def test_after_a_while_failures_are_forgotten(limiter: LoginLimiter, clock: Cloc
 
 
 def test_the_counts_do_not_grow_without_bound(limiter: LoginLimiter, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("boresight.services.login_limiter.MOST_COUNTS", 100)
+    monkeypatch.setattr("boresight.console.access.log_in_attempts.MOST_COUNTS", 100)
     for number in range(1000):
         limiter.admit(Tried(f"name-{number}", f"place-{number}"))
         limiter.ended(Tried(f"name-{number}", f"place-{number}"), failed=True)

@@ -1,16 +1,15 @@
 """Notes are written by people, kept as they are, and on record."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console.notes import service as notes
+from boresight.console.runs.tables import Run
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, notes
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.sessions import Session
-from boresight.store.tables import Run
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session
 
 
 @pytest.mark.parametrize("kind", notes.TABLES)

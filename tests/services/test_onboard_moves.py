@@ -1,20 +1,20 @@
 """Every move on board, by everybody, from every state: what is not allowed by the list is refused and leaves nothing."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import pytest
 
+from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.read_backs import READABLE, read_back
+from boresight.console.uplinks.tables import Uplink
 from boresight.errors import BoresightError, ConflictError, ForbiddenError
-from boresight.services import audit, uplinks
-from boresight.services.actors import COMMAND_LINE, SYSTEM, Actor
-from boresight.services.read_backs import READABLE, read_back
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, only_try, reading, utc_now, writing
-from boresight.store.tables import ONBOARD_STATES, ParameterSet, Uplink
+from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, only_try, reading, utc_now, writing
 from tests.passwords import proved
 
 from .conftest import PASSWORD
@@ -27,8 +27,6 @@ MOVES = (*STATEMENTS, "read back well", "read back badly", "sign active")
 
 @dataclass(frozen=True)
 class Person:
-    """Who tries, and which moves are theirs at all."""
-
     make: Callable[[Mapping[str, Actor]], Actor]
     moves: tuple[str, ...] = ()
 
@@ -56,7 +54,6 @@ PERSONS = {
 
 
 def _leads_to(move: str, state: str) -> str | None:
-    """Return where a move leads from a state; None where it is not on the list."""
     if move in STATEMENTS:
         wanted = move.removeprefix("record ")
         return wanted if wanted in uplinks.STATED and wanted in uplinks.NEXT[state] else None
@@ -68,7 +65,6 @@ def _leads_to(move: str, state: str) -> str | None:
 
 
 def _make(session: Session, actor: Actor, blobs: BlobStore, move: str, table: bytes) -> Uplink:
-    """Make a move with set 1 as it is."""
     seen = session.get_one(ParameterSet, 1).version
     if move in STATEMENTS:
         return uplinks.record(session, actor, 1, move.removeprefix("record "), "pass 1", seen)
@@ -79,7 +75,6 @@ def _make(session: Session, actor: Actor, blobs: BlobStore, move: str, table: by
 
 
 def _put(session: Session, state: str) -> None:
-    """Bring set 1 into a state by hand, in a transaction that is rolled back."""
     only_try(session)
     session.get_one(ParameterSet, 1).onboard_state = state
     if state != "NOT SENT":

@@ -1,12 +1,16 @@
 """Parameter sets: what they are made of, and who submits and withdraws them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
 
+from boresight.console import transitions
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
 from boresight.errors import (
     BoresightError,
     ConflictError,
@@ -16,12 +20,10 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import approvals, parameter_sets
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.blobs import BlobStore
-from boresight.store.documents import sha256_of
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import ParameterSet, Run
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Engine, Session, reading, writing
 
 People = Mapping[str, Actor]
 Candidate = Callable[..., ParameterSet]
@@ -32,7 +34,7 @@ def test_a_candidate_says_all_that_it_is_and_is_named_by_its_hash(engine: Engine
     row = candidate()
     with reading(engine) as session:
         run = session.get_one(Run, row.run_id)
-        document = parameter_sets.get_parameter_set(session, row.id).document
+        document = transitions.get_parameter_set(session, row.id).document
     assert (row.name, row.ground_state, row.onboard_state) == ("PS-ST16-1-1", "CANDIDATE", "NOT SENT")
     assert sha256_of(document) == row.sha256
     assert document["parameters"]["f_m"] == 0.016001
@@ -103,7 +105,7 @@ def test_what_does_not_exist_is_not_found(session: Session, people: People, blob
     with pytest.raises(NotFoundError, match="no run 99"):
         parameter_sets.create_from_run(session, people["ana"], blobs, 99)
     with pytest.raises(NotFoundError, match="no parameter set 99"):
-        parameter_sets.get_parameter_set(session, 99)
+        transitions.get_parameter_set(session, 99)
 
 
 @pytest.mark.parametrize("name", ["cy", "dee", "eve", "root"])
@@ -115,14 +117,14 @@ def test_only_an_analyst_makes_and_submits(
         parameter_sets.create_from_run(session, people[name], blobs, run.id)
     row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
     with pytest.raises(ForbiddenError, match="role analyst"):
-        parameter_sets.submit(session, people[name], blobs, row.id, "better", row.version)
+        submissions.submit(session, people[name], blobs, row.id, "better", row.version)
     assert row.ground_state == "CANDIDATE"
 
 
 def test_nobody_in_particular_cannot_submit(engine: Engine, candidate: Candidate, blobs: BlobStore) -> None:
     row = candidate()
     with writing(engine) as session, pytest.raises(ForbiddenError, match="answer for this"):
-        parameter_sets.submit(session, COMMAND_LINE, blobs, row.id, "better", row.version)
+        submissions.submit(session, COMMAND_LINE, blobs, row.id, "better", row.version)
 
 
 def test_a_request_binds_set_run_and_incumbent(engine: Engine, submitted: Callable[[], ParameterSet]) -> None:
@@ -147,7 +149,7 @@ def test_a_transition_needs_the_version_that_was_seen(
 ) -> None:
     row = candidate()
     with writing(engine) as session, pytest.raises(PreconditionRequiredError, match="If-Match"):
-        parameter_sets.submit(session, people["ana"], blobs, row.id, "better", None)
+        submissions.submit(session, people["ana"], blobs, row.id, "better", None)
 
 
 def test_an_old_version_is_told_who_changed_what_and_when(
@@ -155,7 +157,7 @@ def test_an_old_version_is_told_who_changed_what_and_when(
 ) -> None:
     row = submitted()
     with writing(engine) as session, pytest.raises(StaleError) as refusal:
-        parameter_sets.withdraw(session, people["ana"], row.id, 1)
+        submissions.withdraw(session, people["ana"], row.id, 1)
     assert "you saw v1, it is v2" in str(refusal.value)
     assert "Ana submitted it at 20" in str(refusal.value)
 
@@ -163,7 +165,7 @@ def test_an_old_version_is_told_who_changed_what_and_when(
 def test_a_submission_needs_its_reason(engine: Engine, people: People, candidate: Candidate, blobs: BlobStore) -> None:
     row = candidate()
     with writing(engine) as session, pytest.raises(RefusedInputError, match="Give the reason"):
-        parameter_sets.submit(session, people["ana"], blobs, row.id, "  ", row.version)
+        submissions.submit(session, people["ana"], blobs, row.id, "  ", row.version)
 
 
 def test_what_is_submitted_is_not_submitted_again(
@@ -171,7 +173,7 @@ def test_what_is_submitted_is_not_submitted_again(
 ) -> None:
     row = submitted()
     with writing(engine) as session, pytest.raises(ConflictError, match="is SUBMITTED: Ana submitted it"):
-        parameter_sets.submit(session, people["bo"], blobs, row.id, "better", row.version)
+        submissions.submit(session, people["bo"], blobs, row.id, "better", row.version)
 
 
 def test_the_submitter_withdraws_and_may_submit_again(
@@ -179,12 +181,11 @@ def test_the_submitter_withdraws_and_may_submit_again(
 ) -> None:
     row = approved()
     with writing(engine) as session:
-        withdrawn = parameter_sets.withdraw(session, people["ana"], row.id, row.version, "found a mistake")
+        withdrawn = submissions.withdraw(session, people["ana"], row.id, row.version, "found a mistake")
         assert withdrawn.ground_state == "WITHDRAWN"
         assert approvals.list_approvals(session)[0].state == "WITHDRAWN"
         assert (
-            parameter_sets.submit(session, people["ana"], blobs, row.id, "no mistake", withdrawn.version).state
-            == "OPEN"
+            submissions.submit(session, people["ana"], blobs, row.id, "no mistake", withdrawn.version).state == "OPEN"
         )
 
 
@@ -193,12 +194,12 @@ def test_another_analyst_does_not_withdraw(
 ) -> None:
     row = submitted()
     with writing(engine) as session, pytest.raises(ForbiddenError, match="administrator"):
-        parameter_sets.withdraw(session, people["bo"], row.id, row.version)
+        submissions.withdraw(session, people["bo"], row.id, row.version)
 
 
 def test_a_candidate_has_nothing_to_withdraw_or_promote(engine: Engine, people: People, candidate: Candidate) -> None:
     row = candidate()
     with writing(engine) as session, pytest.raises(ConflictError, match="not submitted"):
-        parameter_sets.withdraw(session, people["ana"], row.id, row.version)
+        submissions.withdraw(session, people["ana"], row.id, row.version)
     with writing(engine) as session, pytest.raises(ConflictError, match="is CANDIDATE, not APPROVED"):
-        parameter_sets.promote(session, people["dee"], row.id, row.version)
+        promotions.promote(session, people["dee"], row.id, row.version)

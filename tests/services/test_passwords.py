@@ -1,19 +1,19 @@
 """Passwords that somebody else knows: they let a person do nothing but set another, and never stand for a signature."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console.access import users
+from boresight.console.access.passwords import password_by
+from boresight.console.approvals import service as approvals
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, PasswordDueError
-from boresight.services import approvals, audit, users
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.passwords import password_by
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import ParameterSet
-from tests.passwords import new_password, proved
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, Session, reading, writing
+from tests.passwords import add_person, approve, new_password, proved
 
 from .conftest import PASSWORD
 
@@ -22,7 +22,6 @@ GIVEN, OWN = "given by the administrator", "known to nobody else"
 
 @pytest.fixture
 def cy(engine: Engine, people: Mapping[str, Actor]) -> Actor:
-    """The approver, whose password the administrator reset."""
     with writing(engine) as session:
         users.change_password(session, people["root"], people["cy"].user_id or 0, new_password(GIVEN))
     return people["cy"]
@@ -60,9 +59,7 @@ def test_a_given_password_signs_nothing_and_ones_own_does(
 
     def sign(password: str) -> None:
         with writing(engine) as session:
-            approvals.sign(
-                session, cy, approval.id, "APPROVE", "I approve", "", proved(session, cy, password), approval.version
-            )
+            approve(session, cy, approval, password=password)
 
     with pytest.raises(ForbiddenError, match="set your own first"):
         sign(GIVEN)
@@ -100,16 +97,12 @@ RESET = "reset by Root at 2026-11-20 18:00:00 UTC"
 
 
 def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events: tuple[str, str]) -> str | None:
-    """Have a new person's password given and changed at times, and return what a signature would keep of it."""
-
     def at(time: str) -> None:
-        monkeypatch.setattr("boresight.store.chain.utc_now", lambda: f"{time}.000000Z")
+        monkeypatch.setattr("boresight.platform.audit.chain.utc_now", lambda: f"{time}.000000Z")
 
     at("2026-11-20T12:00:00")
     with writing(engine) as session:
-        row = users.create_user(
-            session, COMMAND_LINE, name="new", printed_name="New", password=new_password(PASSWORD), roles=["approver"]
-        )
+        row = add_person(session, "new", "approver")
         new_id, current = row.id, PASSWORD
         for number, (who, time) in enumerate(events):
             at(time)
@@ -160,9 +153,7 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(
         users.change_password(session, puppet, cy.user_id or 0, new_password(OWN), proved(session, puppet, GIVEN))
     with writing(engine) as session:
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        signature = approvals.sign(
-            session, puppet, approval.id, "APPROVE", "I approve", "", proved(session, puppet, OWN), approval.version
-        )
+        signature = approve(session, puppet, approval, password=OWN)
         record = audit.last_change(session, f"approvals/{approval.id}")
     assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, set anew \d+ s later", str(signature.password_by))
     assert record is not None

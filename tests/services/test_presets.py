@@ -1,14 +1,13 @@
 """Presets: settings under a name with a sentence, versioned, archived, on record; Boresight's own are all usable."""
 
-from __future__ import annotations
-
 import pytest
 
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
+from boresight.console.runs import presets
+from boresight.console.runs.presets import BUILT_IN
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, presets
-from boresight.services.presets import BUILT_IN
-from boresight.store.sessions import writing
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import writing
 
 WHEN = "On Mondays."
 
@@ -44,7 +43,6 @@ def test_boresights_presets_differ_in_key_name_and_settings():
 def test_a_saved_preset_is_offered_with_every_setting_written_out(session, save):
     row = save(method="sqrf", variant="q")
     offer = presets.offers(session)[-1]
-
     assert (offer.key, offer.name, offer.sentence) == (str(row.id), "Ours, version 1", WHEN)
     assert (offer.settings["method"], offer.settings["linearisations"]) == ("sqrf", 6)
     assert presets.get_offer(session, offer.key) == offer
@@ -54,7 +52,6 @@ def test_a_saved_preset_is_offered_with_every_setting_written_out(session, save)
 
 def test_saving_under_the_same_name_makes_the_next_version_and_leaves_the_first_as_it_was(session, save):
     first, second = save(), save(robust="huber")
-
     assert (first.number, second.number) == (1, 2)
     assert [offer.key for offer in presets.offers(session) if offer not in BUILT_IN] == [str(second.id)]
     assert presets.get_offer(session, str(first.id)).settings["robust"] == "none"
@@ -64,7 +61,6 @@ def test_what_an_archived_version_said_can_still_be_read_and_an_older_one_comes_
     first, second = save(), save(robust="huber")
     presets.archive_preset(session, people["ana"], second.id)
     presets.archive_preset(session, people["ana"], second.id)
-
     assert presets.offers(session)[-1].key == str(first.id)
     assert presets.get_offer(session, str(second.id)).settings["robust"] == "huber"
     assert [row.id for row in presets.list_presets(session)] == [first.id]
@@ -113,7 +109,6 @@ def test_a_preset_that_there_is_not_is_said_to_be_so(session, key):
 
 def test_settings_given_beside_a_preset_go_over_its_own(session):
     name, settings = presets.chosen_settings(session, "drift-tracking", {"process_noise_sigma": 0.1})
-
     assert name == "Drift tracking"
     assert (settings["variant"], settings["process_noise_sigma"]) == ("q", 0.1)
     assert presets.chosen_settings(session, None, {"method": "ekf"}) == (None, {"method": "ekf"})

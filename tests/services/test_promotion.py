@@ -1,23 +1,22 @@
 """Promotion: one is baseline whoever races, what moved is stale, and the way back is a way forward."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import sqlalchemy as sa
 
-from boresight.errors import (
-    ForbiddenError,
-    StaleError,
-)
-from boresight.services import approvals, audit, parameter_sets, promotions
-from boresight.services.actors import Actor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import ParameterSet, Promotion
-from tests.passwords import proved
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import promotions as promotions_module
+from boresight.console.approvals import service as approvals
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.errors import ForbiddenError, StaleError
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, reading, writing
+from tests.passwords import approve
 
 PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
@@ -25,21 +24,12 @@ People = Mapping[str, Actor]
 
 def _approve(session: Session, approver: Actor, set_id: int) -> None:
     approval = approvals.list_approvals(session, parameter_set_id=set_id, state="OPEN")[0]
-    approvals.sign(
-        session,
-        approver,
-        approval.id,
-        "APPROVE",
-        "I approve",
-        "",
-        proved(session, approver, PASSWORD),
-        approval.version,
-    )
+    approve(session, approver, approval)
 
 
 def _promote(engine: Engine, actor: Actor, row: ParameterSet) -> ParameterSet:
     with writing(engine) as session:
-        return parameter_sets.promote(session, actor, row.id, row.version)
+        return promotions_module.promote(session, actor, row.id, row.version)
 
 
 def _states(engine: Engine) -> dict[str, str]:
@@ -143,9 +133,9 @@ def test_rollback_is_a_new_request_for_an_older_set(
     _promote(engine, people["dee"], row)
     with writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        parameter_sets.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
+        submissions.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
         _approve(session, people["cy"], ground.id)
-        parameter_sets.promote(session, people["dee"], ground.id, ground.version)
+        promotions_module.promote(session, people["dee"], ground.id, ground.version)
     assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "SUPERSEDED"}
 
 
@@ -155,6 +145,6 @@ def test_a_rollback_withdrawn_stays_superseded(
     _promote(engine, people["dee"], approved())
     with writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        parameter_sets.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
-        parameter_sets.withdraw(session, people["ana"], ground.id, ground.version)
+        submissions.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
+        submissions.withdraw(session, people["ana"], ground.id, ground.version)
         assert ground.ground_state == "SUPERSEDED"

@@ -1,13 +1,16 @@
 """Read-backs: verified by bytes or by CRC, said which; a mismatch keeps what differs; a signed entry makes a set active."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
 
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import packages
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.read_backs import MOST_DUMP_BYTES, dump_or_crc, read_back, reference_of
+from boresight.console.uplinks.tables import Uplink
 from boresight.errors import (
     BoresightError,
     ConflictError,
@@ -16,12 +19,10 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import audit, packages, uplinks
-from boresight.services.actors import Actor
-from boresight.services.read_backs import MOST_DUMP_BYTES, dump_or_crc, read_back, reference_of
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, utc_after, writing
-from boresight.store.tables import ParameterSet, Uplink
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, utc_after, writing
 
 from .onboard import DOCUMENT, climb, define, newest, onboard, promote_by_hand, sent_table
 
@@ -31,8 +32,6 @@ Read = Callable[..., Uplink]
 
 @pytest.fixture
 def read(engine: Engine, people: People, blobs: BlobStore) -> Read:
-    """Read a set back, as Dee the operator who saw it as it is."""
-
     def make(what: bytes | str, set_id: int = 1, name: str = "dee", source: str = "TM 4711", **given: Any) -> Uplink:
         with writing(engine) as session:
             seen = given.pop("seen", session.get_one(ParameterSet, set_id).version)
@@ -43,14 +42,12 @@ def read(engine: Engine, people: People, blobs: BlobStore) -> Read:
 
 @pytest.fixture
 def loaded(engine: Engine, people: People) -> bytes:
-    """The bytes of set 1, which is recorded as loaded."""
     define(engine, people["ana"])
     climb(engine, people["dee"], "SENT", "LOADED")
     return sent_table(engine).content
 
 
 def flip(content: bytes, offset: int, mask: int) -> bytes:
-    """Flip bits of one byte."""
     return content[:offset] + bytes([content[offset] ^ mask]) + content[offset + 1 :]
 
 

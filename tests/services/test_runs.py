@@ -1,20 +1,22 @@
 """Launching fixes all that a run needs and refuses what does not belong together; stopping and reading keep to the rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import orjson
 import pytest
 
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs import queries as rows
+from boresight.console.runs import service as runs
+from boresight.console.runs.dry_runs import predicted_s, seconds_per_star
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import audit, runs, sensors
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.run_estimates import predicted_s, seconds_per_star
-from boresight.store import runs as rows
-from boresight.store.blobs import register_blob
-from boresight.store.sessions import utc_now, writing
-from boresight.store.tables import Run, Sensor, TelemetrySet
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.db.sessions import utc_now, writing
 
 from .conftest import _result
 
@@ -27,8 +29,6 @@ def session(engine, people):  # noqa: ARG001 - people are made in a transaction 
 
 @pytest.fixture
 def add_set(session, blobs, people):
-    """Add telemetry sets; the first is number 1."""
-
     def add(sensor_id=1, **columns):
         sha256 = register_blob(session, blobs, blobs.put(str(columns).encode()), "text/csv").sha256
         number = len(session.query(TelemetrySet).all()) + 1
@@ -50,7 +50,6 @@ def add_set(session, blobs, people):
 
 @pytest.fixture
 def launch(session, people, add_set):
-    """Launch as Ana on the first set unless told otherwise."""
     add_set()
 
     def launch(settings=None, *, actor=people["ana"], sensor_id=1, telemetry_set_id=1, **options):
@@ -217,8 +216,6 @@ def test_the_log_tells_the_run_in_order_and_can_be_followed(session, launch):
 def test_a_result_keeps_the_models_order_however_the_store_sorts_its_keys():
     names = ["f_m", "m0_px", "a1_rad"]
     stored = {"parameter_names": names, "parameters": {"a1_rad": 3, "f_m": 1, "m0_px": 2}, "inputs": {"z": 1}}
-
     ordered = runs._in_model_order(stored)
-
     assert list(ordered["parameters"]) == names
     assert ordered == stored

@@ -1,7 +1,5 @@
 """A second person for gate limits and table layouts: proposed, confirmed by another, bound to the version in force."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -9,28 +7,25 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.access import api_keys, users
+from boresight.console.access.tables import User
+from boresight.console.alarms import watch as clock
+from boresight.console.approvals import gate_profiles, proposals, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.change_proposals import service as second_person
+from boresight.console.fleet import service as sensors
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import table_definitions
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError, StaleError
-from boresight.services import (
-    api_keys,
-    approvals,
-    audit,
-    clock,
-    gate_profiles,
-    parameter_sets,
-    proposals,
-    second_person,
-    sensors,
-    table_definitions,
-    users,
-)
-from boresight.services.actors import COMMAND_LINE, Actor, Policy
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, utc_after, writing
-from boresight.store.tables import ChangeProposal, GateProfile, ParameterSet, User
-from boresight.uplink.plain_table import plain_definition
-from tests.passwords import new_password
+from boresight.platform.actors import COMMAND_LINE, Actor, Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, utc_after, writing
+from boresight.uplink.table_definition import plain_definition
+from tests.passwords import add_person
 
-from .conftest import PASSWORD, SENSOR
+from .conftest import SENSOR
 
 People = Mapping[str, Actor]
 ON = Policy(second_person=True)
@@ -39,17 +34,9 @@ SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e6, "marginal": 1e6}]}
 
 @pytest.fixture
 def two(engine: Engine) -> People:
-    """Everyone, with a second administrator and a second analyst."""
     with writing(engine) as session:
         for name, role in (("rita", "administrator"), ("ann", "analyst")):
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name.title(),
-                password=new_password(PASSWORD),
-                roles=[role],
-            )
+            add_person(session, name, role)
     with reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
         return {name: users.actor_of(session, row.id) for name, row in rows.items()}
@@ -205,7 +192,7 @@ def test_requests_stay_open_while_a_change_is_proposed_and_become_stale_with_its
 ) -> None:
     made = candidate()
     with writing(engine) as session:
-        approval = parameter_sets.submit(session, two["ana"], blobs, made.id, "better", made.version)
+        approval = submissions.submit(session, two["ana"], blobs, made.id, "better", made.version)
     row = propose("ana", plain_definition("inverted_wang"), "table-definition")
     with reading(engine) as session:
         assert approvals.why_not_sign(session, two["cy"], approval.id) is None
@@ -263,20 +250,12 @@ def test_a_proposal_shows_each_entry_that_it_changes(engine: Engine, propose: Ca
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def race(request: pytest.FixtureRequest, engine: Engine, two: People) -> Any:
-    """A store of either kind with people and a sensor in it."""
     if request.param == "sqlite":
         return engine, two
     other: Engine = request.getfixturevalue("postgresql")
     with writing(other) as session:
         for name in ("root", "rita", "rosa"):
-            users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name,
-                password=new_password(PASSWORD),
-                roles=["administrator"],
-            )
+            add_person(session, name, "administrator", printed_name=name)
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     with reading(other) as session:
         return other, {row.name: users.actor_of(session, row.id) for row in users.list_users(session)}

@@ -1,20 +1,19 @@
 """Choosing a sensor: a small fleet whole, of a large one what is sought and what is kept."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.service import MOST_CHOICES
+from boresight.console.fleet.tables import Sensor
 from boresight.errors import RefusedInputError
-from boresight.services import audit, sensors
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.sensors import MOST_CHOICES
-from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
-from boresight.store.tables import Sensor
-from tests.stores import url_in
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, Session, reading, utc_now, writing
+from tests.stores import open_migrated, url_in
 
 FLEET = [f"{orbit}_{plane}.{number:03d}" for orbit in ("GEO", "leo") for plane in "ab" for number in range(130)]
 SOUGHT = st.one_of(
@@ -29,9 +28,7 @@ def _add(session: Session, names: list[str]) -> None:
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
-    """A store with more sensors than are looked over."""
-    engine = open_engine(url_in(tmp_path_factory.mktemp("large")))
-    migrate(engine)
+    engine = open_migrated(url_in(tmp_path_factory.mktemp("large")))
     with writing(engine) as session:
         _add(session, FLEET)
     yield engine

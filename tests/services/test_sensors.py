@@ -1,13 +1,13 @@
 """Sensors: registering one makes its baseline; what it is for life does not change."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any
 
 import pytest
 
+from boresight.console.fleet import service as sensors
+from boresight.console.parameter_sets import service as parameter_sets
 from boresight.errors import (
     ConflictError,
     ForbiddenError,
@@ -16,17 +16,16 @@ from boresight.errors import (
     RefusedInputError,
     StaleError,
 )
-from boresight.services import audit, parameter_sets, sensors
-from boresight.services.actors import Actor
-from boresight.store.documents import sha256_of
-from boresight.store.sessions import Engine, Session, writing
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Engine, Session, writing
 
 People = Mapping[str, Actor]
 
 
 @pytest.fixture
 def document(session: Session) -> dict[str, Any]:
-    """The file of the sensor that is there."""
     return deepcopy(sensors.get_sensor(session, 1).document)
 
 

@@ -1,18 +1,22 @@
 """How many sign: as many as the request needs, two where a gate is waived, and nobody twice over, with four eyes or one pair."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
 
+from boresight.console import transitions
+from boresight.console.approvals import gate_profiles, gates, promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
 from boresight.errors import ConflictError, ForbiddenError
-from boresight.services import approvals, audit, gate_profiles, gates, parameter_sets, waivers
-from boresight.services.actors import POLICY, Actor, Policy
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, utc_after, writing
-from boresight.store.tables import Approval, ParameterSet, Run
+from boresight.platform.actors import POLICY, Actor, Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, utc_after, writing
 from tests.passwords import proved
 
 from .conftest import SENSOR
@@ -27,15 +31,13 @@ Ask = Callable[..., Approval]
 
 @pytest.fixture
 def ask(engine: Engine, people: People, blobs: BlobStore, finished_run: Callable[..., Run]) -> Ask:
-    """Submit a set of a run with this result, under a policy, by whoever; or submit one again."""
-
     def make(by: str = "ana", policy: Policy = POLICY, row: ParameterSet | None = None, **result: Any) -> Approval:
         with writing(engine) as session:
             if row is None:
                 run = finished_run(session, people[by].user_id, **result)
                 row = parameter_sets.create_from_run(session, people[by], blobs, run.id)
-            now = parameter_sets.get_parameter_set(session, row.id)
-            return parameter_sets.submit(session, people[by], blobs, row.id, "better", now.version, policy=policy)
+            now = transitions.get_parameter_set(session, row.id)
+            return submissions.submit(session, people[by], blobs, row.id, "better", now.version, policy=policy)
 
     return make
 
@@ -53,8 +55,8 @@ def _sign(
 
 def _promote(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POLICY) -> str:
     with writing(engine) as session:
-        row = parameter_sets.get_parameter_set(session, approval.parameter_set_id)
-        return parameter_sets.promote(session, actor, row.id, row.version, policy=policy).ground_state
+        row = transitions.get_parameter_set(session, approval.parameter_set_id)
+        return promotions.promote(session, actor, row.id, row.version, policy=policy).ground_state
 
 
 def test_a_request_that_needs_two_stays_open_after_one_and_is_approved_after_two(
@@ -67,7 +69,7 @@ def test_a_request_that_needs_two_stays_open_after_one_and_is_approved_after_two
         record = audit.last_change(session, f"approvals/{approval.id}")
         assert record is not None
         assert (record.after or {})["approvals"] == "1 of 2"
-        assert parameter_sets.get_parameter_set(session, approval.parameter_set_id).ground_state == "SUBMITTED"
+        assert transitions.get_parameter_set(session, approval.parameter_set_id).ground_state == "SUBMITTED"
     with pytest.raises(ConflictError, match="You signed this request already"):
         _sign(engine, people["cy"], approval)
     assert _sign(engine, people["bo"], approval).state == "APPROVED"
@@ -82,7 +84,6 @@ def test_one_refusal_blocks_whatever_was_approved(engine: Engine, people: People
 
 @pytest.fixture
 def tight(engine: Engine, people: People) -> None:
-    """Set a limit that no set keeps."""
     with writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, TIGHT, "To be tried.", 0)
 
@@ -107,10 +108,10 @@ def test_a_critical_gate_is_never_passed(engine: Engine, people: People, ask: As
 def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine: Engine, people: People, ask: Ask) -> None:
     approval = ask(parameters=MOVED)
     with writing(engine) as session:
-        row = parameter_sets.get_parameter_set(session, approval.parameter_set_id)
+        row = transitions.get_parameter_set(session, approval.parameter_set_id)
         proof = proved(session, people["ana"], PASSWORD)
         words = ("known-cause", "The wheels were spun up during this pass.", utc_after(86400.0), proof, row.version)
-        waiver = waivers.waive(session, people["ana"], row.id, "parameter-shift", *words)
+        waiver = gates.waive(session, people["ana"], row.id, "parameter-shift", *words)
     again = ask(row=row)
     assert (_state(engine, approval), again.needed, again.bound["waivers"]) == ("STALE", 2, [waiver.id])
     _sign(engine, people["cy"], again)
@@ -122,7 +123,6 @@ def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine: Engine, 
 
 
 def _state(engine: Engine, approval: Approval) -> str:
-    """Return the state of a request as it is now."""
     with reading(engine) as session:
         return approvals.get_approval(session, approval.id).state
 

@@ -1,7 +1,5 @@
 """A mismatch that a dump showed stands until a dump agrees or the table is sent again, whatever is recorded in between."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
@@ -9,14 +7,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.read_backs import read_back
+from boresight.console.uplinks.service import shown_mismatch
 from boresight.errors import ConflictError
-from boresight.services import uplinks
-from boresight.services.actors import Actor
-from boresight.services.onboard import shown_mismatch
-from boresight.services.read_backs import read_back
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, only_try, writing
-from boresight.store.tables import ParameterSet
+from boresight.platform.actors import Actor
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, only_try, writing
+from tests.effort import effort
 from tests.passwords import proved
 
 from .conftest import PASSWORD
@@ -29,8 +28,6 @@ CLAIMS = ("LOADED", "VERIFIED", "ACTIVE")  # what would say that the right table
 
 
 class Board:
-    """Set 1 on board, and the naive account of whether a mismatch stands."""
-
     def __init__(self, session: Session, dee: Actor, blobs: BlobStore, table: bytes, crc: str) -> None:
         self.session, self.dee, self.blobs = session, dee, blobs
         self.read = {"good dump": table, "bad dump": bytes([table[0] ^ 1]) + table[1:], "good crc": crc, "bad crc": "0"}
@@ -41,7 +38,6 @@ class Board:
         return self.session.get_one(ParameterSet, 1)
 
     def make(self, move: str) -> None:
-        """Make a move, and account for it; a move that is refused changes nothing."""
         seen = self.row.version
         if move == "sign":
             uplinks.activate(
@@ -54,7 +50,6 @@ class Board:
         self.stands = move == "bad dump" or (self.stands and move not in {"good dump", "SENT"})
 
     def try_all(self, moves: Sequence[str]) -> None:
-        """Try one move after another, and hold the claim after each."""
         for move in moves:
             with suppress(ConflictError):
                 self.make(move)
@@ -63,7 +58,6 @@ class Board:
         self.hold_each_claim_to_its_basis()
 
     def hold_each_claim_to_its_basis(self) -> None:
-        """Every VERIFIED rests on a comparison, every ACTIVE on a signature or on one of a set that was active."""
         for record in uplinks.list_uplinks(self.session, parameter_set_id=1):
             assert record.onboard_state != "VERIFIED" or record.method is not None
             assert record.onboard_state != "ACTIVE" or record.method is not None or record.printed_name == "Dee"
@@ -75,7 +69,7 @@ def _board(session: Session, engine: Engine, people: People, blobs: BlobStore) -
     return Board(session, people["dee"], blobs, sent.content, sent.crc or "")
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=effort(12, 60), suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(moves=st.lists(MOVES, max_size=12), shown=st.booleans())
 def test_no_sequence_of_records_takes_back_what_a_dump_showed(
     engine: Engine, people: People, blobs: BlobStore, moves: list[str], shown: bool
@@ -87,7 +81,6 @@ def test_no_sequence_of_records_takes_back_what_a_dump_showed(
 
 @pytest.fixture(autouse=True)
 def defined(engine: Engine, people: People) -> None:
-    """The table of sensor 1."""
     define(engine, people["ana"])
 
 

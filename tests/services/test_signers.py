@@ -1,19 +1,25 @@
 """Who may sign: nobody who submitted the set, launched its run or campaign, or created it, by whatever credential."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console import transitions
+from boresight.console.access import api_keys
+from boresight.console.approvals import discussions, promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval
+from boresight.console.campaigns import service as campaigns
+from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.uplinks.packages import four_eyes
 from boresight.errors import ConflictError, ForbiddenError
-from boresight.services import api_keys, approvals, campaigns, discussions, parameter_sets, users
-from boresight.services.actors import COMMAND_LINE, POLICY, Actor, Policy
-from boresight.services.package_inputs import four_eyes
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Approval, Campaign, CampaignRun, ParameterSet, Run
-from tests.passwords import new_password, proved
+from boresight.platform.actors import POLICY, Actor, Policy
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, reading, writing
+from tests.passwords import add_person, approve, proved
 
 from .conftest import PASSWORD
 
@@ -25,8 +31,6 @@ ALONE = Policy(four_eyes=False)
 def created(
     engine: Engine, people: People, blobs: BlobStore, finished_run: Callable[..., Run]
 ) -> Callable[..., ParameterSet]:
-    """Make a set: of whose run, created by whom."""
-
     def make(creator: Actor | str, launcher: str = "ana") -> ParameterSet:
         actor = people[creator] if isinstance(creator, str) else creator
         with writing(engine) as session:
@@ -38,13 +42,9 @@ def created(
 
 @pytest.fixture
 def ask(engine: Engine, people: People, blobs: BlobStore) -> Callable[..., Approval]:
-    """Submit a set."""
-
     def make(row: ParameterSet, submitter: str = "ana", policy: Policy = POLICY) -> Approval:
         with writing(engine) as session:
-            return parameter_sets.submit(
-                session, people[submitter], blobs, row.id, "better", row.version, policy=policy
-            )
+            return submissions.submit(session, people[submitter], blobs, row.id, "better", row.version, policy=policy)
 
     return make
 
@@ -52,22 +52,11 @@ def ask(engine: Engine, people: People, blobs: BlobStore) -> Callable[..., Appro
 def _sign(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POLICY) -> str:
     with writing(engine) as session:
         seen = approvals.get_approval(session, approval.id).version
-        approvals.sign(
-            session,
-            actor,
-            approval.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, actor, PASSWORD),
-            seen,
-            policy=policy,
-        )
+        approve(session, actor, approval, seen_version=seen, policy=policy)
         return approvals.get_approval(session, approval.id).state
 
 
 def _signers(engine: Engine, approval: Approval, policy: Policy = POLICY) -> dict[str, tuple[str, ...] | None]:
-    """Return who may sign (None) and which parts keep the other approvers from it."""
     with reading(engine) as session:
         found = approvals.who_may_sign(session, approval.id, policy=policy)
     return {one.user.name: one.roles if one.refusal else None for one in found}
@@ -142,11 +131,11 @@ def test_a_roll_back_excludes_who_created_the_former_baseline(
         approval = ask(row)
         _sign(engine, people["cy"], approval)
         with writing(engine) as session:
-            version = parameter_sets.get_parameter_set(session, row.id).version
-            parameter_sets.promote(session, people["dee"], row.id, version)
+            version = transitions.get_parameter_set(session, row.id).version
+            promotions.promote(session, people["dee"], row.id, version)
     with writing(engine) as session:
-        version = parameter_sets.get_parameter_set(session, rows[0].id).version
-        back = parameter_sets.roll_back(session, people["dee"], blobs, rows[0].id, "It drifts.", version)
+        version = transitions.get_parameter_set(session, rows[0].id).version
+        back = submissions.roll_back(session, people["dee"], blobs, rows[0].id, "It drifts.", version)
     with pytest.raises(ForbiddenError, match="You created this set"):
         _sign(engine, people["bo"], back)
     assert _sign(engine, people["cy"], back) == "APPROVED"
@@ -157,9 +146,7 @@ def test_of_several_approvals_none_is_the_creators(
 ) -> None:
     two = Policy(approvals=2)
     with writing(engine) as session:
-        users.create_user(
-            session, COMMAND_LINE, name="flo", printed_name="Flo", password=new_password(PASSWORD), roles=["approver"]
-        )
+        add_person(session, "flo", "approver")
     approval = ask(created("bo"), policy=two)
     assert _sign(engine, people["cy"], approval, two) == "OPEN"
     with pytest.raises(ForbiddenError, match="You created this set"):
@@ -175,7 +162,7 @@ def test_what_the_creator_signed_while_four_eyes_was_off_does_not_pass_once_it_i
     assert _signers(engine, approval, ALONE) == {"bo": None, "cy": None}
     assert _sign(engine, people["bo"], approval, ALONE) == "APPROVED"
     with writing(engine) as session:
-        version = parameter_sets.get_parameter_set(session, row.id).version
+        version = transitions.get_parameter_set(session, row.id).version
         with pytest.raises(ConflictError, match="0 of 1 approvals by a second person"):
-            parameter_sets.promote(session, people["dee"], row.id, version)
+            promotions.promote(session, people["dee"], row.id, version)
         assert four_eyes(session, row, POLICY)["kept"] is False

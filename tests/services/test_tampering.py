@@ -4,8 +4,6 @@ The store is one after the whole way of a parameter set, and every sealed table 
 attacker would who owns the file: by SQLite alone, with triggers, checks and foreign keys out of the way.
 """
 
-from __future__ import annotations
-
 import sqlite3
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -16,36 +14,25 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import (
-    api_keys,
-    approvals,
-    audit,
-    discussions,
-    notes,
-    parameter_sets,
-    uplinks,
-    users,
-    watch,
-    webhooks,
-)
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.conditions import chain_condition
-from boresight.store import seals
-from boresight.store.secret_box import SecretBox
-from boresight.store.sessions import Engine, Session, open_engine, reading, utc_now, writing
-from boresight.store.tables import (
-    Base,
-    Campaign,
-    CampaignRun,
-    ChangeProposal,
-    GateProfile,
-    GateReport,
-    Package,
-    ParameterSet,
-    Preset,
-    TableDefinition,
-    Waiver,
-)
+from boresight.console.access import api_keys, users
+from boresight.console.alarms import watch
+from boresight.console.alarms.watch import chain_condition
+from boresight.console.approvals import discussions, promotions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
+from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.notes import service as notes
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Preset
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.tables import Package, TableDefinition
+from boresight.console.webhooks import service as webhooks
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.audit import seals
+from boresight.platform.db.declared import Base
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.db.sessions import Engine, Session, open_engine, reading, utc_now, writing
 
 pytestmark = pytest.mark.sqlite("its owner edits the file; tests/store/test_verification.py has both engines edited")
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -55,13 +42,11 @@ PLAIN: Mapping[type, Any] = {int: 7, str: "x", dict: {}, list: []}
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the filled store of this module lies."""
     return tmp_path_factory.mktemp("tampering") / "store.sqlite3"
 
 
 @pytest.fixture
 def store(kept: Path, request: pytest.FixtureRequest) -> Iterator[Engine]:
-    """The store after the whole way; made by the first test, whole again after each."""
     if not kept.exists():
         engine: Engine = request.getfixturevalue("engine")
         _go_the_whole_way(engine, request.getfixturevalue("people"), request.getfixturevalue("approved")())
@@ -76,9 +61,8 @@ def store(kept: Path, request: pytest.FixtureRequest) -> Iterator[Engine]:
 
 
 def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: ParameterSet) -> None:
-    """Promote an approved set, record it on board, talk about a request, make keys, hooks and people."""
     with writing(engine) as session:
-        parameter_sets.promote(session, people["dee"], row.id, row.version)
+        promotions.promote(session, people["dee"], row.id, row.version)
         for state in ("SENT", "LOADED"):
             uplinks.record(session, people["dee"], row.id, state, "pass 4711")
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
@@ -93,7 +77,6 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
 
 
 def _fill_the_rest(session: Session) -> None:
-    """Give each sealed table that the way did not touch a row, for what is tried here is the seal."""
     for model in (
         TableDefinition,
         GateProfile,
@@ -115,7 +98,6 @@ def _fill_the_rest(session: Session) -> None:
 
 
 def _plain(model: type[Base]) -> Base:
-    """Make a row with something in every column."""
     values: dict[str, Any] = {}
     for column in model.__table__.columns:
         if column.name == "sha256":
@@ -135,8 +117,6 @@ def _verify(engine: Engine, head: str | None = None) -> audit.ChainReport:
 
 
 class _Attacker:
-    """Somebody who owns the file; puts it back as it was at the end."""
-
     def __init__(self, path: Path) -> None:
         self.path, self.whole = path, path.read_bytes()
 
@@ -166,7 +146,6 @@ def _last(connection: sqlite3.Connection, table: str) -> int:
 
 
 def _sealing_record(connection: sqlite3.Connection, row: str) -> int:
-    """Return the record that sealed a row last, found without Boresight."""
     query = (
         "SELECT audit.id FROM audit, json_each(audit.rows) AS seal WHERE seal.key = ? ORDER BY audit.id DESC LIMIT 1"
     )
@@ -205,7 +184,6 @@ def test_any_lasting_column_of_a_sealed_row_edited_by_hand_is_found(
 
 
 def _another(value: int | str | None) -> int | str:
-    """Return another value that the column holds as well."""
     if isinstance(value, int):
         return value + 1000
     return 1 if value is None else f"{value} "
@@ -241,7 +219,6 @@ def test_any_row_inserted_by_hand_is_found(store: Engine, attacker: _Attacker, t
 
 
 def _insert_a_unique_one(connection: sqlite3.Connection, table: str, row_id: int, names: list[str]) -> None:
-    """Copy the newest row with every text and number moved on, but for what refers to rows."""
     moved = ", ".join(
         str(row_id)
         if name == "id"

@@ -1,7 +1,5 @@
 """What held at a time is the fold of what happened until then, and says who said so."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -10,15 +8,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.fleet import timeline
+from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.services import approvals, audit, promotions, submissions, timeline, uplinks
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.blobs import BlobStore
-from boresight.store.sessions import Engine, Session, only_try, reading, utc_after, utc_text, writing
-from boresight.store.tables import ONBOARD_STATES, GateProfile, ParameterSet, Promotion, TableDefinition, Uplink
-from tests.passwords import proved
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, only_try, reading, utc_after, utc_text, writing
+from tests.effort import effort
+from tests.passwords import approve
 
-from .conftest import PASSWORD
 from .onboard import climb, define, promote_by_hand
 
 People = Mapping[str, Actor]
@@ -43,7 +46,6 @@ def _at(seconds: int) -> str:
 
 
 def _timed(steps: Sequence[Step]) -> Iterator[tuple[str, int, str, int]]:
-    """Give each step its time, in seconds from BEGIN."""
     seconds = 0
     for what, which, state, later in steps:
         seconds += later
@@ -51,7 +53,6 @@ def _timed(steps: Sequence[Step]) -> Iterator[tuple[str, int, str, int]]:
 
 
 def _add_sets(session: Session) -> None:
-    """Sets 2 and up, beside the ground calibration."""
     first = session.get_one(ParameterSet, 1)
     for number in range(1, SETS + 1):
         columns = {"id": 1 + number, "sensor_id": 1, "number": number, "sha256": "0" * 64, "document": first.document}
@@ -60,7 +61,6 @@ def _add_sets(session: Session) -> None:
 
 
 def _write(session: Session, steps: Sequence[Step]) -> None:
-    """Write the rows of a history as the services would leave them."""
     numbers = {"gate profile": 100, "table definition": 100}
     tables = {"gate profile": GateProfile, "table definition": TableDefinition}
     for what, which, state, seconds in _timed(steps):
@@ -79,7 +79,6 @@ def _write(session: Session, steps: Sequence[Step]) -> None:
 
 
 def _replayed(steps: Sequence[Step], until: int) -> Held:
-    """Fold the steps one by one: the naive answer."""
     baseline, on_board, profile, definition = 1, {}, 100, 100
     for what, which, state, seconds in _timed(steps):
         if seconds > until:
@@ -105,7 +104,6 @@ def _answered(known: timeline.AsOf) -> Held:
 
 
 def _folded(events: Sequence[Any]) -> tuple[int | None, dict[int, str]]:
-    """Fold the listed events, oldest first."""
     baseline, on_board = None, {}
     for event in events:
         if event.state == "BASELINE":
@@ -115,7 +113,7 @@ def _folded(events: Sequence[Any]) -> tuple[int | None, dict[int, str]]:
     return baseline, on_board
 
 
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=effort(12, 40), suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(steps=STEPS, until=st.integers(-1, 30), length=st.integers(1, 5))
 def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(
     engine: Engine, steps: list[Step], until: int, length: int
@@ -133,7 +131,6 @@ def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(
 
 
 def _paged(session: Session, length: int, until: str) -> list[Any]:
-    """Read the timeline page by page."""
     pages: list[Any] = []
     while page := timeline.events(session, 1, until=until, before_id=pages[-1].id if pages else None, limit=length):
         pages += page
@@ -142,7 +139,6 @@ def _paged(session: Session, length: int, until: str) -> list[Any]:
 
 @pytest.fixture
 def promoted(engine: Engine, people: People, approved: Callable[[], ParameterSet]) -> ParameterSet:
-    """A set that Ana submitted, Cy signed and Dee promoted."""
     row = approved()
     with writing(engine) as session:
         return promotions.promote(session, people["dee"], row.id, row.version)
@@ -193,16 +189,7 @@ def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(
     with writing(engine) as session:
         ground = session.get_one(ParameterSet, 1)
         approval = submissions.roll_back(session, people["ana"], blobs, 1, "worse than thought", ground.version)
-        approvals.sign(
-            session,
-            people["cy"],
-            approval.id,
-            "APPROVE",
-            "Back",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            approval.version,
-        )
+        approve(session, people["cy"], approval)
         promotions.promote(session, people["dee"], 1, ground.version)
     with reading(engine) as session:
         known, newest = timeline.as_of(session, 1), timeline.events(session, 1, limit=1)[0]

@@ -1,7 +1,5 @@
 """Uplinks: what is on board is what somebody recorded, step by step; what was when is one question."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -9,11 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.console import transitions
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
+from boresight.console.uplinks import service as uplinks
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError
-from boresight.services import audit, parameter_sets, uplinks
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.sessions import Engine, Session, reading, utc_after, writing
-from boresight.store.tables import ONBOARD_STATES, ParameterSet, Promotion
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, Session, reading, utc_after, writing
 
 from .onboard import climb
 
@@ -28,7 +29,7 @@ def _record(engine: Engine, actor: Actor, state: str, source: str = "pass 4711",
 
 def _onboard(engine: Engine, set_id: int = 1) -> str:
     with reading(engine) as session:
-        return parameter_sets.get_parameter_set(session, set_id).onboard_state
+        return transitions.get_parameter_set(session, set_id).onboard_state
 
 
 def test_the_ladder_is_climbed_step_by_step_with_a_record_each(engine: Engine, people: People) -> None:
@@ -116,7 +117,6 @@ def test_nobody_in_particular_records_nothing(engine: Engine) -> None:
 
 
 def _promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
-    """Bring about the rows of a promotion at a time of the test's choice."""
     incumbent = parameter_sets.baseline_of(session, row.sensor_id)
     assert incumbent is not None
     incumbent.ground_state = "SUPERSEDED"
@@ -129,7 +129,6 @@ def _promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
 
 @pytest.fixture
 def second(engine: Engine, candidate: object) -> ParameterSet:
-    """A second set, promoted an hour from now."""
     row: ParameterSet = candidate()  # type: ignore[operator]
     with writing(engine) as session:
         row = session.get_one(ParameterSet, row.id)

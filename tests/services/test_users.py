@@ -1,12 +1,12 @@
 """People: passwords, throttled log-ins, roles that only administrators give, and always one of those left."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
 
+from boresight.console.access import sessions, users
+from boresight.console.access.tables import User
 from boresight.errors import (
     BoresightError,
     ConflictError,
@@ -16,10 +16,9 @@ from boresight.errors import (
     SessionEndedError,
     UnauthenticatedError,
 )
-from boresight.services import audit, sessions, users
-from boresight.services.actors import Actor
-from boresight.store.sessions import Engine, Session, reading, writing
-from boresight.store.tables import User
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Engine, Session, reading, writing
 from tests.passwords import new_password, proved
 
 PASSWORD = "correct horse battery"

@@ -1,13 +1,17 @@
 """Waivers: in person, with a reason and an end, never of a critical gate, and in the verdict for ever."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from typing import Any
 
 import pytest
 
+from boresight.console import transitions
+from boresight.console.approvals import gate_profiles, gates, promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import packages
 from boresight.errors import (
     ConflictError,
     ForbiddenError,
@@ -17,12 +21,11 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.services import approvals, audit, gate_profiles, gates, packages, parameter_sets, waivers
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store import sessions
-from boresight.store.sessions import reading, utc_after, writing
-from boresight.store.tables import ParameterSet
-from tests.passwords import proved
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db import sessions
+from boresight.platform.db.sessions import reading, utc_after, writing
+from tests.passwords import approve, proved
 
 from .conftest import PASSWORD
 
@@ -33,7 +36,6 @@ TIGHT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]
 
 @pytest.fixture
 def blocked(engine, blobs, people, candidate) -> ParameterSet:
-    """A candidate that the shift gate blocks, assessed."""
     row = candidate()
     with writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, TIGHT, "To be tried.", 0)
@@ -44,21 +46,18 @@ def blocked(engine, blobs, people, candidate) -> ParameterSet:
 
 @pytest.fixture
 def waive(engine, people, blocked):
-    """Waive that gate as Ana, but for what is given."""
-
     def act(who: str | Actor = "ana", seen: int | None = blocked.version, **given: Any):
         values = {"gate": "parameter-shift", "code": "known-cause", "reason": REASON, "password": PASSWORD}
         values |= {"expires_utc": utc_after(DAY_S), "parameter_set_id": blocked.id, **given}
         actor = people[who] if isinstance(who, str) else who
         with writing(engine) as session:
             values["proof"] = proved(session, actor, values.pop("password"))
-            return waivers.waive(session, actor, seen_version=seen, **values)
+            return gates.waive(session, actor, seen_version=seen, **values)
 
     return act
 
 
 def document(engine, parameter_set_id: int) -> dict[str, Any]:
-    """A set's report with its waivers."""
     with reading(engine) as session:
         return gates.with_waivers(session, gates.newest_report(session, parameter_set_id))
 
@@ -66,7 +65,6 @@ def document(engine, parameter_set_id: int) -> dict[str, Any]:
 @pytest.mark.parametrize("who", ["ana", "cy", "bo"])
 def test_an_analyst_or_an_approver_waives_in_person(waive, engine, blocked, who):
     waiver = waive(who)
-
     found = document(engine, blocked.id)
     assert (found["blocking"], found["waived"]) == ([], ["parameter-shift"])
     assert found["words"] == "NO-DATA (1 gate waived)"
@@ -74,7 +72,7 @@ def test_an_analyst_or_an_approver_waives_in_person(waive, engine, blocked, who)
     with reading(engine) as session:
         record = audit.last_change(session, f"parameter-sets/{blocked.id}/waivers")
         assert (record.actor, record.reason, record.after["gate"]) == (who.title(), REASON, "parameter-shift")
-        assert [one.id for one in waivers.active_waivers(session, blocked.id)] == [waiver.id]
+        assert [one.id for one in gates.active_waivers(session, blocked.id)] == [waiver.id]
 
 
 @pytest.mark.parametrize("who", ["dee", "eve", "root"])
@@ -147,48 +145,37 @@ def test_a_waiver_that_expires_blocks_again_and_stays_in_the_words(waive, engine
     waive()
     later = sessions.utc_after(2 * DAY_S)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
-    monkeypatch.setattr(waivers, "utc_now", lambda: later)
-
+    monkeypatch.setattr(gates, "utc_now", lambda: later)
     found = document(engine, blocked.id)
     assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
     with reading(engine) as session:
-        assert waivers.active_waivers(session, blocked.id) == []
-        assert len(waivers.all_waivers(session, blocked.id)) == 1
+        assert gates.active_waivers(session, blocked.id) == []
+        assert len(gates.all_waivers(session, blocked.id)) == 1
 
 
 def test_waiving_makes_an_open_request_stale_and_the_next_one_needs_two_approvals(
     waive, engine, blobs, people, blocked
 ):
     with writing(engine) as session:
-        first = parameter_sets.submit(session, people["ana"], blobs, blocked.id, "It moved.", blocked.version)
-        seen = parameter_sets.get_parameter_set(session, blocked.id).version
+        first = submissions.submit(session, people["ana"], blobs, blocked.id, "It moved.", blocked.version)
+        seen = transitions.get_parameter_set(session, blocked.id).version
     assert first.needed == 1
     waive(seen=seen)
-
     with writing(engine) as session:
         assert approvals.get_approval(session, first.id).state == "STALE"
-        row = parameter_sets.get_parameter_set(session, blocked.id)
-        again = parameter_sets.submit(session, people["ana"], blobs, row.id, "With the waiver.", row.version)
+        row = transitions.get_parameter_set(session, blocked.id)
+        again = submissions.submit(session, people["ana"], blobs, row.id, "With the waiver.", row.version)
         assert again.needed == 2
 
 
 def test_a_set_that_is_promoted_with_a_waiver_tells_of_it_as_baseline(waive, engine, blobs, people, blocked):
     waive()
     with writing(engine) as session:
-        request = parameter_sets.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
+        request = submissions.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
-            approvals.sign(
-                session,
-                people[name],
-                request.id,
-                "APPROVE",
-                "Seen.",
-                "Waived.",
-                proved(session, people[name], PASSWORD),
-                request.version,
-            )
-        row = parameter_sets.get_parameter_set(session, blocked.id)
-        parameter_sets.promote(session, people["dee"], row.id, row.version)
+            approve(session, people[name], request)
+        row = transitions.get_parameter_set(session, blocked.id)
+        promotions.promote(session, people["dee"], row.id, row.version)
     with reading(engine) as session:
         assert parameter_sets.baseline_of(session, 1).id == blocked.id
         assert gates.verdicts(session, [blocked.id]) == {blocked.id: "NO-DATA (1 gate waived)"}
@@ -199,20 +186,11 @@ def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_ove
 ):
     waive()
     with writing(engine) as session:
-        request = parameter_sets.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
+        request = submissions.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
-            approvals.sign(
-                session,
-                people[name],
-                request.id,
-                "APPROVE",
-                "Seen.",
-                "Waived.",
-                proved(session, people[name], PASSWORD),
-                request.version,
-            )
-        row = parameter_sets.get_parameter_set(session, blocked.id)
-        parameter_sets.promote(session, people["dee"], row.id, row.version)
+            approve(session, people[name], request)
+        row = transitions.get_parameter_set(session, blocked.id)
+        promotions.promote(session, people["dee"], row.id, row.version)
         package = packages.build(session, people["dee"], blobs, row.id)
         shown = gates.verdicts(session, [blocked.id])[blocked.id]
     with zipfile.ZipFile(blobs.path(package.sha256)) as packed:
@@ -220,7 +198,6 @@ def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_ove
         assert f"<h2>Gates: {shown}</h2>" in packed.read("verification_sheet.html").decode()
     assert (said["words"], said["verdict"], said["waived"]) == (shown, "NO-DATA", ["parameter-shift"])
     assert said["document"]["verdict"] == "FAIL", "the report itself stays as its hash has it"
-
     later = sessions.utc_after(2 * DAY_S)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
     with writing(engine) as session:

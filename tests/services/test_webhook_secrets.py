@@ -1,7 +1,5 @@
 """Secrets of webhooks at rest: ciphertext in the database and its backups, readable with a key outside both."""
 
-from __future__ import annotations
-
 import base64
 import stat
 from collections.abc import Mapping
@@ -10,13 +8,14 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.webhooks import service as webhooks
+from boresight.console.webhooks.secrets import encrypt_all, encrypt_anew, key_of, state_of
+from boresight.console.webhooks.tables import Webhook
 from boresight.errors import RefusedInputError
-from boresight.services import audit, webhooks
-from boresight.services.actors import Actor
-from boresight.services.webhook_secrets import encrypt_all, encrypt_anew, key_of, state_of
-from boresight.store.secret_box import SecretBox
-from boresight.store.sessions import Engine, reading, utc_now, writing
-from boresight.store.tables import Webhook
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.db.sessions import Engine, reading, utc_now, writing
 
 URL = "https://mission.example/hooks"
 OLD = "whsec_-_" + "A" * 41  # 32 bytes as older versions wrote them: in the alphabet for addresses, unpadded
@@ -28,7 +27,6 @@ def box(tmp_path: Path) -> SecretBox:
 
 
 def _plain(engine: Engine, actor: Actor) -> int:
-    """Store a webhook as an older version did."""
     with writing(engine) as session:
         row = Webhook(label="Chat", url=URL, actions=[], secret=OLD, created_utc=utc_now())
         session.add(row)

@@ -1,7 +1,5 @@
 """Webhook targets: every address of a name is judged, whatever form it is written in."""
 
-from __future__ import annotations
-
 import ipaddress
 import socket
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.services.webhook_targets import Targets, addresses_of_this_machine, read_hosts, refuse_address
+from boresight.platform.web.targets import Targets, addresses_of_this_machine, read_hosts, refuse_address
 
 PUBLIC = ("93.184.215.14", "2606:2800:21f:cb07:6820:80da:af6b:8b2c", "::ffff:93.184.215.14", "172.15.0.1", "172.32.0.1")
 LOCAL = ("127.0.0.1", "127.255.255.254", "::1", "169.254.1.1", "fe80::1", "::ffff:127.0.0.1", "::ffff:7f00:1")

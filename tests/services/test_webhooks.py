@@ -1,7 +1,5 @@
 """Webhooks: every record that was asked for becomes one message, is signed, is tried eight times and can be sent again."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import hmac
@@ -13,13 +11,15 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.access import api_keys
+from boresight.console.webhooks import service as webhook_messages
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
-from boresight.services import api_keys, audit, users, webhook_messages, webhooks
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.store.secret_box import SecretBox
-from boresight.store.sessions import Session
-from boresight.store.tables import Webhook, WebhookDelivery
-from tests.passwords import new_password
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.db.sessions import Session
+from tests.passwords import add_person
 
 URL = "https://mission.example/hooks?team=1"
 
@@ -31,18 +31,11 @@ def box(tmp_path: Path) -> SecretBox:
 
 @pytest.fixture
 def hook(session: Session, people: Mapping[str, Actor], box: SecretBox) -> Webhook:
-    return webhooks.create_webhook(session, people["root"], box, label="Chat", url=URL, actions=["users.*"])[0]
+    return webhook_messages.create_webhook(session, people["root"], box, label="Chat", url=URL, actions=["users.*"])[0]
 
 
 def _happens(session: Session, name: str = "zoe") -> None:
-    users.create_user(
-        session,
-        COMMAND_LINE,
-        name=name,
-        printed_name=name,
-        password=new_password("correct horse battery"),
-        roles=["viewer"],
-    )
+    add_person(session, name, "viewer", printed_name=name)
 
 
 def _deliveries(session: Session) -> list[WebhookDelivery]:
@@ -54,9 +47,9 @@ def test_only_administrators_manage_webhooks(
     session: Session, people: Mapping[str, Actor], name: str, box: SecretBox
 ) -> None:
     with pytest.raises(ForbiddenError, match="administrator"):
-        webhooks.create_webhook(session, people[name], box, label="x", url=URL)
+        webhook_messages.create_webhook(session, people[name], box, label="x", url=URL)
     with pytest.raises(ForbiddenError, match="administrator"):
-        webhooks.list_webhooks(session, people[name])
+        webhook_messages.list_webhooks(session, people[name])
 
 
 def test_an_administrators_key_manages_no_webhooks(
@@ -64,7 +57,7 @@ def test_an_administrators_key_manages_no_webhooks(
 ) -> None:
     _, secret = api_keys.create_key(session, people["root"], label="x", scopes=["runs"])
     with pytest.raises(ForbiddenError, match="API key"):
-        webhooks.create_webhook(session, api_keys.actor_of_key(session, secret), box, label="x", url=URL)
+        webhook_messages.create_webhook(session, api_keys.actor_of_key(session, secret), box, label="x", url=URL)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +69,7 @@ def test_what_is_no_address_of_a_web_server_is_refused(
     session: Session, people: Mapping[str, Actor], url: str, box: SecretBox
 ) -> None:
     with pytest.raises(RefusedInputError):
-        webhooks.create_webhook(session, people["root"], box, label="x", url=url)
+        webhook_messages.create_webhook(session, people["root"], box, label="x", url=url)
 
 
 @pytest.mark.parametrize("kind", ["promoted", "a b.c", ".", "parameter-sets.", "x.y;z"])
@@ -84,25 +77,25 @@ def test_a_kind_that_no_event_can_have_is_refused(
     session: Session, people: Mapping[str, Actor], kind: str, box: SecretBox
 ) -> None:
     with pytest.raises(RefusedInputError, match="no kind of event"):
-        webhooks.create_webhook(session, people["root"], box, label="x", url=URL, actions=[kind])
+        webhook_messages.create_webhook(session, people["root"], box, label="x", url=URL, actions=[kind])
 
 
 def test_a_webhook_is_told_what_happens_after_it_was_made_and_of_the_kinds_it_asked_for(
     session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    webhooks.create_webhook(session, people["root"], box, label="All", url=URL)
-    assert webhooks.queue_new(session) == 0, "nothing happened to a user since"
+    webhook_messages.create_webhook(session, people["root"], box, label="All", url=URL)
+    assert webhook_messages.queue_new(session) == 0, "nothing happened to a user since"
     _happens(session)
-    made = webhooks.queue_new(session)
+    made = webhook_messages.queue_new(session)
     to_hook = [json.loads(row.body) for row in _deliveries(session) if row.webhook_id == hook.id]
     assert [body["type"] for body in to_hook] == ["users.created"]
     assert made == len(_deliveries(session)) == len(to_hook) * 2
-    assert webhooks.queue_new(session) == 0, "nobody is told twice"
+    assert webhook_messages.queue_new(session) == 0, "nobody is told twice"
 
 
 def test_a_message_says_what_who_and_which_record_of_the_chain(session: Session, hook: Webhook, box: SecretBox) -> None:
     _happens(session)
-    webhooks.queue_new(session)
+    webhook_messages.queue_new(session)
     row = _deliveries(session)[0]
     record = audit.list_records(session, limit=1)[0]
     body = json.loads(row.body)
@@ -125,19 +118,19 @@ def test_a_signature_is_the_hmac_of_id_second_and_body_by_the_bytes_of_each_secr
 def test_a_message_under_way_is_not_taken_twice(
     session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    webhooks.try_webhook(session, people["root"], hook.id)
-    assert [message.url for message in webhooks.take_due(session, 10, box)] == [URL]
-    assert webhooks.take_due(session, 10, box) == []
+    webhook_messages.try_webhook(session, people["root"], hook.id)
+    assert [message.url for message in webhook_messages.take_due(session, 10, box)] == [URL]
+    assert webhook_messages.take_due(session, 10, box) == []
 
 
 def test_a_failure_is_tried_again_after_growing_waits_and_given_up_after_the_eighth(
     session: Session, people: Mapping[str, Actor], hook: Webhook
 ) -> None:
-    row = webhooks.try_webhook(session, people["root"], hook.id)
+    row = webhook_messages.try_webhook(session, people["root"], hook.id)
     waits = []
-    for _ in range(webhooks.MOST_ATTEMPTS):
+    for _ in range(webhook_messages.MOST_ATTEMPTS):
         assert row.state == "PENDING"
-        webhooks.settle(session, row.id, status=500, outcome="Refused with 500")
+        webhook_messages.settle(session, row.id, status=500, outcome="Refused with 500")
         later = datetime.fromisoformat(row.due_utc) - datetime.fromisoformat(str(row.attempted_utc))
         waits.append(round(later.total_seconds()))
     assert waits[:-1] == [5, 20, 80, 320, 1280, 5120, 20480]
@@ -152,43 +145,43 @@ def test_any_2xx_delivers_and_nothing_else_does(session: Session, people: Mappin
         (404, "PENDING"),
         (None, "PENDING"),
     ):
-        row = webhooks.try_webhook(session, people["root"], hook.id)
-        webhooks.settle(session, row.id, status=status, outcome="x")
+        row = webhook_messages.try_webhook(session, people["root"], hook.id)
+        webhook_messages.settle(session, row.id, status=status, outcome="x")
         assert row.state == state, status
 
 
 def test_a_message_that_was_given_up_can_be_sent_again_with_its_id_and_its_words(
     session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    row = webhooks.try_webhook(session, people["root"], hook.id)
-    for _ in range(webhooks.MOST_ATTEMPTS):
-        webhooks.settle(session, row.id, status=None, outcome="No answer.")
+    row = webhook_messages.try_webhook(session, people["root"], hook.id)
+    for _ in range(webhook_messages.MOST_ATTEMPTS):
+        webhook_messages.settle(session, row.id, status=None, outcome="No answer.")
     body = row.body
-    webhooks.redeliver(session, people["root"], row.id)
+    webhook_messages.redeliver(session, people["root"], row.id)
     record = audit.last_change(session, f"webhooks/{hook.id}")
     assert (record.action, record.actor, record.after) == ("redelivered", "Root", {"message": f"msg_{row.id}"})
-    last = {"state": "FAILED", "attempts": webhooks.MOST_ATTEMPTS, "status": None, "outcome": "No answer."}
+    last = {"state": "FAILED", "attempts": webhook_messages.MOST_ATTEMPTS, "status": None, "outcome": "No answer."}
     assert last.items() <= record.before.items(), "the last attempt is kept where another will take its place"
     assert (row.state, row.attempts, row.body) == ("PENDING", 0, body)
-    assert [message.delivery_id for message in webhooks.take_due(session, 10, box)] == [row.id]
+    assert [message.delivery_id for message in webhook_messages.take_due(session, 10, box)] == [row.id]
     with pytest.raises(NotFoundError):
-        webhooks.redeliver(session, people["root"], 99)
+        webhook_messages.redeliver(session, people["root"], 99)
 
 
 def test_a_disabled_webhook_is_told_nothing_and_not_of_the_meantime_when_enabled_again(
     session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    webhooks.try_webhook(session, people["root"], hook.id)
-    webhooks.disable_webhook(session, people["root"], hook.id)
-    assert webhooks.take_due(session, 10, box) == []
+    webhook_messages.try_webhook(session, people["root"], hook.id)
+    webhook_messages.disable_webhook(session, people["root"], hook.id)
+    assert webhook_messages.take_due(session, 10, box) == []
     with pytest.raises(ConflictError, match="enable it first"):
-        webhooks.try_webhook(session, people["root"], hook.id)
+        webhook_messages.try_webhook(session, people["root"], hook.id)
     _happens(session)
-    assert webhooks.queue_new(session) == 0
-    webhooks.enable_webhook(session, people["root"], hook.id)
-    assert webhooks.queue_new(session) == 0
+    assert webhook_messages.queue_new(session) == 0
+    webhook_messages.enable_webhook(session, people["root"], hook.id)
+    assert webhook_messages.queue_new(session) == 0
     _happens(session, "yan")
-    assert webhooks.queue_new(session) == 1
+    assert webhook_messages.queue_new(session) == 1
 
 
 def test_the_audit_log_tells_of_a_webhook_without_its_secret(session: Session, hook: Webhook) -> None:
@@ -199,31 +192,31 @@ def test_the_audit_log_tells_of_a_webhook_without_its_secret(session: Session, h
 def test_a_webhook_with_many_messages_takes_no_place_of_another(
     session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    other, _ = webhooks.create_webhook(session, people["root"], box, label="Other", url=URL)
+    other, _ = webhook_messages.create_webhook(session, people["root"], box, label="Other", url=URL)
     for _ in range(30):
-        webhooks.try_webhook(session, people["root"], hook.id)
-    webhooks.try_webhook(session, people["root"], other.id)
-    taken = [message.webhook_id for message in webhooks.take_due(session, 20, box)]
-    assert taken.count(hook.id) == webhooks.MESSAGES_A_TURN
+        webhook_messages.try_webhook(session, people["root"], hook.id)
+    webhook_messages.try_webhook(session, people["root"], other.id)
+    taken = [message.webhook_id for message in webhook_messages.take_due(session, 20, box)]
+    assert taken.count(hook.id) == webhook_messages.MESSAGES_A_TURN
     assert taken.count(other.id) == 1
 
 
 def test_without_an_answer_everything_for_that_webhook_waits_and_counts_no_attempt(
     session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    first, second = (webhooks.try_webhook(session, people["root"], hook.id) for _ in range(2))
-    webhooks.take_due(session, 10, box)
-    webhooks.settle(session, first.id, status=None, outcome="No answer.")
+    first, second = (webhook_messages.try_webhook(session, people["root"], hook.id) for _ in range(2))
+    webhook_messages.take_due(session, 10, box)
+    webhook_messages.settle(session, first.id, status=None, outcome="No answer.")
     session.refresh(second)
     assert (second.state, second.attempts) == ("PENDING", 0)
     assert second.due_utc >= first.due_utc
-    webhooks.settle(session, second.id, status=503, outcome="Refused with 503")
-    assert webhooks.take_due(session, 10, box) == []
+    webhook_messages.settle(session, second.id, status=503, outcome="Refused with 503")
+    assert webhook_messages.take_due(session, 10, box) == []
 
 
 def test_an_answer_lets_the_other_messages_go_on(
     session: Session, people: Mapping[str, Actor], hook: Webhook, box: SecretBox
 ) -> None:
-    first, second = (webhooks.try_webhook(session, people["root"], hook.id) for _ in range(2))
-    webhooks.settle(session, first.id, status=503, outcome="Refused with 503")
-    assert [message.delivery_id for message in webhooks.take_due(session, 10, box)] == [second.id]
+    first, second = (webhook_messages.try_webhook(session, people["root"], hook.id) for _ in range(2))
+    webhook_messages.settle(session, first.id, status=503, outcome="Refused with 503")
+    assert [message.delivery_id for message in webhook_messages.take_due(session, 10, box)] == [second.id]

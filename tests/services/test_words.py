@@ -1,7 +1,5 @@
 """Names are stored in one form: what looks alike is alike, and nothing in them is hidden."""
 
-from __future__ import annotations
-
 import unicodedata
 
 import pytest
@@ -9,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.services.words import LONGEST_NAME, is_hidden, normal_name
+from boresight.platform.web.words import LONGEST_NAME, is_hidden, normal_name
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,9 @@
 """Star fields at random attitudes: on the detector, at the catalogue's angles, in the part of the sky that was asked for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.simulation.fields import GALACTIC_POLE_DEG, _attitudes, _unit_vectors, random_fields
 from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH, wu_sensor
 
@@ -40,7 +38,6 @@ def test_a_uniform_sky_shows_its_share_of_stars(fields):
         WU_TRUTH, *np.mgrid[0:1080:20, 0:1920:20].reshape(2, -1) + 9.5, WU_PIXEL_PITCH_M
     )
     expected = 3000 * corners.sum() * 400 / (4 * np.pi)
-
     assert fields.stars_per_field == pytest.approx(expected, abs=4 * np.sqrt(expected / 250))
 
 
@@ -48,7 +45,6 @@ def test_attitudes_are_rotations_with_their_boresights_in_the_band_spread_evenly
     rng = np.random.default_rng(2)
     C = np.concatenate([_attitudes(25.0, rng) for _ in range(20)])
     sine = C[:, 2] @ _unit_vectors(*np.radians(GALACTIC_POLE_DEG))
-
     assert np.allclose(C @ C.transpose(0, 2, 1), np.eye(3), atol=1e-12)
     assert np.allclose(np.linalg.det(C), 1)
     assert np.abs(sine).max() <= np.sin(np.radians(25))
@@ -58,7 +54,6 @@ def test_attitudes_are_rotations_with_their_boresights_in_the_band_spread_evenly
 
 def test_the_papers_sensor_starts_where_the_paper_starts():
     sensor = wu_sensor(0.5)
-
     assert (sensor.rows, sensor.columns, sensor.centroid_sigma_px) == (1080, 1920, 0.5)
     assert np.array_equal(sensor.initial, WU_START)
     assert sensor.free == PINHOLE_RADIAL.parameter_names

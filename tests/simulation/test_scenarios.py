@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.simulation import scenarios
-from boresight.simulation.scenarios import (
-    calibration_scenario,
-    parse_scenario,
-    scenario_document,
-    validation_scenario,
-)
+from boresight.simulation.scenarios import calibration_scenario, parse_scenario, scenario_document, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.telemetry.sensors import sensor_document
 

@@ -11,8 +11,8 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from boresight.calibration.problem import build_problem
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.metrics import rms
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS
@@ -25,7 +25,6 @@ ONE_IN_A_MILLION = 1e-6
 
 
 def quiet(scenario, **changes):
-    """Leave out noise, false stars and missing identifications."""
     return replace(scenario, centroid_sigma_px=0.0, false_stars=0.0, blanked_share=0.0, **changes)
 
 
@@ -38,7 +37,6 @@ def with_parity(scenario, parity):
 
 
 def expected_directions(telemetry, scenario, catalogue, rows):
-    """Return s_i and s_d as the file's own columns give them."""
     s_i = apparent_directions(
         catalogue, catalogue.index_of(telemetry.star_id[rows]), telemetry.time_utc[rows], telemetry.velocity_m_s[rows]
     )
@@ -47,13 +45,11 @@ def expected_directions(telemetry, scenario, catalogue, rows):
 
 
 def columns_of(telemetry):
-    """Return the arrays of a table by name."""
     columns = {field.name: getattr(telemetry, field.name) for field in fields(telemetry)}
     return {name: column for name, column in columns.items() if isinstance(column, np.ndarray)}
 
 
 def noise_px(telemetry, scenario, catalogue):
-    """Return centroid minus noise-free position (n, 2) of the identified stars, and their rows."""
     rows = np.flatnonzero(telemetry.star_id > 0)
     model, pitch = CAMERA_MODELS[scenario.sensor.camera_model], scenario.sensor.pixel_pitch_m
     _, s_d = expected_directions(telemetry, scenario, catalogue, rows)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import NotFoundError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 
 

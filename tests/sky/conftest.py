@@ -1,6 +1,4 @@
-"""The catalogue, read once for all tests of the sky."""
-
-from __future__ import annotations
+"""A catalogue deep enough for nearby stars."""
 
 import pytest
 
@@ -8,11 +6,5 @@ from boresight.sky.catalogue import load_catalogue
 
 
 @pytest.fixture(scope="session")
-def catalogue():
-    return load_catalogue(None)
-
-
-@pytest.fixture(scope="session")
 def deep_catalogue():
-    """Faint enough for Barnard's star (Hp 9.5) and Proxima (10.8)."""
     return load_catalogue(None, magnitude_limit=12.0)

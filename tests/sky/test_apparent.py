@@ -3,8 +3,6 @@
 What these tests do not prove: light deflection by the Sun and perspective acceleration, which are left out by design.
 """
 
-from __future__ import annotations
-
 import time
 
 import erfa
@@ -13,9 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.sky.apparent import aberrated, apparent_directions
+from boresight.sky.apparent import aberrated, apparent_directions, days_since_j2000, earth_state
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.earth import days_since_j2000, earth_state
 from tests.strategies import unit_vectors
 
 ARCSEC = np.pi / 180 / 3600
@@ -28,12 +25,10 @@ def moment(text):
 
 
 def angle(one, other):
-    """Angle between unit vectors, exact for small ones."""
     return np.arctan2(np.linalg.norm(np.cross(one, other), axis=-1), np.sum(one * other, axis=-1))
 
 
 def star_at(ra_rad, dec_rad, parallax_arcsec=0.0, pm_ra_arcsec=0.0, pm_dec_arcsec=0.0):
-    """A catalogue of one star."""
     one = np.ones(1)
     return Catalogue(
         hip=np.array([1]),
@@ -48,7 +43,6 @@ def star_at(ra_rad, dec_rad, parallax_arcsec=0.0, pm_ra_arcsec=0.0, pm_dec_arcse
 
 
 def plain_directions(catalogue, index, time_utc, velocity_m_s):
-    """Derive apparent directions with nothing but NumPy: Lorentz boost of the photon, tangent-plane proper motion."""
     days = days_since_j2000(time_utc)
     years = (days - (2448349.0625 - 2451545.0)) / 365.25
     _, barycentric = erfa.epv00(2451545.0, days)
@@ -72,9 +66,7 @@ def test_directions_equal_the_plain_derivation_for_the_whole_catalogue(catalogue
     index = np.arange(len(catalogue))
     time_utc = moment("2015-01-01") + rng.integers(0, int(15 * 365.25 * 86400e6), len(index))
     velocity = rng.normal(size=(len(index), 3)) * 4e3
-
     seen = apparent_directions(catalogue, index, time_utc, velocity)
-
     assert angle(seen, plain_directions(catalogue, index, time_utc, velocity)).max() < 2e-4 * ARCSEC
     np.testing.assert_allclose(np.linalg.norm(seen, axis=1), 1.0, rtol=1e-14)
 
@@ -85,7 +77,6 @@ def test_the_earth_between_nodes_is_where_the_series_has_it(days):
     days = np.array(days)
     position_au, velocity_au_day = earth_state(days)
     _, barycentric = erfa.epv00(2451545.0, days)
-
     assert np.abs(position_au - barycentric["p"]).max() < 1e-9
     assert np.abs(velocity_au_day - barycentric["v"]).max() * C_M_S / C_AU_DAY < 1e-4  # m/s
 
@@ -95,16 +86,13 @@ def test_annual_aberration_carries_a_star_of_the_ecliptic_pole_around_20_5_arcse
     pole = star_at(np.radians(270.0), np.pi / 2 - obliquity)
     time_utc = moment("2024-01-01") + np.arange(366) * np.timedelta64(86400_000000, "us")
     still = np.array([0.0, -np.sin(obliquity), np.cos(obliquity)])
-
     shift = angle(apparent_directions(pole, np.zeros(366, dtype=np.int64), time_utc, None), still) / ARCSEC
-
     assert shift.mean() == pytest.approx(20.496, abs=0.02)
     assert 0.2 < shift.max() - shift.min() < 0.8  # eccentricity of the orbit, and the Sun's own motion
 
 
 def test_aberration_moves_stars_towards_the_observers_motion():
     s = np.array([[1.0, 0.0, 0.0]])
-
     assert aberrated(s, np.array([0.0, 1e-4, 0.0]))[0, 1] == pytest.approx(1e-4, rel=1e-3)
 
 
@@ -113,7 +101,6 @@ def test_a_low_orbit_adds_5_arcsec():
     time_utc, index = np.array([moment("2024-06-01")]), np.array([0])
     without = apparent_directions(star, index, time_utc, None)
     within = apparent_directions(star, index, time_utc, np.array([[0.0, 0.0, 7500.0]]))
-
     assert angle(without, within)[0] / ARCSEC == pytest.approx(5.16, abs=0.01)
 
 
@@ -124,12 +111,10 @@ def test_parallax_swings_alpha_centauri_by_twice_its_0_75_arcsec(deep_catalogue)
     ra, dec = deep_catalogue.ra_rad[k], deep_catalogue.dec_rad[k]
     near = star_at(ra, dec, parallax_arcsec=deep_catalogue.parallax_rad[k] / ARCSEC)
     index = np.zeros(len(time_utc), dtype=np.int64)
-
     swing = apparent_directions(near, index, time_utc, None) - apparent_directions(
         star_at(ra, dec), index, time_utc, None
     )
     spread = np.linalg.norm(swing[:, None] - swing[None], axis=-1).max() / ARCSEC
-
     assert spread == pytest.approx(2 * 0.7548, abs=0.03)
 
 
@@ -141,16 +126,13 @@ def test_parallax_swings_alpha_centauri_by_twice_its_0_75_arcsec(deep_catalogue)
 def test_proper_motion_is_that_of_the_textbook(deep_catalogue, hip, arcsec_a_year):
     index = np.repeat(deep_catalogue.index_of(np.array([hip])), 2)
     time_utc = np.array([moment("2000-03-01T00:00:00"), moment("2020-03-01T00:00:00")])  # the Earth in the same place
-
     then, now = apparent_directions(deep_catalogue, index, time_utc, None)
-
     assert angle(then, now) / ARCSEC / 20.0 == pytest.approx(arcsec_a_year, abs=0.015)
 
 
 def test_the_motion_of_barnards_star_is_north(deep_catalogue):
     index = np.repeat(deep_catalogue.index_of(np.array([87937])), 2)
     then, now = apparent_directions(deep_catalogue, index, np.array([moment("2000-03-01"), moment("2020-03-01")]), None)
-
     assert (now - then)[2] / ARCSEC / 20 == pytest.approx(10.33, abs=0.05)
 
 
@@ -158,7 +140,6 @@ def test_a_star_near_the_pole_moves_by_its_true_angle():
     polar = star_at(1.0, np.radians(89.9), pm_ra_arcsec=1.0)
     time_utc = np.array([moment("2001-01-01"), moment("2021-01-01")])
     then, now = apparent_directions(polar, np.zeros(2, dtype=np.int64), time_utc, None)
-
     assert angle(then, now) / ARCSEC / 20 == pytest.approx(1.0, abs=0.01)
 
 
@@ -167,7 +148,6 @@ def test_aberration_stretches_arcs_by_a_ten_thousandth_of_their_length(s, t, dir
     v = 1e-4 * direction
     arc = angle(s, t)
     change = angle(*aberrated(np.stack([s, t]), v)) - arc
-
     # to first order the change is -v.(s + t) tan(arc / 2), and |s + t| = 2 cos(arc / 2)
     assert abs(change) <= 2e-4 * np.sin(arc / 2) + 2e-8 * arc + 1e-15
     if arc < 2.0:
@@ -178,9 +158,7 @@ def test_rows_without_star_time_or_velocity_have_no_direction():
     star = star_at(0.3, 0.2)
     time_utc = np.array([moment("2024-01-01"), moment("2024-01-01"), moment("NaT"), moment("2024-01-01")])
     velocity = np.array([[0.0, 0.0, 1.0]] * 3 + [[np.nan] * 3])
-
     seen = apparent_directions(star, np.array([0, -1, 0, 0]), time_utc, velocity)
-
     assert np.isnan(seen).all(axis=1).tolist() == [False, True, True, True]
 
 
@@ -194,8 +172,6 @@ def test_half_a_million_rows_at_forty_thousand_times_take_a_fraction_of_a_second
     n = 480_000
     index = np.random.default_rng(3).integers(0, len(catalogue), n)
     time_utc = moment("2024-01-01") + np.repeat(np.arange(40_000), 12) * 500_000
-
     begin = time.process_time()
     apparent_directions(catalogue, index, time_utc, np.full((n, 3), 4000.0))
-
     assert time.process_time() - begin < 2.0  # of processor time: what else the machine does does not count

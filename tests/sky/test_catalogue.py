@@ -1,7 +1,5 @@
 """Hipparcos-2 is trimmed once, cached whole, and answers unknown numbers with -1."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np
@@ -32,7 +30,6 @@ def test_the_catalogue_goes_down_to_the_magnitude_asked_for(catalogue):
 
 def test_sirius_has_the_numbers_of_the_published_catalogue(catalogue):
     k = star(catalogue, SIRIUS)
-
     assert np.degrees(catalogue.ra_rad[k]) == pytest.approx(101.28854105, abs=1e-6)
     assert np.degrees(catalogue.dec_rad[k]) == pytest.approx(-16.71314306, abs=1e-6)
     assert catalogue.parallax_rad[k] / RAD_PER_MAS == pytest.approx(379.21, abs=0.01)
@@ -55,14 +52,12 @@ def test_numbers_that_are_not_there_answer_minus_one(deep_catalogue, hip):
 def test_index_of_finds_each_star_under_its_own_number(catalogue, hip):
     hip = np.array(hip, dtype=np.int64)
     index = catalogue.index_of(hip)
-
     assert (catalogue.hip[index[index >= 0]] == hip[index >= 0]).all()
     assert not np.isin(hip[index < 0], catalogue.hip).any()
 
 
 def test_an_empty_catalogue_knows_no_star():
     none = load_catalogue(None, magnitude_limit=-5.0)
-
     assert len(none) == 0
     assert none.index_of(np.array([1, 2])).tolist() == [-1, -1]
 
@@ -70,7 +65,6 @@ def test_an_empty_catalogue_knows_no_star():
 def test_the_cache_holds_what_the_package_holds_and_nothing_half_written(tmp_path):
     folder = tmp_path / "catalogue"
     first, second = load_catalogue(folder, 6.0), load_catalogue(folder, 6.0)
-
     assert same(first, second)
     assert [path.suffix for path in folder.iterdir()] == [".npz"]
 
@@ -78,7 +72,6 @@ def test_the_cache_holds_what_the_package_holds_and_nothing_half_written(tmp_pat
 def test_the_second_reading_comes_from_the_cache(tmp_path, monkeypatch):
     load_catalogue(tmp_path, 6.0)
     monkeypatch.setattr("boresight.sky.catalogue._read_package", lambda _: pytest.fail("the package was read again"))
-
     assert len(load_catalogue(tmp_path, 6.0)) > 4000
 
 
@@ -91,7 +84,6 @@ def test_a_damaged_cache_is_made_again(tmp_path, content):
     whole = load_catalogue(tmp_path, 6.0)
     cache = next(tmp_path.iterdir())
     cache.write_bytes(content)
-
     assert same(load_catalogue(tmp_path, 6.0), whole)
     assert cache.stat().st_size > 1000
 
@@ -99,5 +91,4 @@ def test_a_damaged_cache_is_made_again(tmp_path, content):
 def test_a_folder_that_cannot_be_made_means_no_cache(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_bytes(b"")
-
     assert len(load_catalogue(blocked / "catalogue", 6.0)) > 4000

@@ -1,7 +1,5 @@
 """Each row takes the direction that the table in `sky.directions` says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,6 @@ GIVEN = np.column_stack([np.cos(DEC) * np.cos(RA), np.cos(DEC) * np.sin(RA), np.
 
 def test_the_files_direction_replaces_the_catalogues_and_unmatched_rows_have_none(catalogue):
     directions = star_directions(IDS, RA, DEC, TIME, None, catalogue)
-
     np.testing.assert_array_equal(directions[[0, 2]], GIVEN[[0, 2]])
     assert np.isnan(directions[1]).all()
     np.testing.assert_array_equal(
@@ -28,7 +25,6 @@ def test_the_files_direction_replaces_the_catalogues_and_unmatched_rows_have_non
 
 def test_without_directions_in_the_file_unknown_stars_have_none(catalogue):
     directions = star_directions(IDS, None, None, TIME, None, catalogue)
-
     assert np.isnan(directions).all(axis=1).tolist() == [False, True, True, False]
 
 
@@ -40,7 +36,6 @@ def test_the_satellites_velocity_is_that_of_the_row(catalogue):
     velocity = np.zeros((4, 3))
     velocity[3] = 7500.0, 0.0, 0.0
     still, moving = (star_directions(IDS, None, None, TIME, v, catalogue) for v in (None, velocity))
-
     np.testing.assert_array_equal(still[0], moving[0])
     assert np.linalg.norm(moving[3] - still[3]) > 1e-6
 
@@ -48,7 +43,6 @@ def test_the_satellites_velocity_is_that_of_the_row(catalogue):
 def test_a_row_without_time_has_no_direction_but_the_others_do(catalogue):
     times = TIME.copy()
     times[0] = np.datetime64("NaT")
-
     assert np.isnan(star_directions(IDS, None, None, times, None, catalogue)[:, 0]).tolist() == [
         True,
         True,
@@ -65,7 +59,6 @@ def test_catalogue_directions_without_any_time_are_refused(catalogue, times):
 
 def test_times_are_not_asked_for_where_no_row_needs_them(catalogue):
     directions = star_directions(IDS[:3], RA[:3], DEC[:3], None, None, catalogue)
-
     assert np.isfinite(directions[:, 0]).tolist() == [True, False, True]
 
 

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
+from boresight.sky.apparent import days_since_j2000, earth_state
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.earth import days_since_j2000, earth_state
 from boresight.sky.guide_stars import guide_stars, observer_motion
 
 NOON = np.array(["2026-03-01T12:00", "2026-03-01T12:00", "NaT", "2026-09-01T00:00"], "datetime64[us]")
 
 
 def made(ra, dec, magnitude, pm=0.0):
-    """A catalogue of stars at ra, dec (rad), with proper motion to the north."""
     n, zero = len(ra), np.zeros(len(ra))
     return Catalogue(
         hip=np.arange(1, n + 1), ra_rad=np.array(ra), dec_rad=np.array(dec), parallax_rad=zero + 1e-7,
@@ -21,7 +20,6 @@ def made(ra, dec, magnitude, pm=0.0):
 
 def test_only_the_brighter_of_two_stars_in_one_image_can_be_matched():
     catalogue = made([0.0, 1e-4, 0.1, 0.1], [0.0, 0.0, 0.0, 3e-4], [3.0, 4.0, 4.5, 4.2])
-
     assert guide_stars(catalogue, 6.0, 2e-4).hip.tolist() == [1, 3, 4]
     assert guide_stars(catalogue, 6.0, 5e-4).hip.tolist() == [1, 4]
     assert guide_stars(catalogue, 6.0, 5e-5).hip.tolist() == [1, 2, 3, 4]
@@ -50,9 +48,7 @@ def test_proper_motion_is_a_vector_across_the_line_of_sight():
 
 def test_the_observer_moves_with_the_earth_and_the_satellite():
     velocity = np.array([[7e3, 0.0, 0.0], [np.nan] * 3, [0.0] * 3, [0.0] * 3])
-
     motion = observer_motion(NOON, velocity)
-
     place, speed = earth_state(days_since_j2000(NOON[[0, 3]]))
     np.testing.assert_allclose(motion.earth_au[[0, 1, 3]], place[[0, 0, 1]])
     np.testing.assert_allclose(motion.beta[0] - motion.beta[1], [7e3 / 299792458, 0, 0], atol=1e-18)

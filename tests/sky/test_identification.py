@@ -8,16 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.attitude import wahba
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.estimation.rotations import conjugate, matrix_of, product, rotation_vector
+from boresight.estimation.attitude import conjugate, matrix_of, product, rotation_vector, wahba
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky import identification
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.identification import field_of_view_deg, identify
-from boresight.telemetry.exposures import exposures_of
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.schema import exposures_of
 from boresight.telemetry.sensors import read_sensor
 
 pytest.importorskip("tetra3rs", reason="the lost-in-space extra is not installed")
@@ -32,7 +31,6 @@ def folder(tmp_path_factory):
 
 
 def answers(number, parity, frames, catalogue, folder, x=None):
-    """Per exposure: true stars that show, whether an attitude came, and how far it is off Wahba's with the true matches."""
     scenario = replace(calibration_scenario(number, frames), blanked_share=0.0)
     sensor = replace(scenario.sensor, parity=parity)
     telemetry = simulate(replace(scenario, sensor=sensor), np.random.default_rng(number), catalogue)
@@ -56,23 +54,19 @@ def answers(number, parity, frames, catalogue, folder, x=None):
 @pytest.mark.parametrize("number", range(1, 7))
 def test_under_a_ground_calibration_rich_fields_are_recognised_and_none_wrongly(number, catalogue, folder):
     stars, solved, off = answers(number, 1, 25, catalogue, folder).T
-
     assert (off[solved == 1] < MOST_OFF_RAD).all()
     assert solved[stars >= 8].mean() > 0.95
 
 
 def test_with_the_true_parameters_the_attitude_is_good_to_minutes_of_arc(catalogue, folder):
     truth = calibration_scenario(2).truth
-
     stars, solved, off = answers(2, 1, 10, catalogue, folder, truth).T
-
     assert solved[stars >= 8].all()
     assert off[solved == 1].max() < np.radians(0.05)
 
 
 def test_an_upright_image_is_recognised_as_one(catalogue, folder):
     stars, solved, off = answers(3, -1, 25, catalogue, folder).T
-
     assert (off[solved == 1] < MOST_OFF_RAD).all()
     assert solved[stars >= 8].mean() > 0.95
 
@@ -89,7 +83,6 @@ def test_five_frames_of_the_real_sky_are_recognised_with_a_nominal_lens(folder):
     ra, dec = telemetry.ra_rad, telemetry.dec_rad
     s_i = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     starts = np.append(exposures_of(telemetry).start, len(telemetry))
-
     for rows in map(slice, starts[:-1], starts[1:]):
         named = np.isfinite(ra[rows])
         known = wahba(s_d[rows][named], s_i[rows][named], np.full(named.sum(), 1e-4), sensor.parity)
@@ -98,7 +91,6 @@ def test_five_frames_of_the_real_sky_are_recognised_with_a_nominal_lens(folder):
 
 
 def random_field(seed, n):
-    """Directions (n, 3) that are no stars."""
     place = np.random.default_rng(seed).uniform(-0.17, 0.17, (n, 2)) * [0.75, 1.0]
     s = np.column_stack([place, np.ones(n)])
     return s / np.linalg.norm(s, axis=1, keepdims=True)
@@ -119,7 +111,6 @@ def test_the_mirror_image_of_the_sky_is_not_taken_for_it(catalogue, folder):
     )
     orion = (s_i @ TOWARDS_ORION.T)[s_i[:, 1] > np.cos(np.radians(9.0))]
     mirrored = orion * [1, -1, 1]
-
     for parity, right, wrong in ((1, orion, mirrored), (-1, mirrored, orion)):
         np.testing.assert_allclose(
             matrix_of(identify(right, None, parity, 20.0, folder)), TOWARDS_ORION, atol=MOST_OFF_RAD
@@ -136,7 +127,6 @@ def test_magnitudes_may_be_missing_and_stars_behind_are_passed_over(folder):
     s = random_field(2, 8)
     s[0] *= -1
     s[1] = np.nan
-
     assert identify(s, np.full(8, np.nan), 1, 20.0, folder) is None
 
 
@@ -145,12 +135,10 @@ def test_the_table_of_patterns_is_made_once_and_again_when_it_is_damaged(tmp_pat
     identify(random_field(3, 6), None, 1, 30.0, tmp_path)
     (kept,) = tmp_path.iterdir()
     good = kept.read_bytes()
-
     identification._loaded.cache_clear()
     kept.write_bytes(good[:1000])
     identify(random_field(3, 6), None, 1, 30.0, tmp_path)
     assert kept.stat().st_size == len(good)
-
     identification._loaded.cache_clear()
     monkeypatch.setattr(identification, "_keep", lambda *_: pytest.fail("made again"))
     identify(random_field(3, 6), None, 1, 30.0, tmp_path)
@@ -165,13 +153,11 @@ def test_threads_that_ask_at_once_share_one_table(tmp_path, monkeypatch):
         thread.start()
     for thread in threads:
         thread.join()
-
     assert made == [1]
 
 
 def test_without_the_extra_one_sentence_says_how_to_install_it(monkeypatch):
     monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
-
     assert not identification.available()
     with pytest.raises(RefusedInputError, match=r"pip install 'boresight\[lost-in-space\]'"):
         identify(random_field(5, 8), None, 1, 20.0, None)

@@ -11,28 +11,25 @@ from scipy.spatial.transform import Rotation
 from boresight.kernels import matching as loops
 from boresight.sky.guide_stars import GuideStars, ObserverMotion
 from boresight.sky.matching import ROW_REASONS, STARTS, Detections, match
+from tests.effort import effort
 from tests.exposures import SIGMA, Exposure
 
 CONE = 0.26
 
 
 def reason(words):
-    """The reason that contains these words."""
     (place,) = (place for place, phrase in enumerate(ROW_REASONS) if words in phrase)
     return place
 
 
 @dataclass
 class Image:
-    """One exposure: its detections, and a sky of the stars that were imaged (numbers 1 to n) and others beside them."""
-
     detections: Detections
     sky: np.ndarray
     true: np.ndarray
     density: float = 1.0
 
     def match(self, minimum_stars=4, identify=None):
-        """Match it with its sky."""
         order = np.argsort(self.sky[:, 2], kind="stable")
         n = len(order)
         stars = GuideStars(np.arange(1, n + 1)[order], self.sky[order], np.zeros((n, 3)), np.zeros(n), self.density)
@@ -40,12 +37,10 @@ class Image:
         return match(self.detections, stars, motion, CONE, minimum_stars, identify)
 
     def with_(self, **changes):
-        """The same with other detections."""
         return replace(self, detections=replace(self.detections, **changes))
 
 
 def image(seed, n=12, named=12, false=0, extra=(), exact=False, noise=1.0, y=None):
-    """An image of n stars of which the first are named, false detections after them, more stars of the sky in `extra`."""
     rng = np.random.default_rng(seed)
     field = Exposure(rng, n + false)
     sky = field.stars(np.zeros(11) if y is None else y)[:n]
@@ -66,8 +61,6 @@ def image(seed, n=12, named=12, false=0, extra=(), exact=False, noise=1.0, y=Non
 
 
 def beside(k, sigmas, turn=0.0):
-    """A star of the sky so many centroid sigmas from star k."""
-
     def star(field, sky):
         c = sky[k] + sigmas * SIGMA * ([np.cos(turn), np.sin(turn)] @ field.T[k]) @ field.C
         return c / np.linalg.norm(c)
@@ -78,7 +71,7 @@ def beside(k, sigmas, turn=0.0):
 # One to one.
 
 
-@settings(max_examples=80)
+@settings(max_examples=effort(16, 80))
 @given(
     seed=st.integers(0, 2**32),
     n=st.integers(3, 14),
@@ -91,9 +84,7 @@ def test_no_star_is_matched_twice_and_every_match_is_a_star_of_the_sky(seed, n, 
     scene = image(seed, n, min(named, n), false, [beside(*star) for star in companions], exact)
     if named < 2:
         scene = scene.with_(quaternion=Rotation.from_matrix(np.eye(3)).as_quat()[None])
-
     answer = scene.match()
-
     found = answer.star_id > 0
     assert len(set(answer.star_id[found])) == found.sum()
     np.testing.assert_allclose(answer.s_i[found], scene.sky[answer.star_id[found] - 1])
@@ -104,12 +95,11 @@ def test_no_star_is_matched_twice_and_every_match_is_a_star_of_the_sky(seed, n, 
     assert np.isfinite(answer.C).all() or not found.any()
 
 
-@settings(max_examples=40)
+@settings(max_examples=effort(12, 40))
 @given(seed=st.integers(0, 2**32), named=st.integers(4, 12), size=st.floats(0.0, 1.0))
 def test_whatever_the_parameters_are_off_by_within_their_covariance_no_star_is_taken_for_another(seed, named, size):
     y = np.r_[np.zeros(3), size * np.random.default_rng(seed).normal(size=8)]
     answer = image(seed, 12, named, 2, y=y).match()
-
     assume(answer.reason[0] == 0)
     true = np.r_[np.arange(1, 13), 0, 0]
     assert np.isin(answer.star_id - true, [0, *-np.arange(1, 13)])[answer.star_id == 0].all()
@@ -155,9 +145,7 @@ def test_two_stars_that_may_have_changed_places_are_called_ambiguous():
     scene.sky[4] = close / np.linalg.norm(close)
     s, G = scene.detections.s.copy(), scene.detections.G.copy()
     s[4], G[4] = field.C @ scene.sky[4], G[3]
-
     wide, narrow = (scene.with_(s=s, G=scale * G).match() for scale in (4.0, 1e-6))
-
     assert wide.row_reason.tolist() == [loops.MATCHED] * 3 + [reason("equally well")] * 2
     assert narrow.star_id.tolist() == [1, 2, 3, 4, 5]
 

@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from boresight.calibration.rematch import ground_covariance, rematch
-from boresight.calibration.settings import CalibrationSettings
+from benchmarks.stars import star_frames
+from boresight.calibration.matching.rematch import ground_covariance, rematch
+from boresight.calibration.options import CalibrationSettings
 from boresight.estimation.blocks import computing_on
 from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.sky import matching
 from boresight.sky.catalogue import load_catalogue
-from boresight.studies.star_frames import star_frames
 
 SENSOR = st16_sensor(1)
 
@@ -31,7 +31,6 @@ def test_blocks_and_threads_change_no_bit_of_the_matches(matched, monkeypatch, t
     monkeypatch.setattr(matching, "FRAMES", 7)
     with computing_on(threads):
         in_parts = matched()
-
     for field in dataclasses.fields(whole):
         np.testing.assert_array_equal(getattr(in_parts, field.name), getattr(whole, field.name), strict=True)
     assert (whole.star_id > 0).mean() > 0.9

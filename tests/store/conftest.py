@@ -1,14 +1,12 @@
 """Databases to act on: that of the engine the tests run on, and a SQLite file for what is said of both engines."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from boresight.store.sessions import Engine, migrate, open_engine
-from tests.stores import url_in
+from boresight.platform.db.sessions import Engine
+from tests.stores import open_migrated, url_in
 
 
 @pytest.fixture
@@ -18,16 +16,13 @@ def url(tmp_path: Path) -> str:
 
 @pytest.fixture
 def engine(url: str) -> Iterator[Engine]:
-    engine = open_engine(url)
-    migrate(engine)
+    engine = open_migrated(url)
     yield engine
     engine.dispose()
 
 
 @pytest.fixture
 def sqlite(tmp_path: Path) -> Iterator[Engine]:
-    """A migrated SQLite file, whatever the tests run on."""
-    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
-    migrate(engine)
+    engine = open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
     yield engine
     engine.dispose()

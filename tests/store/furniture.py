@@ -1,35 +1,24 @@
 """One row of nearly every table, for the tests of the schema: what is referred to comes first."""
 
-from __future__ import annotations
-
 from typing import Any
 
-from boresight.store.tables import (
-    Alarm,
-    AlarmEvent,
-    Approval,
-    AuditRecord,
-    Campaign,
-    CampaignRun,
-    ChangeProposal,
-    Note,
-    ParameterSet,
-    Preset,
-    Promotion,
-    Run,
-    Sensor,
-    Signature,
-    Uplink,
-    User,
-)
-from boresight.store.tables import Blob as BlobRow
-from boresight.store.tables import TelemetrySet as TelemetrySetRow
+from boresight.console.access.tables import User
+from boresight.console.alarms.tables import Alarm, AlarmEvent
+from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
+from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.fleet.tables import Sensor
+from boresight.console.notes.tables import Note
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.runs.tables import Preset, Run
+from boresight.console.telemetry.tables import TelemetrySet as TelemetrySetRow
+from boresight.console.uplinks.tables import Uplink
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.blobs.tables import Blob as BlobRow
 
 NOW = "2026-11-21T00:00:00.000000Z"
 
 
 def parameter_set(number: int, ground_state: str) -> ParameterSet:
-    """A set of sensor 1."""
     return ParameterSet(
         name=f"PS-ST1-{number}",
         sensor_id=1,
@@ -42,14 +31,12 @@ def parameter_set(number: int, ground_state: str) -> ParameterSet:
 
 
 def alarm() -> Alarm:
-    """An alarm of sensor 1."""
     return Alarm(
         source="sensors/1/AGE", sensor_id=1, kind="AGE", level="caution", sentence="s", evidence={}, raised_utc=NOW
     )
 
 
 def rows_of_tables() -> list[Any]:
-    """One row of nearly every table, what is referred to first."""
     blob = BlobRow(sha256="b" * 64, size_bytes=3_000_000_000, media_type="text/csv", created_utc=NOW)
     telemetry = TelemetrySetRow(
         sensor_id=1,

@@ -1,12 +1,10 @@
 """Any number of keys, bound as one value: the rows that Python would keep, by an index of their column."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 
-from boresight.store.documents import MOST_NUMBER, among
-from boresight.store.sessions import Engine, reading
+from boresight.platform.db.documents import MOST_NUMBER, among
+from boresight.platform.db.sessions import Engine, reading
 
 KEYS = (1, 2, 3, 70_000, MOST_NUMBER - 1)
 MANY = """
@@ -18,7 +16,6 @@ ANALYZE many
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn."""
     store: Engine = request.getfixturevalue(request.param)
     return store
 

@@ -1,7 +1,5 @@
 """Blobs: named by what is in them, whole or absent, whoever puts them at once."""
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 from collections.abc import Callable
@@ -13,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import ConflictError, NotFoundError, UnavailableError
-from boresight.store.blobs import BlobStore, register_blob
-from boresight.store.sessions import Engine, writing
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Engine, writing
 
 
 @pytest.fixture

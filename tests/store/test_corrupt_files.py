@@ -1,7 +1,5 @@
 """A stored file is held against its address by whoever reads it, and a changed one is refused, never used."""
 
-from __future__ import annotations
-
 import os
 import random
 import time
@@ -9,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from boresight import integrity
+from boresight import disks as integrity
 from boresight.errors import CorruptFileError
-from boresight.store.blobs import BlobStore
+from boresight.platform.blobs.folder import BlobStore
 
 
 @pytest.fixture
@@ -20,7 +18,6 @@ def blobs(tmp_path: Path) -> BlobStore:
 
 
 def _rest(path: Path) -> None:
-    """Let a file be one that nobody has written to lately, as far as this process can tell."""
     while time.time_ns() - path.stat().st_ctime_ns < integrity.FRESH_NS:
         time.sleep(0.005)
 
@@ -100,7 +97,7 @@ def test_twenty_flips_in_files_of_any_size_are_all_noticed(blobs: BlobStore) -> 
 
 def test_only_the_store_knows_where_a_file_of_an_address_lies() -> None:
     sources = Path(integrity.__file__).parent
-    known = {"store/blobs.py", "store/object_blobs.py"}
+    known = {"platform/blobs/folder.py", "platform/blobs/bucket.py"}
     readers = {
         str(path.relative_to(sources))
         for path in sources.rglob("*.py")

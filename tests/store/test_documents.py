@@ -1,14 +1,12 @@
 """Documents: one spelling each."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.store.documents import canonical, read, sha256_of
+from boresight.platform.db.documents import canonical, read, sha256_of
 
 NUMBERS = (
     st.integers(-(2**63), 2**63)

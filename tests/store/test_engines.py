@@ -1,7 +1,5 @@
 """Several servers on one database: simultaneous starts, locks of one database, and what is said when it does not answer."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -12,10 +10,20 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.runs import queries as runs
 from boresight.errors import UnavailableError
-from boresight.store import chain, engines, runs
-from boresight.store.sessions import Engine, Session, current_revision, head_revision, open_engine, reading, writing
-from boresight.store.tables import AuditRecord
+from boresight.platform.audit import chain
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db import engines
+from boresight.platform.db.sessions import (
+    Engine,
+    Session,
+    current_revision,
+    head_revision,
+    open_engine,
+    reading,
+    writing,
+)
 from tests.postgresql import TEMPLATE, Server, server
 
 from .furniture import rows_of_tables
@@ -25,13 +33,11 @@ SERVERS = 3
 
 @pytest.fixture
 def postgresql_server() -> Server:
-    """The server that has the databases; the test is skipped where there is no PostgreSQL."""
     return server()
 
 
 @pytest.fixture
 def two(postgresql_server: Server) -> Iterator[list[Engine]]:
-    """Two databases on one server."""
     names = ("beside-1", "beside-2")
     opened = [open_engine(postgresql_server.make(name)) for name in names]
     yield opened
@@ -93,7 +99,6 @@ def test_a_writer_whose_server_died_gives_the_lock_back(two: list[Engine], monke
 
 
 def _outlast(engine: Engine, dead: Session) -> None:
-    """Write while another writer says nothing more: waits until that is ended."""
     with writing(engine) as session:
         chain.append_own(session, "wrote", "here/1")
     dead.execute(sa.text("SELECT 1"))
@@ -143,7 +148,6 @@ def test_after_a_restart_of_postgresql_the_next_request_is_answered(
 
 
 def _cut_off(session: Session, place: Server) -> None:
-    """Write, and lose the database before the commit."""
     chain.append_own(session, "cut off", "here/1")
     place.stop()
 

@@ -1,25 +1,24 @@
 """The queries on alarms, notes and trends answer alike on both engines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from boresight.services import alarms, fleet, sensors, watch
-from boresight.services.actors import COMMAND_LINE
-from boresight.services.trend_views import trend_document
+from boresight.console.alarms import queries as alarms_queries
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms import watch
+from boresight.console.fleet import queries as of_sensors
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet import status as fleet
+from boresight.console.fleet.trend_document import trend_document
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.db.sessions import Engine, reading, utc_after, writing
 from boresight.simulation.sensors import st16_sensor
-from boresight.store import alarms as rows
-from boresight.store import sensors as of_sensors
-from boresight.store import trends
-from boresight.store.sessions import Engine, reading, utc_after, writing
 from boresight.telemetry.sensors import sensor_document
 from tests.missions import add_run, add_set, make_baseline
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn, with a sensor that drifts and its alarm."""
     store: Engine = request.getfixturevalue(request.param)
     rng = np.random.default_rng(4)
     with writing(store) as session:
@@ -40,7 +39,7 @@ def test_an_alarm_is_found_by_its_state_and_counted_while_it_waits(store: Engine
         found = {state: len(alarms.list_alarms(session, alarms.Sought(state=state))) for state in alarms.STATES}
         assert found == {"unacknowledged": 0, "acknowledged": 0, "shelved": 1, "closed": 0}
         row.shelved_until_utc = utc_after(-1)
-        assert [late.id for late in rows.overdue_shelves(session)] == [row.id]
+        assert [late.id for late in alarms_queries.overdue_shelves(session)] == [row.id]
         alarms.step(session, COMMAND_LINE, row, "UNSHELVED", "")
 
 
@@ -48,9 +47,9 @@ def test_a_trend_and_the_newest_summaries_are_read(store: Engine) -> None:
     with reading(store) as session:
         document = trend_document(session, 1)
         assert (document["drift"]["verdict"], len(document["points"])) == ("DRIFT", 5)
-        newest = trends.recent_summaries(session, [1], 3)[1]
+        newest = of_sensors.recent_summaries(session, [1], 3)[1]
         assert [summary["trend"]["parameters"] for summary in newest] == [
-            run.summary["trend"]["parameters"] for run in trends.finished(session, [1])[1][-3:]
+            run.summary["trend"]["parameters"] for run in of_sensors.finished(session, [1])[1][-3:]
         ]
 
 
@@ -63,7 +62,7 @@ def test_of_each_sensor_its_own_newest_run_is_found_and_a_head_says_what_its_row
             for day in range(3) if name == "B" else ():
                 add_run(session, add_set(session, number, 30.0 * day), rng)
     with reading(store) as session:
-        newest = {number: max(run.id for run in runs) for number, runs in trends.finished(session, [1, 2]).items()}
+        newest = {number: max(run.id for run in runs) for number, runs in of_sensors.finished(session, [1, 2]).items()}
         for asked in (None, [1, 2, 3]):
             runs, heads = of_sensors.last_runs(session, asked), of_sensors.last_run_heads(session, asked)
             assert {number: run.id for number, run in runs.items()} == newest

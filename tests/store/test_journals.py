@@ -1,16 +1,18 @@
 """Log lines of runs and messages of webhooks edited, put in or removed by hand are told, and so are triggers; on both engines."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 
-from boresight.store import chain, journals, verification
-from boresight.store.run_events import write_event, write_events
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import Blob as BlobRow
-from boresight.store.tables import Run, RunEvent, Sensor, TelemetrySet, Webhook, WebhookDelivery
-from boresight.store.verification import Findings, Misfit
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs.run_events import Line, write_event, write_events
+from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
+from boresight.platform.audit import chain, verification
+from boresight.platform.audit import seals as journals
+from boresight.platform.audit.verification import Findings, Misfit
+from boresight.platform.blobs.tables import Blob as BlobRow
+from boresight.platform.db.sessions import Engine, reading, writing
 from tests.stores import triggers_aside
 
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -18,7 +20,6 @@ NOW = "2026-11-21T00:00:00.000000Z"
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn, with a run of six lines, of which three are in the audit log, and three messages."""
     store: Engine = request.getfixturevalue(request.param)
     with writing(store) as session:
         session.add(Sensor(name="ST1", document={}, created_utc=NOW))
@@ -47,11 +48,11 @@ def store(request: pytest.FixtureRequest) -> Engine:
         )
         session.add(Webhook(label="w", url="https://x", actions=[], secret="s", created_utc=NOW))
         session.flush()
-        write_event(session, 1, 0, "state", "QUEUED")
-        write_events(session, [(1, 1, "state", "RUNNING"), (1, 1, "log", "ψ")])
+        write_event(session, 1, 0, Line.moved("QUEUED"))
+        write_events(session, [(1, 1, Line.begun(1, "host")), (1, 1, Line.log("ψ"))])
         chain.append_own(session, "furnished", "sensors/1")
     with writing(store) as session:
-        write_events(session, [(1, 1, "log", f"step {number}") for number in range(3)])
+        write_events(session, [(1, 1, Line.log(f"step {number}", {"fraction": number / 3})) for number in range(3)])
     with writing(store) as session:
         for number in range(3):
             values = {"body": f"{{{number}}}", "state": "PENDING", "due_utc": NOW, "created_utc": NOW}
@@ -62,7 +63,6 @@ def store(request: pytest.FixtureRequest) -> Engine:
 
 
 def _by_hand(store: Engine, statement: str) -> None:
-    """Edit the database as its owner could, the triggers out of the way for the moment."""
     with store.begin() as connection:
         if connection.dialect.name == "postgresql":
             connection.exec_driver_sql("SET LOCAL session_replication_role = replica")
@@ -88,6 +88,9 @@ def test_journals_that_nobody_touched_hold(store: Engine) -> None:
     [
         ("UPDATE run_events SET message = 'CANCELLED' WHERE id = 2", Misfit("run_events/2", "changed", 1)),
         ("UPDATE run_events SET at_utc = '2020' WHERE id = 5", Misfit("run_events/5", "changed", None)),
+        ("UPDATE run_events SET state = 'SUCCEEDED' WHERE id = 2", Misfit("run_events/2", "changed", 1)),
+        ("UPDATE run_events SET cause = 'another' WHERE id = 5", Misfit("run_events/5", "changed", None)),
+        ("UPDATE run_events SET numbers = NULL WHERE id = 5", Misfit("run_events/5", "changed", None)),
         ("DELETE FROM run_events WHERE id = 2", Misfit("run_events/2", "removed", 1)),
         ("DELETE FROM run_events WHERE id = 5", Misfit("run_events/5", "removed", None)),
         ("DELETE FROM run_events WHERE id > 2", Misfit("run_events/3", "removed", 1)),
@@ -123,14 +126,15 @@ def test_a_journal_chained_anew_meets_the_audit_log(store: Engine) -> None:
     rows[0]["message"], previous = "SUCCEEDED", journals.FIRST_HASH
     for row in rows:
         previous = row["hash"] = journal.hash_of(previous, row)
-        said = f"message = '{row['message']}', hash = '{previous}' WHERE id = {row['id']}"
+        hashes = f"hash = '{previous}', outcome_hash = '{journal.outcome_hash_of(row)}'"
+        said = f"message = '{row['message']}', {hashes} WHERE id = {row['id']}"
         _by_hand(store, f"UPDATE run_events SET {said}")  # noqa: S608 - words of our own
     assert _found(store).misfit == Misfit("run_events/3", "changed", 1)
 
 
 def test_what_was_rolled_back_is_carried_by_the_next_record(store: Engine) -> None:
     with writing(store) as session:
-        write_event(session, 1, 1, "log", "undone")
+        write_event(session, 1, 1, Line.log("undone"))
         chain.append_own(session, "undone", "runs/1")
         chain.write_out(session)
         session.rollback()
@@ -145,9 +149,9 @@ def test_what_was_rolled_back_is_carried_by_the_next_record(store: Engine) -> No
 
 def test_lines_keep_their_order_however_they_are_written(store: Engine) -> None:
     with writing(store) as session:
-        write_event(session, 1, 2, "log", "one")
+        write_event(session, 1, 2, Line.log("one"))
         session.add(RunEvent(run_id=1, attempt=2, at_utc=NOW, kind="log", message="two"))
-        write_events(session, [(1, 2, "log", "three")])
+        write_events(session, [(1, 2, Line.log("three"))])
     with reading(store) as session:
         said = session.scalars(sa.select(RunEvent.message).where(RunEvent.attempt == 2).order_by(RunEvent.id)).all()
     assert said == ["one", "two", "three"]

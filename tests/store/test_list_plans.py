@@ -1,12 +1,11 @@
 """The lists as SQLite means to read them: the first views sort nothing, and the filters of every day have their index."""
 
-from __future__ import annotations
-
 import pytest
 
-from boresight.store import lists
-from boresight.store.lists import LISTS, Asked
-from boresight.store.sessions import migrate, open_engine, reading
+from boresight.console import list_queries as lists
+from boresight.console.list_queries import LISTS, Asked
+from boresight.platform.db.sessions import reading
+from tests.stores import open_migrated
 
 FIRST = {
     "sensors": "sensor",
@@ -20,16 +19,13 @@ FIRST = {
 
 @pytest.fixture
 def session(tmp_path):
-    """An empty store: what is planned does not depend on rows that were never counted."""
-    engine = open_engine(f"sqlite:///{tmp_path}/store.sqlite3")
-    migrate(engine)
+    engine = open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
     with reading(engine) as opened:
         yield opened
     engine.dispose()
 
 
 def plan(session, name, asked):
-    """How the database means to answer."""
     query = lists._ids(session, LISTS[name], asked).limit(51)
     text = str(query.compile(session.get_bind(), compile_kwargs={"literal_binds": True}))
     return [row[3] for row in session.connection().exec_driver_sql(f"EXPLAIN QUERY PLAN {text}")]

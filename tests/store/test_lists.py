@@ -10,15 +10,22 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from boresight.store import lists
-from boresight.store.chain import append_own
-from boresight.store.lists import LISTS, Asked
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import Approval, Blob, ParameterSet, Run, Sensor, TelemetrySet, User
+from boresight.console import list_queries as lists
+from boresight.console.access.tables import User
+from boresight.console.approvals.tables import Approval
+from boresight.console.fleet.tables import Sensor
+from boresight.console.list_queries import LISTS, Asked, Signatory
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit.chain import append_own
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import reading, writing
 
 NOW = "2026-11-21T00:00:00.000000Z"
 MANY = 50_000
 QUICK_S = 0.1
+GIVEN = {"state": "open", "among": [1], "open": True, "open_to": Signatory(1, "", four_eyes=True)}
 SUMMARIES = [
     None,
     {"rms_initial_arc_rad": 2e-4, "rms_final_arc_rad": 1e-4, "chi2_per_dof": 1.0},
@@ -206,3 +213,19 @@ def test_a_page_of_fifty_thousand_runs_is_there_within_a_tenth_of_a_second(many)
                     assert len(rows) == 51
                     session.expunge_all()
     assert statistics.median(took.values()) < QUICK_S, took
+
+
+@pytest.mark.parametrize("table", lists.NAMES, ids=lambda table: table.__name__)
+def test_every_listed_table_has_its_newest_rows_narrowed_by_each_filter(store, table):
+    with reading(store) as session:
+        whole = [row.id for row in lists.newest(session, table)]
+        assert whole == sorted(session.scalars(sa.select(table.id)), reverse=True)
+        for number in range(len(whole)):
+            found = lists.newest(session, table, before_id=whole[number], limit=2)
+            assert [row.id for row in found] == whole[number + 1 : number + 3]
+        for name, condition in LISTS[lists.NAMES[table]].filters.items():
+            given = GIVEN.get(name, "1")
+            fitting = set(session.scalars(sa.select(table.id).where(condition(given))))
+            assert [row.id for row in lists.newest(session, table, **{name: given})] == [
+                number for number in whole if number in fitting
+            ]

@@ -1,19 +1,16 @@
 """A mark moves with every commit of anybody, and with nothing else, on either engine."""
 
-from __future__ import annotations
-
 import time
 
 import pytest
 
-from boresight.store.chain import append_own
-from boresight.store.marks import Kept, Marks
-from boresight.store.sessions import open_engine, reading, writing
+from boresight.platform.audit.chain import append_own
+from boresight.platform.db.marks import Kept, Marks
+from boresight.platform.db.sessions import open_engine, reading, writing
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request):
-    """Each engine in turn."""
     return request.getfixturevalue(request.param)
 
 

@@ -1,41 +1,28 @@
 """Migrations: the way up and down, on data, ends in the tables the models say; the database guards its own rules."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy.orm import Session as UnsealedSession
 
+from boresight.console.approvals.tables import Approval
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.runs.tables import Run, RunEvent
 from boresight.errors import ConflictError, RefusedInputError
-from boresight.store.chain import append_own
-from boresight.store.sessions import (
-    Engine,
-    current_revision,
-    downgrade,
-    head_revision,
-    migrate,
-    reading,
-    writing,
-)
-from boresight.store.tables import (
-    Approval,
-    Base,
-    IdempotentResponse,
-    ParameterSet,
-    Promotion,
-    Run,
-    Sensor,
-)
-from boresight.store.tables import Blob as BlobRow
+from boresight.platform.audit.chain import append_own
+from boresight.platform.audit.seals import FIRST_HASH, JOURNALS, rows_of
+from boresight.platform.audit.tables import IdempotentResponse
+from boresight.platform.blobs.tables import Blob as BlobRow
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, current_revision, downgrade, head_revision, migrate, reading, writing
 
 from .furniture import NOW, alarm, parameter_set, rows_of_tables
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn, migrated."""
     store: Engine = request.getfixturevalue(request.param)
     return store
 
@@ -74,7 +61,9 @@ def test_a_full_store_goes_down_and_up_again(store: Engine) -> None:
     _fill(store)
 
 
-@pytest.mark.parametrize("revision", ["0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009"])
+@pytest.mark.parametrize(
+    "revision", ["0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009", "0010", "0011"]
+)
 def test_the_data_survive_the_way_down_to_every_revision_and_up_again(store: Engine, revision: str) -> None:
     _fill(store)
     with writing(store) as session:
@@ -89,6 +78,44 @@ def test_the_data_survive_the_way_down_to_every_revision_and_up_again(store: Eng
     with reading(store) as session:
         assert session.get_one(IdempotentResponse, ("k", "ana session")).body == {"id": 1}
         assert session.get_one(Sensor, 1).name == "ST1"
+
+
+#: Sentences as versions before 0012 wrote them, with the columns that they are read into.
+SAID = [
+    ("state", "QUEUED", ("QUEUED", None, "info", None)),
+    ("state", "RUNNING: attempt 1 on host/7", ("RUNNING", None, "info", None)),
+    ("log", "45 %: frame 17: 17 of 40 frames", (None, None, "info", {"fraction": 0.45})),
+    ("log", "Attempt 1: its server was stopped", (None, "its server was stopped", "warning", None)),
+    ("state", "QUEUED: again, because the disk: full", ("QUEUED", "the disk: full", "warning", None)),
+    ("lost", "Attempt 2: its worker\nprocess died", (None, "its worker\nprocess died", "error", None)),
+    ("log", "Traceback (most recent call last)", (None, None, "error", None)),
+    ("log", "Computed in 1.25 s: converged.", (None, None, "info", {"seconds": 1.25})),
+    ("state", "CANCELLING: by Ana: wrong set", ("CANCELLING", "by Ana: wrong set", "warning", None)),
+    ("state", "FAILED: given up", ("FAILED", "given up", "error", None)),
+    ("state", "SUCCEEDED", ("SUCCEEDED", None, "info", None)),
+]
+
+
+def test_what_the_log_of_runs_said_is_in_its_columns_after_the_way_up_and_the_journal_still_holds(
+    store: Engine,
+) -> None:
+    _fill(store)
+    with writing(store) as session:
+        for kind, message, _ in SAID:
+            session.add(RunEvent(run_id=1, attempt=1, at_utc=NOW, kind=kind, message=message))
+    downgrade(store, "0011")
+    with store.connect() as connection:
+        assert "state" not in {column["name"] for column in sa.inspect(connection).get_columns("run_events")}
+    migrate(store)
+    with reading(store) as session:
+        rows = session.scalars(sa.select(RunEvent).order_by(RunEvent.id)).all()
+        assert [(row.state, row.cause, row.level, row.numbers) for row in rows] == [columns for *_, columns in SAID]
+        assert [row.message for row in rows] == [message for _, message, _ in SAID]
+        journal, previous = JOURNALS["run_events"], FIRST_HASH
+        for line in rows_of(session, journal):
+            assert line["hash"] == journal.hash_of(previous, line)
+            assert line["outcome_hash"] == journal.outcome_hash_of(line)
+            previous = line["hash"]
 
 
 def test_an_older_version_can_number_records_itself_again(store: Engine) -> None:

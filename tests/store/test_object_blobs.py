@@ -1,7 +1,5 @@
 """Blobs in an object store: a real S3 server in this process, fetched once, right or not at all, refusals in one sentence."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import time
@@ -15,10 +13,10 @@ from hypothesis import strategies as st
 from obstore.store import MemoryStore, from_url
 
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, UnavailableError
+from boresight.platform.blobs.bucket import KEPT_S, ObjectBlobStore
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.places import BlobPlace
 from boresight.settings import read_settings
-from boresight.store.blob_places import BlobPlace
-from boresight.store.blobs import open_blobs
-from boresight.store.object_blobs import KEPT_S, ObjectBlobStore
 from tests.object_store import SECRET, serving_s3
 
 PLENTY = 10**9
@@ -27,14 +25,12 @@ Open = Callable[..., ObjectBlobStore]
 
 @pytest.fixture(scope="module")
 def s3() -> Iterator[str]:
-    """The address of an S3 server with a bucket."""
     with serving_s3("flight") as address:
         yield address
 
 
 @pytest.fixture
 def blobs(s3: str, tmp_path: Path) -> Open:
-    """Open the bucket as a machine with an empty cache does."""
     assert s3
 
     def machine(name: str = "here", bucket: str = "flight", limit_bytes: int = PLENTY) -> ObjectBlobStore:

@@ -1,7 +1,5 @@
 """The whole way on PostgreSQL: what the services promise on SQLite holds there with the same code."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,26 +8,26 @@ from typing import Any
 import numpy as np
 import pytest
 
+from boresight.console import transitions
+from boresight.console.access import users
+from boresight.console.approvals import promotions, submissions
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet import timeline
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks import table_definitions
+from boresight.console.uplinks.read_backs import read_back, reference_of
 from boresight.errors import StaleError
-from boresight.services import (
-    approvals,
-    audit,
-    parameter_sets,
-    sensors,
-    table_definitions,
-    telemetry_sets,
-    timeline,
-    uplinks,
-    users,
-)
-from boresight.services.actors import COMMAND_LINE, Actor
-from boresight.services.read_backs import read_back, reference_of
-from boresight.store.blobs import BlobStore
-from boresight.store.documents import canonical
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import ParameterSet, Run
-from boresight.uplink.plain_table import plain_definition
-from tests.passwords import new_password, proved
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.documents import canonical
+from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.uplink.table_definition import plain_definition
+from tests.passwords import add_person, approve, proved
 
 PASSWORD = "correct horse battery"
 PEOPLE: Mapping[str, tuple[str, ...]] = {"ana": ("analyst",), "cy": ("approver",), "dee": ("operator",)}
@@ -51,23 +49,12 @@ CSV = "frame,exposure,row_px,col_px,ra_deg,dec_deg\n" + "".join(f"1,0,{n}.5,{n *
 @pytest.fixture
 def people(postgresql: Engine) -> Mapping[str, Actor]:
     with writing(postgresql) as session:
-        rows = {
-            name: users.create_user(
-                session,
-                COMMAND_LINE,
-                name=name,
-                printed_name=name.title(),
-                password=new_password(PASSWORD),
-                roles=roles,
-            )
-            for name, roles in PEOPLE.items()
-        }
+        rows = {name: add_person(session, name, *roles) for name, roles in PEOPLE.items()}
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
         return {name: users.actor_of(session, row.id) for name, row in rows.items()}
 
 
 def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: float) -> ParameterSet:
-    """Upload, and make a candidate of a run that ended with a focal length."""
     (folder / "a.csv").write_text(CSV, encoding="utf-8")
     names = list(NAMES)
     result = {
@@ -102,20 +89,10 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
 
 
 def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blobs: BlobStore) -> int:
-    """Have a candidate submitted and signed, and return its version."""
     with writing(engine) as session:
-        approval = parameter_sets.submit(session, people["ana"], blobs, row.id, "better", row.version)
-        approvals.sign(
-            session,
-            people["cy"],
-            approval.id,
-            "APPROVE",
-            "I approve",
-            "",
-            proved(session, people["cy"], PASSWORD),
-            approval.version,
-        )
-        return parameter_sets.get_parameter_set(session, row.id).version
+        approval = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        approve(session, people["cy"], approval)
+        return transitions.get_parameter_set(session, row.id).version
 
 
 def test_promotions_at_once_leave_one_baseline_and_one_chain(
@@ -128,7 +105,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
     def promote(number: int) -> str:
         try:
             with writing(postgresql) as session:
-                return parameter_sets.promote(session, people["dee"], rows[number].id, versions[number]).name
+                return promotions.promote(session, people["dee"], rows[number].id, versions[number]).name
         except StaleError:
             return "stale"
 

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import CorruptFileError, NotFoundError
-from boresight.store.blobs import BlobStore
-from boresight.store.recent import LARGEST_SHARE, Recent
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.marks import LARGEST_SHARE, Recent
 
 
 @given(st.lists(st.tuples(st.integers(0, 8), st.integers(1, 60)), max_size=60))

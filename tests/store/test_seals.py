@@ -1,14 +1,16 @@
 """Seals: whatever a transaction changed is in its audit records, and nothing changes past them."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 
-from boresight.store import chain, seals, verification
-from boresight.store.runs import finish
-from boresight.store.sessions import Engine, downgrade, migrate, only_try, reading, utc_now, writing
-from boresight.store.tables import ApiKey, AuditRecord, Base, Run, Sensor, User
+from boresight.console.access.tables import ApiKey, User
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs.queries import finish
+from boresight.console.runs.tables import Run
+from boresight.platform.audit import chain, seals, verification
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, downgrade, migrate, only_try, reading, utc_now, writing
 
 NOW = "2026-11-21T00:00:00.000000Z"
 
@@ -19,7 +21,6 @@ def _user(name: str = "ana") -> User:
 
 @pytest.fixture
 def inhabited(engine: Engine) -> Engine:
-    """A store with a person and a key, sealed."""
     with writing(engine) as session:
         session.add(_user())
         session.flush()
@@ -120,7 +121,6 @@ def test_what_was_rolled_back_leaves_neither_records_nor_seals(inhabited: Engine
 
 
 def _run(engine: Engine) -> None:
-    """Launch run 1 and have it under way."""
     with writing(engine) as session:
         session.add(Sensor(name="ST1", document={}, created_utc=NOW))
         session.flush()

@@ -1,7 +1,5 @@
 """Transactions: one writer at a time, one state for a reader, refusals that leave nothing or what they must."""
 
-from __future__ import annotations
-
 import threading
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta, timezone
@@ -10,7 +8,8 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.errors import BoresightError, RefusedInputError, UnauthenticatedError
-from boresight.store.sessions import (
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import (
     Engine,
     Session,
     keep_despite_refusal,
@@ -21,7 +20,6 @@ from boresight.store.sessions import (
     utc_text,
     writing,
 )
-from boresight.store.tables import Blob
 
 
 def _count(session: Session) -> int:
@@ -29,7 +27,6 @@ def _count(session: Session) -> int:
 
 
 def _blob(name: str = "0") -> Blob:
-    """A row of a table that is not sealed."""
     return Blob(sha256=name, size_bytes=1, media_type="text/plain", created_utc=utc_now())
 
 
@@ -103,7 +100,6 @@ def test_a_reader_sees_one_state_while_others_write(engine: Engine) -> None:
 
 
 def _count_up(engine: Engine, times: int) -> None:
-    """Read a number and write one more, as every rule of the services does."""
     for _ in range(times):
         with writing(engine) as session:
             number = _count(session)

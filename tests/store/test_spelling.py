@@ -1,12 +1,10 @@
 """How SQLite spells the schema: what the migrations made is, part for part, what the models say, and every table is STRICT."""
 
-from __future__ import annotations
-
 from itertools import accumulate
 from typing import Any
 
-from boresight.store.sessions import Engine, open_engine
-from boresight.store.tables import Base
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, open_engine
 
 
 def test_every_table_and_index_is_spelled_as_the_models_spell_it(sqlite: Engine, tmp_path: Any) -> None:
@@ -21,7 +19,6 @@ def test_every_table_and_index_is_spelled_as_the_models_spell_it(sqlite: Engine,
 
 
 def _parts(sql: str) -> set[str]:
-    """Split a statement at its outer commas: a column that was added later stands after the constraints."""
     head, _, rest = sql.partition("(")
     body, _, tail = rest.rpartition(")")
     depths = accumulate((letter == "(") - (letter == ")") for letter in body)

@@ -1,15 +1,15 @@
 """Holding rows against the chain, on both engines: what was changed, removed or inserted by hand is named."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 from sqlalchemy.orm import Session as UnsealedSession
 
-from boresight.store import chain, verification
-from boresight.store.sessions import Engine, reading, writing
-from boresight.store.tables import AuditRecord, Sensor, User
-from boresight.store.verification import Findings, Misfit
+from boresight.console.access.tables import User
+from boresight.console.fleet.tables import Sensor
+from boresight.platform.audit import chain, verification
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.audit.verification import Findings, Misfit
+from boresight.platform.db.sessions import Engine, reading, writing
 from tests.stores import drop_triggers
 
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -21,7 +21,6 @@ MALLORY = (
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest) -> Engine:
-    """Each engine in turn, with three people and a sensor of ψ, whose rows were sealed one after another."""
     store: Engine = request.getfixturevalue(request.param)
     for name in ("ana", "bo", "cy"):
         with writing(store) as session:
@@ -34,7 +33,6 @@ def store(request: pytest.FixtureRequest) -> Engine:
 
 
 def _by_hand(store: Engine, *statements: str) -> None:
-    """Edit the database as its owner could, with the triggers out of the way."""
     with store.begin() as connection:
         drop_triggers(connection)
         for statement in statements:
@@ -144,8 +142,8 @@ def test_many_misfits_are_counted_and_the_one_with_the_oldest_record_kept(store:
 
 
 def test_the_chain_is_walked_in_pieces(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("boresight.store.audit.RAW_AT_A_TIME", 2)
-    monkeypatch.setattr("boresight.store.seals.ROWS_AT_A_TIME", 2)
+    monkeypatch.setattr("boresight.platform.audit.queries.RAW_AT_A_TIME", 2)
+    monkeypatch.setattr("boresight.platform.audit.seals.ROWS_AT_A_TIME", 2)
     found = _found(store)
     assert (found.records, found.rows, found.misfits) == (4, 4, 0)
     with reading(store) as session:

@@ -1,7 +1,5 @@
 """The study of Enright 2018: printed numbers, the rule that judges, and what the report of a small run holds."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -10,13 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
+from boresight.papers import enright
+from boresight.papers.documents import CAUSES, VERDICTS, Cell, Conclusion, judge
+from boresight.papers.enright import printed, report
+from boresight.papers.enright.estimators import ESTIMATORS, _thinned, estimators_for
+from boresight.papers.enright.pooled import Pooled
 from boresight.simulation.sensors import CHANGES, NOMINAL, TYPICAL_SIGMA
-from boresight.studies import enright
-from boresight.studies.enright import printed, report
-from boresight.studies.enright.estimators import ESTIMATORS, estimators_for
-from boresight.studies.enright.pooled import Pooled
-from boresight.studies.enright.trials import _thinned
-from boresight.studies.verdicts import CAUSES, VERDICTS, Cell, Conclusion, judge
 from boresight.telemetry.schema import Telemetry
 
 HOLDS, FAILS = Conclusion(True, "it does."), Conclusion(False, "it does not.", "erratum", "the text is wrong")
@@ -27,7 +24,6 @@ HOLDS, FAILS = Conclusion(True, "it does."), Conclusion(False, "it does not.", "
 
 def test_the_reduced_model_is_72_percent_worse_in_table_v_and_not_5_to_13():
     excess = {name: round(100 * share) for name, share in printed.reduced_excess().items()}
-
     assert excess == {"batch": 72, "q": 23, "no-q": 15, "no-refit": 10}
 
 
@@ -47,7 +43,6 @@ def test_the_simulated_truth_is_the_printed_table_iii_in_units_of_table_ii():
 
 def test_most_final_errors_of_table_iv_fell_by_more_than_70_percent_as_its_text_says():
     falls = [1 - final / initial for *_, initial, final in printed.TABLE_IV.values()]
-
     assert sum(fall > 0.7 for fall in falls) == 4
     assert min(falls) > 0.2
 
@@ -89,7 +84,6 @@ def test_a_verdict_does_not_depend_on_the_unit(printed_value, ours, factor):
     one, other = cell(printed_value, ours), cell(printed_value * factor, ours * factor)
     edges = [0.9, 1.1, 10**0.5, 10**-0.5]
     ratio = ours / printed_value if printed_value else 0.0
-
     assert (
         one.verdict == other.verdict
         or any(abs(ratio / edge - 1) < 1e-9 for edge in edges)
@@ -115,7 +109,6 @@ def test_a_row_is_as_good_as_its_worst_number_and_its_conclusion(values, conclus
 def test_a_reason_names_the_cause_of_every_number_that_is_not_reproduced():
     apart = Cell("RMS", "µrad", 100.0, 200.0, cause="erratum", because="a sign is wrong")
     row = judge("1", [cell(1.0, 1.0), apart], FAILS)
-
     assert row.reason == (
         "1 of 2 numbers agree. Erratum (RMS): a sign is wrong. Conclusion fails: it does not. "
         "Erratum (conclusion): the text is wrong."
@@ -140,7 +133,6 @@ def test_thinning_keeps_each_nth_frame_whole():
     frame = np.repeat(np.arange(7), 3)
     zeros = np.zeros(21)
     thin = _thinned(Telemetry(frame, zeros.astype(int), np.arange(21.0), zeros, star_id=frame * 10), 3)
-
     assert thin.frame.tolist() == [0, 0, 0, 3, 3, 3, 6, 6, 6]
     assert thin.star_id.tolist() == (thin.frame * 10).tolist()
     assert thin.quaternion is None
@@ -171,7 +163,6 @@ def test_the_document_follows_its_schema(study):
 
 def test_every_estimator_stands_in_the_document_with_nees_and_its_ratio_to_the_bound(study):
     found = {line["estimator"]: line for line in study["estimators"]}
-
     assert set(found) == set(ESTIMATORS)
     full = [line for key, line in found.items() if not ESTIMATORS[key].reduced and "flight" not in key]
     assert all(
@@ -189,7 +180,6 @@ def test_every_validation_comes_with_bootstrap_intervals(study):
 
 def test_the_report_holds_every_table_figure_finding_and_answer(study):
     html = report.render(study)
-
     assert re.findall(r'data-table="(\w+)"', html) == ["III", "IV", "V", "VI"]  # VII is sensor 2's, which was not run
     assert re.findall(r'data-figure="(\w+)"', html) == ["3a", "3b", "4", "5"]
     assert all(item["question"] in html for item in study["questions"])
@@ -216,7 +206,6 @@ def test_every_finding_quotes_the_text_and_holds_figures_against_it(study):
 
 def test_the_reduced_model_and_the_printed_filter_claim_far_more_than_they_know(study):
     nees = {line["estimator"]: line["nees"] for line in study["estimators"]}
-
     assert nees["reduced-batch"]["mean"] > 1000 * nees["reduced-batch"]["expected"]
     assert nees["batch"]["mean"] < 3 * nees["batch"]["expected"]
     assert nees["printed"]["mean"] > nees["no-q"]["mean"]
@@ -224,14 +213,12 @@ def test_the_reduced_model_and_the_printed_filter_claim_far_more_than_they_know(
 
 def test_the_sensors_that_moved_most_fail_in_flight_until_they_are_calibrated(study):
     batches = [record for record in study["records"] if record["estimator"] == "batch"]
-
     assert all(record["calibration"]["availability"]["initial"] < 0.6 for record in batches)
     assert all(record["calibration"]["availability"]["final"] > 0.95 for record in batches)
 
 
 def test_records_are_found_by_sensor_and_estimator(study):
     pooled = Pooled(study["records"])
-
     assert pooled.sensors == [3, 4]
     assert pooled.first(3, "batch")["estimator"] == "batch"
     assert pooled.first(1, "batch") is None

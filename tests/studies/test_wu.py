@@ -1,26 +1,33 @@
 """The study of Wu 2019: printed numbers, what is run, the criteria, and what the report of a small run holds."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
 
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
-from boresight.figures import wu_criteria
+from boresight.figures.charts import wu as wu_criteria
+from boresight.papers import wu
+from boresight.papers.documents import CAUSES, VERDICTS
+from boresight.papers.reports import number, printed_digits
+from boresight.papers.wu import printed, report
+from boresight.papers.wu.criteria import ARCSEC_PER_RAD, Judges
+from boresight.papers.wu.estimators import (
+    FREE,
+    START_SIGMA,
+    Estimator,
+    Trial,
+    estimators,
+    fields_of,
+    gain_filter,
+    noisy,
+    run_trial,
+)
+from boresight.papers.wu.timing import Ratio
 from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH
-from boresight.studies import wu
-from boresight.studies.reports import number, printed_digits
-from boresight.studies.verdicts import CAUSES, VERDICTS
-from boresight.studies.wu import printed, report
-from boresight.studies.wu.criteria import ARCSEC_PER_RAD, Judges
-from boresight.studies.wu.estimators import FREE, START_SIGMA, Estimator, estimators, gain_filter
-from boresight.studies.wu.timing import Ratio
-from boresight.studies.wu.trials import Trial, fields_of, noisy, run_trial
 
 # The printed numbers.
 
@@ -57,7 +64,6 @@ def arcs(star_fields):
 
 def test_group_2_runs_four_models_seven_subsets_and_the_baseline_in_both_weights():
     keys = {(one.key, one.weights) for one in estimators(5.5)}
-
     assert len(keys) == len(estimators(5.5)) == 2 * (4 + 6 + 1)
     assert {(one.key) for one in estimators(6.0)} == {"svd-4-23", "angular"}
 
@@ -67,7 +73,6 @@ def test_the_printed_gain_form_gives_what_the_information_form_gives(arcs, metho
     estimator = Estimator(method, "diagonal")
     part = arcs.frames(0, 30)
     by_gain = gain_filter(estimator, part, start(WU_START, len(FREE), 1.0))
-
     assert np.abs((by_gain - estimator.run(part).states[-1]) / START_SIGMA).max() < 1e-4
 
 
@@ -78,14 +83,12 @@ def test_a_full_r_claims_what_it_knows_and_a_diagonal_one_far_more(arcs, method)
         run = Estimator(method, weights).run(arcs)
         error = (run.states[-1] - WU_TRUTH) / START_SIGMA
         claimed[weights] = error @ np.linalg.solve(run.P, error)
-
     assert claimed["full"] < 20
     assert claimed["diagonal"] > claimed["full"]
 
 
 def test_the_first_value_changes_nothing_with_the_full_r(arcs):
     ends = [Estimator("svd", "full", Selection(4, values)).run(arcs).states[-1] for values in ((1, 2, 3), (2, 3))]
-
     assert np.abs((ends[0] - ends[1]) / START_SIGMA).max() < 5e-3
 
 
@@ -95,7 +98,6 @@ def test_the_first_value_changes_nothing_with_the_full_r(arcs):
 def test_at_the_truth_criterion_a_is_zero_and_b_is_the_noise_of_two_ends(star_fields):
     judges = Judges.of(star_fields, 0.2, np.random.default_rng(5))
     noise = np.sqrt(2) * 0.2 * WU_PIXEL_PITCH_M / 16e-3 * ARCSEC_PER_RAD
-
     assert judges.criterion_a(WU_TRUTH)[0] < 1e-4
     assert judges.criterion_b(WU_TRUTH)[0] == pytest.approx(noise, rel=0.03)
 
@@ -111,7 +113,6 @@ def test_criterion_a_is_the_mean_over_images_of_the_rms_over_all_pairs(star_fiel
             for j in range(i + 1, last)
         ]
         found.append(np.sqrt(np.mean(np.square(errors))) * ARCSEC_PER_RAD)
-
     assert judges.criterion_a(WU_START) == pytest.approx((np.mean(found), np.std(found)), rel=1e-6)
 
 
@@ -142,7 +143,6 @@ def test_the_document_follows_its_schema(study):
 
 def test_criterion_b_tells_the_noise_that_the_text_does_not(study):
     rows = {row["label"]: row for row in study["tables"][2]["rows"]}
-
     for noise, agrees in (("0.2", True), ("0.5", False)):
         cells = rows[f"B mean, full R, {noise} px"]["cells"]
         assert all((cell["verdict"] == "reproduced") is agrees for cell in cells)
@@ -160,7 +160,6 @@ def test_every_known_erratum_is_cited_with_what_was_done_and_beside_what_it_conc
     cited = {erratum["place"].removesuffix(", text"): erratum for erratum in study["errata"]}
     judged = {f"Table {one['number']}": one for one in (*study["tables"], *study["timing"]["tables"])}
     judged |= {f"Figure {one['number']}": one for one in study["figures"]}
-
     assert set(cited) == set(WRONG)
     for erratum in cited.values():
         assert erratum["printed"]
@@ -173,7 +172,6 @@ def test_every_known_erratum_is_cited_with_what_was_done_and_beside_what_it_conc
 def test_the_saving_is_judged_by_the_information_that_both_hold_in_this_run(study):
     (done,) = (erratum["done"] for erratum in study["errata"] if erratum["place"] == "4.1, Table 4")
     low, high, full_low, full_high = map(float, re.findall(r"\d+\.\d+", done))
-
     assert 0.99 < full_low < full_high < 1.15
     assert 1.5 < low < high
 
@@ -181,7 +179,6 @@ def test_the_saving_is_judged_by_the_information_that_both_hold_in_this_run(stud
 def test_a_ratio_is_the_median_of_rounds_and_its_reason_tells_of_a_busy_machine_only_when_the_quartiles_do():
     under = np.array([1.0, 2.0, 1.0, 4.0, 1.0])
     steady, shaken = Ratio.of(18 * under, under), Ratio.of(under * [10, 14, 18, 22, 26], under)
-
     assert (steady.median, steady.low, steady.high) == (18, 18, 18)
     assert (shaken.median, shaken.low, shaken.high) == (18, 14, 22)
     cells = [ratio.cell("31 stars", 18.1, 0.1, ("unstated setting", "why")) for ratio in (steady, shaken)]
@@ -191,21 +188,18 @@ def test_a_ratio_is_the_median_of_rounds_and_its_reason_tells_of_a_busy_machine_
 
 def test_every_time_ratio_comes_with_its_quartiles(study):
     cells = [cell for table in study["timing"]["tables"] for row in table["rows"] for cell in row["cells"]]
-
     assert all(cell["low"] <= cell["ours"] <= cell["high"] for cell in cells)
     assert any(cell["low"] < cell["high"] for cell in cells)
 
 
 def test_every_estimator_is_judged_on_every_set_at_both_noises(study):
     places = {(r["set"], r["magnitude_limit"], r["noise_px"], r["estimator"], r["weights"]) for r in study["records"]}
-
     assert len(places) == len(study["records"]) == 2 * 2 * (22 + 4 + 4 + 3)
     assert {line["expected"] for line in study["consistency"]} == {6}
 
 
 def test_the_report_holds_every_table_figure_and_finding(study):
     html = report.render(study)
-
     assert re.findall(r'data-table="([^"]+)"', html) == ["2", "3", "4", "4 (time)", "3 (time)"]
     assert re.findall(r'data-figure="(\w+)"', html) == ["3", "4", "6a", "6b", "8"]
     assert html.count("<blockquote>") == len(study["findings"]) == 8
@@ -215,7 +209,6 @@ def test_the_report_holds_every_table_figure_and_finding(study):
 
 def test_every_row_of_a_table_fills_the_columns_that_its_headings_name(study):
     html = report.render(study)
-
     for table in re.findall(r"<table data-table.*?</table>", html, re.DOTALL):
         columns = len(re.findall("<th[ >]", table))
         widths = [
@@ -231,7 +224,6 @@ def test_every_row_of_a_table_fills_the_columns_that_its_headings_name(study):
 @pytest.mark.parametrize(("values", "axis"), [([15.0, 0.1], "log"), ([17.8, 10.6], "linear")])
 def test_a_criterion_within_one_decade_has_an_even_axis_whose_numbers_show(values, axis):
     curve = {"label": "SVD, full R", "frame": [1, 2], "criterion_arcsec": values}
-
     assert wu_criteria.draw({"number": "6b", "curves": [curve]}).layout.yaxis.type == axis
 
 
@@ -247,7 +239,6 @@ def test_powers_of_ten_are_raised():
 
 def test_a_set_is_the_same_whenever_it_is_run():
     once, again = (run_trial(Trial(7, 40, 10), None) for _ in range(2))
-
     assert once == again
 
 
@@ -265,7 +256,6 @@ def test_the_paper_is_bettered_at_the_noise_that_its_tables_imply():
         if (record["estimator"], record["weights"], record["noise_px"], record["magnitude_limit"])
         == ("svd-4-23", "full", 0.2, 5.5)
     ]
-
     assert len(found) == 20
     assert np.mean([record["A"][0] for record in found]) <= 0.15
     assert np.mean([record["B"][0] for record in found]) == pytest.approx(10.6, rel=0.02)

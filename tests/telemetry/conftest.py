@@ -1,19 +1,16 @@
 """Small files and sensors that the tests of telemetry share."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
 import pytest
 
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor
 
 
 @pytest.fixture(scope="session")
 def real_sky():
-    """Folder of the real star fields, beside the checkout or where BORESIGHT_REAL_SKY says."""
     beside = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "real-sky"
     folder = Path(os.environ.get("BORESIGHT_REAL_SKY", beside))
     if not folder.is_dir():
@@ -23,8 +20,6 @@ def real_sky():
 
 @pytest.fixture
 def read(tmp_path):
-    """Write some bytes or text under a name and read them as telemetry."""
-
     def read_content(content, name="pass.csv"):
         path = tmp_path / name
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -35,7 +30,6 @@ def read(tmp_path):
 
 @pytest.fixture
 def document():
-    """A sensor description in which everything is right."""
     return {
         "name": "STK-1",
         "detector": {"rows": 768, "columns": 1024, "pixel_pitch_m": 6.9e-6},

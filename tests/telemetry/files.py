@@ -1,7 +1,5 @@
 """Small telemetry files as text, and what a refusal of one must name."""
 
-from __future__ import annotations
-
 import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 import pytest
@@ -14,7 +12,6 @@ GOOD = "\n".join([HEADER, *ROWS]) + "\n"
 
 
 def with_columns(columns, cells):
-    """Build a one-row file with further columns."""
     return f"frame,exposure,row_px,col_px,{columns}\n0,0,1,2,{cells}\n"
 
 

@@ -3,8 +3,6 @@
 `FILES` is the registry: a name with its suffix, and what writes the bytes. What a file tries stands in its name.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 
@@ -21,8 +19,6 @@ FILES: dict[str, Callable[[np.random.Generator], bytes]] = {}
 
 
 def file(name: str) -> Callable[[Callable[[np.random.Generator], bytes]], Callable[[np.random.Generator], bytes]]:
-    """Put what follows into the registry."""
-
     def register(make: Callable[[np.random.Generator], bytes]) -> Callable[[np.random.Generator], bytes]:
         assert name not in FILES
         FILES[name] = make
@@ -32,22 +28,18 @@ def file(name: str) -> Callable[[Callable[[np.random.Generator], bytes]], Callab
 
 
 def content(name: str) -> bytes:
-    """The bytes of a file; the same each time."""
     return FILES[name](np.random.default_rng(sorted(FILES).index(name)))
 
 
 def add(name: str, data: bytes | Callable[[], bytes]) -> None:
-    """Register a file whose bytes need no randomness."""
     file(name)(lambda _: data if isinstance(data, bytes) else data())
 
 
 def csv(head: str, row: Callable[[int], str], rows: int = MANY) -> bytes:
-    """A CSV file of rows by their number."""
     return "\n".join([head, *map(row, range(rows))]).encode()
 
 
 def column_csv(column: str, cell: str, rows: int = MANY) -> bytes:
-    """A CSV file that is good but for one cell, which repeats."""
     return csv(f"{HEAD},{column}", lambda k: f"{k // 20},0,{k % 700}.{k % 20:02},{k % 900},{cell}", rows)
 
 
@@ -183,7 +175,6 @@ add("brackets.jsonl", lambda: b"[\n" * 2_000_000)
 
 # Parquet.
 def parquet(columns: dict[str, object] | pa.Table, **options: object) -> bytes:
-    """A Parquet file of columns."""
     sink = io.BytesIO()
     table = columns if isinstance(columns, pa.Table) else pa.table(columns)
     arrow_parquet.write_table(table, sink, **({"compression": "zstd"} | options))
@@ -191,18 +182,15 @@ def parquet(columns: dict[str, object] | pa.Table, **options: object) -> bytes:
 
 
 def rows_of(rows: int) -> dict[str, object]:
-    """The required columns, which compress to almost nothing."""
     k = np.arange(rows)
     return {"frame": k // 20, "exposure": np.zeros(rows, np.int64), "row_px": (k % 20) * 1.5, "col_px": (k % 700) * 1.0}
 
 
 def text_column(length: int, rows: int) -> pa.Array:
-    """One text, repeated."""
     return pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), pa.array(["x" * length]))
 
 
 def varint(value: int) -> bytes:
-    """A number as Thrift writes it in compact form."""
     value, out = value << 1, bytearray()
     while value > 127:
         out.append(value & 127 | 128)
@@ -211,14 +199,12 @@ def varint(value: int) -> bytes:
 
 
 def patched(data: bytes, old: int, new: int) -> bytes:
-    """Another number of as many bytes wherever one is written."""
     assert len(varint(old)) == len(varint(new))
     assert varint(old) in data
     return data.replace(varint(old), varint(new))
 
 
 def flipped(data: bytes, rng: np.random.Generator, flips: int, footer_only: bool = False) -> bytes:
-    """The file with some bits turned."""
     changed = bytearray(data)
     first = len(data) - 8 - int.from_bytes(data[-8:-4], "little") if footer_only else 4
     for place in rng.integers(first, len(data) - 8, flips).tolist():
@@ -324,5 +310,4 @@ file("noise.jsonl")(lambda rng: b"{" + rng.integers(1, 128, 5_000_000, np.uint8)
 
 
 def nested(depth: int) -> dict[str, object]:
-    """An object in an object, and so on."""
     return {"a": nested(depth - 1)} if depth else {"a": 1}

@@ -4,8 +4,6 @@ For each path on a line of its input it writes a line of JSON: what came of the 
 child has what reading needs imported, and the star catalogue, as a server has; its peak counts all of that.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -14,8 +12,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from boresight.console.telemetry.service import prepared
 from boresight.errors import RefusedInputError
-from boresight.services.telemetry_sets import prepared
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.sensors import sensor_document
@@ -25,7 +23,6 @@ MOST_S = 60
 
 
 def main() -> None:
-    """Read paths until the input ends."""
     sensor = sensor_document(st16_sensor(1))
     with tempfile.TemporaryDirectory() as folder:
         catalogue = load_catalogue(Path(folder))
@@ -35,13 +32,11 @@ def main() -> None:
 
 
 def say(line: str) -> None:
-    """Write a line to whoever asked."""
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
 
 
 def read_in_child(path: Path, sensor: dict[str, object], catalogue: Catalogue) -> dict[str, object]:
-    """Fork, read, and say what came of it."""
     receiving, sending = os.pipe()
     began = time.monotonic()
     child = os.fork()
@@ -62,7 +57,6 @@ def read_in_child(path: Path, sensor: dict[str, object], catalogue: Catalogue) -
 
 
 def outcome(path: Path, sensor: dict[str, object], catalogue: Catalogue) -> list[str]:
-    """Read as an upload is read: accepted, refused with the sentence, or failed."""
     signal.alarm(MOST_S)
     try:
         with prepared(sensor, catalogue, path, path.name) as ready:

@@ -1,7 +1,5 @@
 """A file read in chunks is the file, or refused as the file is, wherever chunks and pieces are cut."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -13,17 +11,20 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry import chunks, parquet, text_pieces
-from boresight.telemetry.chunks import read_chunks, rows_in
-from boresight.telemetry.limits import Limits
-from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
+from boresight.telemetry.read import chunks, parquet, text_pieces
+from boresight.telemetry.read.chunks import read_chunks, rows_in
+from boresight.telemetry.read.limits import Limits
+from boresight.telemetry.read.readers import read_telemetry, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry, joined
+from tests.effort import effort
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD, MINIMAL, parquet_bytes
 from tests.telemetry.test_readers import assert_same
 
 EXAMPLES = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=effort(12, 60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 
@@ -44,13 +45,11 @@ WRITERS = {"csv": write_csv, "jsonl": write_json_lines, "parquet": write_in_smal
 
 @pytest.fixture
 def in_small_pieces(monkeypatch):
-    """Let text come by some rows at a time and Parquet by two."""
     monkeypatch.setattr(parquet, "_BATCH_ROWS", 2)
     monkeypatch.setattr(text_pieces, "PIECE_BYTES", 700)
 
 
 def whole_frames(parts):
-    """Check that no frame is in two parts."""
     return all(one.frame[-1] != other.frame[0] for one, other in pairwise(parts))
 
 
@@ -60,9 +59,7 @@ def whole_frames(parts):
 def test_the_chunks_put_together_are_the_file(telemetry, form, frames, tmp_path):
     path = tmp_path / f"pass.{form}"
     WRITERS[form](telemetry, path)
-
     parts = list(read_chunks(path, frames=frames))
-
     assert whole_frames(parts)
     assert [len(np.unique(part.frame)) for part in parts[:-1]] == [frames] * (len(parts) - 1)
     assert [part.first_row for part in parts] == [
@@ -80,7 +77,9 @@ FAULTS = [
 
 
 @settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=effort(60, 300),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(
     spoils=st.lists(st.tuples(st.integers(0, 71), st.integers(0, 4), st.sampled_from(FAULTS)), min_size=1, max_size=4),
@@ -97,12 +96,10 @@ def test_a_refusal_is_the_same_wherever_the_file_is_cut(spoils, form, piece_byte
         lines[line][cell] = fault
     path = tmp_path / f"pass.{form}"
     path.write_text(as_csv(lines) if form == "csv" else as_json(lines), encoding="utf-8")
-
     with pytest.MonkeyPatch.context() as patch:
         whole = outcome(lambda: [read_telemetry(path)])
         patch.setattr(text_pieces, "PIECE_BYTES", piece_bytes)
         parts = outcome(lambda: list(read_chunks(path, frames=frames)))
-
     if isinstance(whole, RefusedInputError):
         assert (str(parts), getattr(parts, "faults", None)) == (str(whole), whole.faults)
     else:
@@ -144,7 +141,6 @@ def test_parquet_is_refused_alike_in_any_batches(column, change, words, tmp_path
         columns[column][row] = cell
     path = tmp_path / "pass.parquet"
     arrow_parquet.write_table(pa.table(columns), path, row_group_size=5)
-
     whole = outcome(lambda: read_telemetry(path))
     for batch_rows in (1, 2, 3, 7):
         monkeypatch.setattr(parquet, "_BATCH_ROWS", batch_rows)
@@ -158,9 +154,7 @@ def test_a_column_that_only_a_late_line_has_is_in_every_chunk(tmp_path):
     lines = [f'{{"frame":{k},"exposure":0,"row_px":{k}.5,"col_px":2}}' for k in range(40)]
     lines[-1] = lines[-1][:-1] + ',"star_id":5,"note":"late"}'
     (tmp_path / "pass.jsonl").write_text("\n".join(lines))
-
     parts = list(read_chunks(tmp_path / "pass.jsonl", frames=10))
-
     assert [part.star_id.tolist() for part in parts[:-1]] == [[0] * 10] * 3
     assert parts[-1].star_id[-1] == 5
     assert joined(parts).unknown["note"].to_pylist() == [""] * 39 + ["late"]
@@ -171,10 +165,8 @@ def test_nothing_comes_out_after_the_first_fault_and_all_faults_are_counted(tmp_
     rows = [f"{k},0,{'x' if k % 10 == 9 else k},2" for k in range(500)]
     (tmp_path / "pass.csv").write_text("\n".join(["frame,exposure,row_px,col_px", *rows]))
     seen = []
-
     with pytest.raises(RefusedInputError, match=r"row 11, column row_px: 'x' is not a number.*and 49 more"):
         seen.extend(read_chunks(tmp_path / "pass.csv", frames=2))
-
     assert all(part.frame[-1] < 9 for part in seen)
 
 
@@ -184,9 +176,7 @@ def test_frames_of_very_many_rows_come_out_as_soon_as_they_are_whole(tmp_path, m
     n = np.arange(64)
     telemetry = Telemetry(frame=n // 8, exposure=0 * n, row_px=n * 1.0, col_px=n * 1.0)
     write_parquet(telemetry, tmp_path / "pass.parquet")
-
     parts = list(read_chunks(tmp_path / "pass.parquet"))
-
     assert whole_frames(parts)
     assert max(map(len, parts)) <= 16
     assert_same(joined(parts), telemetry)
@@ -197,7 +187,6 @@ def test_a_frame_without_end_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(chunks, "MOST_ROWS", 10)
     n = np.arange(64)
     write_parquet(Telemetry(frame=0 * n, exposure=n, row_px=n * 1.0, col_px=n * 1.0), tmp_path / "pass.parquet")
-
     with pytest.raises(RefusedInputError, match="frame 0 has over 10 rows: give every reading"):
         list(read_chunks(tmp_path / "pass.parquet"))
 
@@ -205,7 +194,6 @@ def test_a_frame_without_end_is_refused(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("in_small_pieces")
 def test_a_line_without_end_is_refused(tmp_path):
     (tmp_path / "pass.csv").write_text(GOOD + "1,0,9,9," + "9" * 5000)
-
     with pytest.raises(RefusedInputError, match="row 6: is over 700 bytes long"):
         list(read_chunks(tmp_path / "pass.csv", limits=Limits(line_bytes=700)))
 
@@ -213,6 +201,5 @@ def test_a_line_without_end_is_refused(tmp_path):
 def test_only_parquet_tells_its_rows_at_once(tmp_path):
     (tmp_path / "pass.parquet").write_bytes(parquet_bytes(MINIMAL))
     (tmp_path / "pass.csv").write_text(GOOD)
-
     assert rows_in(tmp_path / "pass.parquet") == 2
     assert rows_in(tmp_path / "pass.csv") is None

@@ -1,14 +1,12 @@
 """A few stars off the detector are left out and told; telemetry that does not fit its sensor is refused with rows and columns."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.detector import OffDetector, check_against_sensor
+from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import rows_of
 from tests.telemetry.troubles import calm_telemetry
 
@@ -19,7 +17,6 @@ def test_matched_stars_off_the_detector_are_refused_with_row_and_column(read, se
     telemetry = read(f"{HEADER}0,0,10,20,1\n0,0,769.6,20,2\n0,0,5,-2.51,3\n")
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)
-
     assert [(fault.row, fault.column) for fault in caught.value.faults] == [(3, "row_px"), (4, "col_px")]
     assert "769.6 is off the detector (-0.5 to 767.5): choose the right sensor" in str(caught.value)
 
@@ -40,12 +37,10 @@ def test_without_numbers_given_directions_count_as_matches(read, sensor):
     telemetry = read("frame,exposure,row_px,col_px,ra_deg,dec_deg\n0,0,9000,20,1,2\n0,0,9001,20,,\n")
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)
-
     assert [fault.row for fault in caught.value.faults] == [2]
 
 
 def off_by(telemetry, count, px=5.0):
-    """The set with some rows, evenly spread, so far below the detector of 768 rows."""
     rows = np.linspace(0, len(telemetry) - 1, count).round().astype(int)
     row_px = telemetry.row_px.copy()
     row_px[rows] = 767.5 + px
@@ -55,9 +50,7 @@ def off_by(telemetry, count, px=5.0):
 def test_one_star_5_px_off_the_detector_is_left_out_with_its_row_and_distance(sensor):
     calm = calm_telemetry()
     moved, rows = off_by(calm, 1)
-
     off = check_against_sensor(moved, sensor).document()
-
     star = {"row": int(rows[0]) + 2, "frame": 0, "exposure": 0, "star_id": int(calm.star_id[0]), "off_px": 5.0}
     assert off == {"stars": 1, "farthest_px": 5.0, "rows": [star]}
 
@@ -74,7 +67,6 @@ def test_a_set_is_refused_from_one_star_more_than_are_left_out(sensor, repeats):
         },
     )
     most = max(3, len(whole) // 100)
-
     assert check_against_sensor(off_by(whole, most)[0], sensor).stars == most
     moved, rows = off_by(whole, most + 1)
     with pytest.raises(RefusedInputError) as caught:
@@ -92,7 +84,6 @@ def test_what_is_left_out_or_refused_does_not_depend_on_the_parts_a_set_comes_in
         part = OffDetector()
         part.look_at(rows_of(moved, slice(first, first + 36)), sensor)
         parts.absorb(part)
-
     assert parts.document() == whole.document()
     assert parts.too_many == whole.too_many == (count == 60)
     if whole.too_many:

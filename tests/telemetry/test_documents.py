@@ -1,7 +1,5 @@
 """JSON documents that nobody writes by hand (deep, with endless numbers, of a million fields) are refused in words, soon."""
 
-from __future__ import annotations
-
 import json
 import time
 
@@ -9,7 +7,7 @@ import pytest
 
 from boresight.calibration.parameter_file import read_document
 from boresight.errors import RefusedInputError
-from boresight.telemetry.formats import parse_json
+from boresight.telemetry.read.formats import parse_json
 from boresight.telemetry.sensors import read_sensor
 
 HOSTILE = {
@@ -28,7 +26,6 @@ def test_a_document_that_cannot_be_one_is_not_json(name):
 
 def test_a_document_may_be_as_deep_as_ours_are():
     text = "[" * 32 + "]" * 32
-
     assert json.dumps(parse_json(text)) == text
 
 
@@ -37,7 +34,6 @@ def test_a_document_may_be_as_deep_as_ours_are():
 def test_files_of_such_are_refused(read, name, tmp_path):
     path = tmp_path / "hostile.json"
     path.write_text(HOSTILE[name])
-
     with pytest.raises(RefusedInputError, match="not JSON"):
         read(path)
 
@@ -45,10 +41,8 @@ def test_files_of_such_are_refused(read, name, tmp_path):
 def test_a_sensor_file_of_a_hundred_thousand_fields_is_refused_in_no_time(tmp_path):
     path = tmp_path / "wide.json"
     path.write_text(json.dumps({f"detectors{k}": k for k in range(100_000)}))
-
     began = time.process_time()
     with pytest.raises(RefusedInputError) as caught:
         read_sensor(path)
-
     assert time.process_time() - began < 2.0
     assert any("100,000 fields" in str(fault) for fault in caught.value.faults)

@@ -1,8 +1,7 @@
-"""One frame out of a stored table is that frame of the whole set, in whatever groups its rows were compressed."""
+"""One frame out of a stored table is that frame of the whole set, in whatever parts it was written."""
 
 import time
 from dataclasses import fields, replace
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -10,10 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.telemetry import writers
-from boresight.telemetry.frames import frame_index
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.read.frames import frame_index
 from boresight.telemetry.schema import Telemetry, rows_of
+from boresight.telemetry.working_table import WorkingTableParts, write_working_table
 
 FRAMES, ROWS = 60, 7
 CALM = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -35,18 +33,19 @@ def telemetry(frames=FRAMES, rows=ROWS):
     )
 
 
-@pytest.fixture(scope="module", params=[5, 64, 1 << 20], ids=["small groups", "usual groups", "one group"])
+@pytest.fixture(scope="module", params=[1, 9, FRAMES], ids=["a frame a part", "some frames a part", "one part"])
 def stored(request, tmp_path_factory):
-    path = tmp_path_factory.mktemp("table") / "table.parquet"
-    with mock.patch.object(writers, "ROW_GROUP", request.param):
-        write_parquet(telemetry(), path)
+    path, whole, rows = tmp_path_factory.mktemp("table") / "table", telemetry(), request.param * ROWS
+    with WorkingTableParts(path) as parts:
+        for begin in range(0, len(whole), rows):
+            parts.write(rows_of(whole, slice(begin, min(begin + rows, len(whole)))))
     return path
 
 
 @CALM
 @given(place=st.integers(0, FRAMES - 1), neighbours=st.integers(0, 5))
 def test_a_frame_with_its_neighbours_is_those_rows_of_the_whole_set(stored, place, neighbours):
-    whole, index = read_telemetry(stored, "table.parquet"), frame_index(stored)
+    whole, index = telemetry(), frame_index(stored)
     first, last = max(place - neighbours, 0) * ROWS, min(place + neighbours + 1, FRAMES) * ROWS
     expected, read = rows_of(whole, slice(first, last)), index.read(place, neighbours)
 
@@ -83,14 +82,14 @@ def test_a_damaged_table_is_refused(tmp_path):
 
 
 def test_a_table_that_names_no_stars_has_none(tmp_path):
-    write_parquet(replace(telemetry(), star_id=None), tmp_path / "t.parquet")
+    write_working_table(replace(telemetry(), star_id=None), tmp_path / "table")
 
-    assert frame_index(tmp_path / "t.parquet").named_stars.tolist() == []
+    assert frame_index(tmp_path / "table").named_stars.tolist() == []
 
 
 def test_a_frame_of_a_large_set_is_read_without_reading_the_set(tmp_path):
-    path = tmp_path / "large.parquet"
-    write_parquet(telemetry(frames=40_000), path)  # five groups
+    path = tmp_path / "large"
+    write_working_table(telemetry(frames=40_000), path)
     index = frame_index(path)
     index.read(0)
     spent = []

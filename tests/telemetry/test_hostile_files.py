@@ -1,7 +1,5 @@
 """Files made to exhaust whoever reads them end in a result or a sentence, soon and in little memory; none ends the process."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import subprocess
@@ -11,7 +9,7 @@ import numpy as np
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from tests.telemetry import hostile_files
 from tests.telemetry.files import GOOD
 
@@ -33,7 +31,6 @@ QUICK = (
 
 @pytest.fixture(scope="module")
 def reading():
-    """A function that reads a file as an upload in a process of its own."""
     command = [sys.executable, "-m", "tests.telemetry.reading_process"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "ready\n"
@@ -56,9 +53,7 @@ def names():
 def test_a_hostile_file_ends_soon_and_in_little_memory(name, reading, tmp_path):
     path = tmp_path / name
     path.write_bytes(hostile_files.content(name))
-
     done = reading(path)
-
     assert done["outcome"][0] in {"accepted", "refused"}, done
     assert done["cpu_s"] < MOST_S
     assert done["peak_mb"] < MOST_MB
@@ -69,7 +64,6 @@ ENDED_THE_PROCESS = (13, 35)
 
 
 def mutated(rng):
-    """A small good file of some format with some bytes changed, taken out or repeated."""
     kind = rng.choice(["csv", "jsonl", "parquet"])
     if kind == "csv":
         data = GOOD.encode() * 1

@@ -1,7 +1,5 @@
 """Limits of a telemetry file hold in every format and at every door, before anything is expanded; a refusal names the limit."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -12,12 +10,10 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
-from boresight.telemetry.chunks import read_chunks
-from boresight.telemetry.limits import LIMITS, STORED, Limits
-from boresight.telemetry.parquet import layout_of
-from boresight.telemetry.parquet_pages import DamagedPageError, pages_of
-from boresight.telemetry.readers import read_table, read_telemetry
-from boresight.telemetry.stretches import stretches
+from boresight.telemetry.read.chunks import read_chunks
+from boresight.telemetry.read.limits import LIMITS, STORED, Limits
+from boresight.telemetry.read.parquet import DamagedPageError, layout_of, pages_of
+from boresight.telemetry.read.readers import read_table, read_telemetry, stretches
 
 FORMS = ["csv", "jsonl", "parquet"]
 
@@ -28,7 +24,6 @@ def columns_of(rows=2, **more):
 
 
 def write(path, columns):
-    """Write columns in the format that the suffix says."""
     rows = [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
     if path.suffix == ".csv":
         path.write_text("\n".join([",".join(columns), *(",".join(map(str, row.values())) for row in rows)]))
@@ -49,9 +44,7 @@ def refusal(path, limits=LIMITS):
 def test_a_thousand_columns_are_read_and_one_more_is_refused(form, tmp_path):
     wide = columns_of(**{f"c{k}": ["a", "b"] for k in range(996)})
     assert len(read_telemetry(write(tmp_path / f"wide.{form}", wide)).unknown) == 996
-
     path = write(tmp_path / f"wider.{form}", wide | {"more": ["a", "b"]})
-
     assert "1,001 columns, at most 1,000 are read" in str(refusal(path))
     assert len(read_telemetry(path, limits=Limits(columns=1001)).unknown) == 997
 
@@ -61,10 +54,8 @@ def test_a_header_of_a_hundred_thousand_columns_is_refused_in_no_time(tmp_path):
     path.write_text(
         ",".join(["frame", "exposure", "row_px", "col_px", *(f"c{k}" for k in range(100_000))]) + "\n0,0,1,2"
     )
-
     began = time.process_time()
     error = refusal(path)
-
     assert time.process_time() - began < 1.0
     assert "100,004 columns, at most 1,000" in str(error)
 
@@ -72,7 +63,6 @@ def test_a_header_of_a_hundred_thousand_columns_is_refused_in_no_time(tmp_path):
 @pytest.mark.parametrize("form", FORMS)
 def test_rows_are_counted(form, tmp_path):
     path = write(tmp_path / f"long.{form}", columns_of(9))
-
     assert len(read_telemetry(path, limits=Limits(rows=9))) == 9
     assert "has over 8 rows" in str(refusal(path, Limits(rows=8)))
 
@@ -81,9 +71,7 @@ def test_rows_are_counted(form, tmp_path):
 def test_a_text_that_is_too_long_is_refused(form, tmp_path):
     path = write(tmp_path / f"note.{form}", columns_of(note=["short", "x" * 4096]))
     assert read_telemetry(path).unknown["note"].to_pylist() == ["short", "x" * 4096]
-
     error = refusal(write(tmp_path / f"note.{form}", columns_of(note=["short", "x" * 4097])))
-
     assert "4,096" in str(error)
     assert "note" in str(error)
 
@@ -91,14 +79,12 @@ def test_a_text_that_is_too_long_is_refused(form, tmp_path):
 @pytest.mark.parametrize("form", FORMS)
 def test_a_name_that_is_too_long_is_refused(form, tmp_path):
     error = refusal(write(tmp_path / f"name.{form}", columns_of(**{"n" * 256: [1, 2]})))
-
     assert "the name of column 5 is over 255 bytes long" in str(error)
 
 
 @pytest.mark.parametrize("form", ["csv", "jsonl"])
 def test_a_line_that_is_too_long_is_refused_by_its_row(form, tmp_path):
     error = refusal(write(tmp_path / f"line.{form}", columns_of(note=["short", "x" * 1_000_000])))
-
     assert f"row {3 if form == 'csv' else 2}: is over 1,000,000 bytes long" in str(error)
 
 
@@ -109,9 +95,7 @@ def test_a_small_parquet_file_that_repeats_a_long_text_is_refused_before_it_is_e
     path = tmp_path / "bomb.parquet"
     arrow_parquet.write_table(pa.table(columns_of(rows, note=note)), path, compression="zstd")
     before = pa.default_memory_pool().max_memory()
-
     error = refusal(path)
-
     assert path.stat().st_size < 10e6
     assert ("64 times its size" if length == 1000 else "4,096 bytes") in str(error)
     assert pa.default_memory_pool().max_memory() - before < 100e6
@@ -121,7 +105,6 @@ def test_what_a_file_says_in_its_page_headers_is_held_to_the_limits(tmp_path):
     path = tmp_path / "zeros.parquet"
     zeros = {"frame": pa.array(np.zeros(40_000_000, np.int8))}
     arrow_parquet.write_table(pa.table(zeros), path, compression="zstd", use_dictionary=False)
-
     with pytest.raises(RefusedInputError, match="more than 64 times its size"):
         layout_of(path, path.name)
     assert path.stat().st_size < 1e6
@@ -148,7 +131,6 @@ def test_a_damaged_page_header_is_told(damage):
 def test_columns_whose_size_nothing_bounds_are_refused(column, options, words, tmp_path):
     path = tmp_path / "pass.parquet"
     arrow_parquet.write_table(pa.table(columns_of(note=column)), path, **options)
-
     assert words in str(refusal(path))
 
 
@@ -157,23 +139,19 @@ def test_an_exposure_of_more_detections_than_can_be_compared_is_refused(tmp_path
     k = np.arange(10_001)
     columns = {"frame": 0 * k, "exposure": 0 * k, "row_px": k * 1.0, "col_px": k * 1.0}
     arrow_parquet.write_table(pa.table(columns), path)
-
     assert "exposure 0 of frame 0 has over 10,000 detections" in str(refusal(path))
 
 
 def test_sparse_json_does_not_become_a_table_of_nothing(tmp_path):
     path = tmp_path / "sparse.jsonl"
     path.write_bytes(orjson.dumps({f"k{k}": 1 for k in range(900)}) + b"\n{}" * 100_000)
-
     assert "different keys" in str(refusal(path))
 
 
 def test_texts_of_parquet_stay_shared_and_are_written_as_they_came(tmp_path):
     notes = ["alpha", None, "beta", "alpha"]
     path = write(tmp_path / "pass.parquet", columns_of(4, note=notes))
-
     unknown = read_telemetry(path).unknown["note"]
-
     assert pa.types.is_dictionary(unknown.type)
     assert unknown.to_pylist() == ["alpha", "", "beta", "alpha"]
     assert read_table(path, path.name)["note"].to_pylist() == notes
@@ -189,10 +167,8 @@ def test_an_ordinary_large_file_is_far_from_every_limit(tmp_path):
     path = tmp_path / "pass.parquet"
     times = {"time_utc": ["2026-01-01T00:00:00Z"] * rows, "star_id": k % 20}
     arrow_parquet.write_table(pa.table(columns_of(rows) | noise | constant | times), path, compression="zstd")
-
     read_telemetry(path)
     layout = layout_of(path, path.name)
-
     assert layout.batch_rows == 131_072
     assert rows * len(layout.columns) * 8 < LIMITS.expanded(path.stat().st_size) / 5
     assert stretches(path, path.name, 100) == []
@@ -200,5 +176,4 @@ def test_an_ordinary_large_file_is_far_from_every_limit(tmp_path):
 
 def test_settings_raise_the_limits():
     limits = read_settings({"BORESIGHT_TELEMETRY_ROWS": "7", "BORESIGHT_TELEMETRY_COLUMNS": "9"}).telemetry_limits
-
     assert (limits.rows, limits.columns) == (7, 9)

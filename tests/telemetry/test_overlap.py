@@ -1,14 +1,14 @@
 """Shared exposures are found by what was seen in them, whatever their numbers."""
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as arrow_parquet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.overlap import exposure_marks, shared_exposures
+from boresight.telemetry.sampling import exposure_marks, shared_exposures
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.working_table import write_working_table
 
 STARS = 5
 
@@ -18,8 +18,7 @@ def written(path, exposures, first_frame=0):
     stars = [np.random.default_rng(number).uniform(0, 1000, (STARS, 2)) for number in exposures]
     place = np.concatenate(stars) if stars else np.zeros((0, 2))
     frame = np.repeat(np.arange(first_frame, first_frame + len(exposures)), STARS)
-    columns = {"frame": frame, "exposure": np.zeros_like(frame), "row_px": place[:, 0], "col_px": place[:, 1]}
-    arrow_parquet.write_table(pa.table(columns), path)
+    write_working_table(Telemetry(frame, np.zeros_like(frame), place[:, 0], place[:, 1]), path)
     return path
 
 

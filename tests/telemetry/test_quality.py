@@ -1,7 +1,5 @@
 """The quality report says what an operator should know, with rows, and is clean JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re
@@ -11,10 +9,11 @@ import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 
-from boresight.telemetry.findings import FINDINGS, SEVERITIES
-from boresight.telemetry.quality import quality_report
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.quality.findings import FINDINGS, SEVERITIES
+from boresight.telemetry.quality.report import quality_report
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
+from tests.effort import effort
 from tests.strategies import sensors, telemetry_tables
 from tests.telemetry.troubles import EXPOSURES, ROWS, STARS, Stars, calm_telemetry, codes, finding, with_rows
 
@@ -58,7 +57,6 @@ def test_a_set_with_nothing_wrong_is_normal_and_counted(telemetry, sensor):
 
 def test_coverage_counts_every_usable_star_once_and_reaches_the_corner(telemetry, sensor):
     report = quality_report(telemetry, sensor, Stars())
-
     for counts in (report["detector_coverage"]["counts"], report["radial_coverage"]["counts"]):
         assert np.sum(counts) == ROWS
     assert report["detector_coverage"]["row_edges_px"][0] == -0.5
@@ -193,10 +191,8 @@ def test_each_trouble_is_found_with_its_rows(telemetry, sensor, code, severity, 
     troubled = dataclasses.replace(
         telemetry, **{name: change(telemetry) if callable(change) else change for name, change in changes.items()}
     )
-
     report = quality_report(troubled, sensor, Stars())
     found = finding(report, code)
-
     assert found["severity"] == severity
     assert count is None or found["count"] == count
     assert rows is None or found["rows"] == rows
@@ -213,7 +209,6 @@ SINGULAR_OF_MANY = re.compile(rf"(?:\d{{2}}|[02-9]) (?:matched |unmatched )?(?:{
 
 
 def disagreements(report):
-    """Find in the sentences of a report what does not agree with its number."""
     wrong = (PLURAL_OF_ONE, HAVE_OF_ONE, SINGULAR_OF_MANY)
     return [found["sentence"] for found in report["findings"] if any(rule.search(found["sentence"]) for rule in wrong)]
 
@@ -240,24 +235,19 @@ def test_every_finding_of_the_registry_has_a_case_above():
 
 def test_too_few_stars_everywhere_is_serious(telemetry, sensor):
     troubled = dataclasses.replace(telemetry, star_id=np.where(np.arange(ROWS) % STARS < 3, telemetry.star_id, 0))
-
     report = quality_report(troubled, sensor, Stars())
-
     assert finding(report, "FEW_STARS")["severity"] == "SERIOUS"
     assert report["usable_frames"] == 0
 
 
 def test_gaps_are_listed_with_the_frame_after_them(telemetry, sensor):
     late = dataclasses.replace(telemetry, time_utc=telemetry.time_utc + np.timedelta64(60, "s") * (telemetry.frame > 9))
-
     time = quality_report(late, sensor)["time"]
-
     assert (time["gap_count"], time["gaps"]) == (1, [{"row": 122, "frame": 10, "seconds": 61.0}])
 
 
 def test_unknown_numbers_are_listed_once_each(telemetry, sensor):
     troubled = dataclasses.replace(telemetry, star_id=with_rows(telemetry.star_id, {0: 901, 20: 900, 40: 901}))
-
     assert quality_report(troubled, sensor, Stars())["unknown_ids"] == {"count": 2, "ids": [900, 901]}
     assert quality_report(troubled, sensor)["unknown_ids"] is None
 
@@ -270,7 +260,6 @@ def test_stars_that_stay_in_place_do_not_make_detections_hot_pixels(telemetry, s
         col_px=telemetry.col_px[still],
         star_id=np.where(still == 3, 0, telemetry.star_id),
     )
-
     assert "HOT_PIXELS" not in codes(quality_report(staring, sensor, Stars()))
 
 
@@ -281,25 +270,21 @@ def test_the_worst_finding_comes_first(telemetry, sensor):
         velocity_m_s=None,
         row_px=with_rows(telemetry.row_px, {7: 900.0}),
     )
-
     report = quality_report(troubled, sensor, Stars())
-
     assert codes(report) == ["OFF_DETECTOR", "VELOCITY_MISSING", "UNKNOWN_COLUMNS"]
     assert (report["verdict"], len(report["warnings"])) == ("CAUTION", 2)
 
 
 def test_rows_are_counted_as_in_the_file_they_came_from(telemetry, sensor):
     json_lines = dataclasses.replace(telemetry, row_px=with_rows(telemetry.row_px, {7: 900.0}), first_row=1)
-
     assert finding(quality_report(json_lines, sensor), "OFF_DETECTOR")["rows"] == [8]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=effort(12, 60), deadline=None)
 @given(telemetry=telemetry_tables(), sensor=sensors())
 def test_any_readable_set_has_a_report_in_clean_json(telemetry, sensor):
     report = quality_report(telemetry, sensor, Stars())
     document = json.loads(json.dumps(report, allow_nan=False))
-
     assert document == report
     assert report["matched"] + report["unmatched"] == report["stars"] == len(telemetry)
     assert np.sum(report["radial_coverage"]["counts"]) == report["usable"] <= report["matched"]
@@ -309,7 +294,6 @@ def test_any_readable_set_has_a_report_in_clean_json(telemetry, sensor):
 
 def test_the_real_star_fields_are_usable_and_betray_their_hot_pixels(real_sky):
     report = quality_report(read_telemetry(real_sky / "esa-5-frames.csv"), read_sensor(real_sky / "esa.sensor.json"))
-
     assert (report["verdict"], report["usable_frames"], report["matched"]) == ("NORMAL", 5, 596)
     assert codes(report) == ["HOT_PIXELS"]
     assert finding(report, "HOT_PIXELS")["count"] == 55

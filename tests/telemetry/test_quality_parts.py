@@ -1,15 +1,12 @@
 """A report put together part by part is the report; of a set too large to be held, totals are of all and findings of a part."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from boresight.telemetry import quality_parts
-from boresight.telemetry.quality import quality_report
-from boresight.telemetry.quality_parts import QualityParts
+from boresight.telemetry.quality import report as quality_parts
+from boresight.telemetry.quality.report import QualityParts, quality_report
 from boresight.telemetry.schema import rows_of
 from tests.telemetry.troubles import STARS, Stars, calm_telemetry, codes, finding, with_rows
 
@@ -34,7 +31,6 @@ def in_parts(telemetry, sensor, frames, catalogue=None):
 
 @pytest.fixture
 def troubled():
-    """Telemetry with gaps, faint and unknown stars, and detections off the detector."""
     calm = calm_telemetry()
     return replace(
         calm,
@@ -55,9 +51,7 @@ def test_in_memory_the_report_is_that_of_the_whole(troubled, sensor, frames):
 def test_the_totals_of_a_set_that_is_not_held_are_of_all_of_it(troubled, sensor, frames, monkeypatch):
     whole = quality_report(troubled, sensor, Stars())
     monkeypatch.setattr(quality_parts, "MOST_ROWS", 10 * STARS)
-
     report = in_parts(troubled, sensor, frames)
-
     assert list(report) == list(whole)
     for name in TOTALS:
         assert report[name] == whole[name], name
@@ -73,9 +67,7 @@ def test_findings_of_a_set_that_is_not_held_name_rows_of_the_file_and_say_what_w
     calm = calm_telemetry()
     hot = replace(calm, magnitude=with_rows(calm.magnitude, dict.fromkeys(range(0, len(calm), STARS), 25.0)))
     monkeypatch.setattr(quality_parts, "MOST_ROWS", 8 * STARS)
-
     report = in_parts(hot, sensor, 1)
-
     rows = finding(report, "MAGNITUDE_RANGE")["rows"]
     assert rows == [2 + frame * STARS for frame in range(0, 30, 4)]
     assert finding(report, "PART_OF_THE_SET")["sentence"].startswith("Findings were looked for in 8 of 30 frames")

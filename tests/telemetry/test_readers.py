@@ -1,7 +1,5 @@
 """Good files are read to the last digit, whatever their form; spoilt ones are read or refused and nothing else."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 
@@ -11,15 +9,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry, write_csv, write_parquet
+from boresight.telemetry.read.readers import read_telemetry, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry
+from tests.effort import effort
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD, MINIMAL, parquet_bytes, with_columns
 
 
 def test_a_csv_file_is_read_with_unmatched_stars_as_zero(read):
     telemetry = read(GOOD)
-
     assert telemetry.frame.tolist() == [0, 0, 0, 1]
     assert telemetry.exposure.tolist() == [0, 0, 1, 0]
     assert telemetry.col_px.tolist() == [20.25, 40.25, 20.25, 60.0]
@@ -45,7 +43,6 @@ def test_a_csv_file_is_read_with_unmatched_stars_as_zero(read):
 )
 def test_harmless_ways_of_writing_csv_are_let_pass(read, change):
     telemetry = read(change(GOOD))
-
     assert telemetry.row_px.tolist() == [10.5, 30.5, 10.5, 50.0]
     assert telemetry.star_id.tolist() == [11, 0, 11, 0]
 
@@ -56,7 +53,6 @@ def test_json_lines_are_read_with_null_as_absent(read):
         '{"frame":3,"exposure":1,"row_px":1.5,"col_px":2,"star_id":7,"time_utc":null,"note":null}\n',
         "pass.jsonl",
     )
-
     assert telemetry.star_id.tolist() == [0, 7]
     assert telemetry.time_utc[0] == np.datetime64("2024-02-29T12:00:00", "us")
     assert np.isnat(telemetry.time_utc[1])
@@ -69,7 +65,6 @@ def test_json_lines_are_read_with_null_as_absent(read):
 def test_a_file_of_no_known_suffix_is_what_its_bytes_are(read, tmp_path, name):
     expected = read(GOOD, name)
     write_parquet(expected, tmp_path / "address")
-
     assert read_telemetry(tmp_path / "address").row_px.tolist() == expected.row_px.tolist()
 
 
@@ -84,13 +79,11 @@ def test_a_file_of_no_known_suffix_is_what_its_bytes_are(read, tmp_path, name):
 )
 def test_times_are_iso_8601_and_utc_where_they_name_no_zone(read, text, expected):
     telemetry = read(with_columns("time_utc", text))
-
     assert telemetry.time_utc[0] == np.datetime64(expected, "us")
 
 
 def test_units_become_si(read):
     telemetry = read(with_columns("ra_deg,dec_deg,vx_km_s,vy_km_s,vz_km_s", "180,-45,7.5,0,-0.001"))
-
     assert telemetry.ra_rad[0] == pytest.approx(np.pi)
     assert telemetry.dec_rad[0] == pytest.approx(-np.pi / 4)
     assert telemetry.velocity_m_s[0] == pytest.approx([7500.0, 0.0, -1.0])
@@ -98,7 +91,6 @@ def test_units_become_si(read):
 
 def test_unknown_columns_are_kept_as_they_came(read):
     telemetry = read(with_columns("flux,note", '0012.50,"a, b"'))
-
     assert texts_of(telemetry) == {"flux": ["0012.50"], "note": ["a, b"]}
 
 
@@ -128,13 +120,14 @@ def assert_same(one: Telemetry, other: Telemetry) -> None:
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=effort(12, 60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(telemetry=telemetry_tables())
 def test_what_is_written_is_read_back(telemetry, tmp_path):
     write_csv(telemetry, tmp_path / "pass.csv")
     write_parquet(telemetry, tmp_path / "pass.parquet")
-
     assert_same(read_telemetry(tmp_path / "pass.csv"), telemetry)
     assert_same(read_telemetry(tmp_path / "pass.parquet"), telemetry)
 
@@ -164,7 +157,7 @@ DIRT = [
 ]
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=effort(60, 300), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     name=st.sampled_from(sorted(VALID)),
     spoils=st.lists(
@@ -177,7 +170,6 @@ def test_a_spoilt_file_is_read_or_refused_and_nothing_else(name, spoils, tmp_pat
         start = int(place * len(content))
         content[start : start + length] = dirt
     (tmp_path / name).write_bytes(content)
-
     with contextlib.suppress(RefusedInputError):
         assert len(read_telemetry(tmp_path / name)) > 0
 
@@ -195,16 +187,13 @@ def test_twenty_thousand_frames_of_24_stars_are_read_in_seconds(tmp_path):
         star_id=np.arange(n) % 118_000 + 1,
     )
     write_csv(telemetry, tmp_path / "long.csv")
-
     begin = time.process_time()
     read_telemetry(tmp_path / "long.csv")
-
     assert time.process_time() - begin < 4.0  # of processor time: what else the machine does does not count
 
 
 def test_the_real_star_fields_are_read(real_sky):
     telemetry = read_telemetry(real_sky / "esa-5-frames.csv")
-
     assert len(telemetry) == 873
     assert np.unique(telemetry.frame).tolist() == [0, 1, 2, 3, 4]
     assert int((telemetry.star_id > 0).sum()) == int(np.isfinite(telemetry.ra_rad).sum()) == 596

@@ -1,14 +1,12 @@
 """A file that cannot be read as a whole is refused in one sentence that says what it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry
+from boresight.telemetry.read.readers import read_telemetry
 from tests.telemetry.files import GOOD, HEADER, MINIMAL, assert_single_fault, parquet_bytes, refused
 
 
@@ -70,7 +68,6 @@ def test_cells_over_several_lines_are_refused(read, content):
 )
 def test_a_wrong_line_of_json_is_named(read, line, row, column, words):
     first = '{"frame":0,"exposure":0,"row_px":1,"col_px":2}'
-
     assert_single_fault(refused(read, f"{first}\n{line}\n", "pass.jsonl"), row, column, words)
 
 
@@ -78,7 +75,6 @@ def test_a_json_number_written_as_text_is_a_number(read):
     telemetry = read(
         '{"frame":0,"exposure":0,"row_px":"1.5","col_px":2,"star_id":"","note":[1,{"a":2}]}', "pass.ndjson"
     )
-
     assert telemetry.row_px.tolist() == [1.5]
     assert telemetry.star_id.tolist() == [0]
     assert telemetry.unknown["note"].to_pylist() == ['[1,{"a":2}]']
@@ -94,21 +90,18 @@ def test_a_file_that_is_no_json_lines_is_refused(read, content, words):
 @pytest.mark.parametrize("keep", [4, 20, 200, -1])
 def test_truncated_parquet_is_refused(read, keep):
     error = refused(read, parquet_bytes(MINIMAL)[:keep], "pass.parquet")
-
     assert "truncated or damaged" in str(error)
 
 
 def test_damaged_pages_of_parquet_are_refused(read):
     content = bytearray(parquet_bytes({**MINIMAL, "note": ["x" * 500, "y" * 500]}))
     content[4:60] = bytes(56)
-
     assert "truncated or damaged" in str(refused(read, bytes(content), "pass.parquet"))
 
 
 @pytest.mark.parametrize("text", [b"note", b"x" * 7])
 def test_parquet_text_that_is_not_utf8_is_refused(read, text):
     content = parquet_bytes({**MINIMAL, "note": ["x" * 7, "y"]}).replace(text, b"\xff" * len(text))
-
     assert "truncated or damaged" in str(refused(read, content, "pass.parquet"))
 
 
@@ -140,9 +133,7 @@ def test_parquet_types_of_other_programs_are_understood(read):
             "blob": pa.array([b"\xff", None], pa.binary()),
         }
     )
-
     telemetry = read(content, "pass.parquet")
-
     assert telemetry.col_px.tolist() == [3.0, 4.0]
     assert telemetry.star_id.tolist() == [0, 5]
     assert telemetry.time_utc[0] == np.datetime64("2024-01-01", "us")
@@ -157,7 +148,6 @@ def test_text_named_parquet_is_refused(read):
 def test_a_column_twice_in_parquet_is_refused(read):
     sink = pa.BufferOutputStream()
     arrow_parquet.write_table(pa.Table.from_arrays([pa.array([1]), pa.array([2])], names=["frame", "frame"]), sink)
-
     assert_single_fault(refused(read, sink.getvalue().to_pybytes(), "pass.parquet"), None, "frame", "twice")
 
 
@@ -170,7 +160,6 @@ def test_a_folder_or_a_missing_file_is_refused(tmp_path):
 
 def test_only_the_first_twenty_faults_are_listed_and_the_others_counted(read):
     error = refused(read, "\n".join([HEADER, *(f"{k},0,x,2,3" for k in range(500))]))
-
     assert len(error.faults) == 20
     assert [fault.row for fault in error.faults] == list(range(2, 22))
     assert str(error).endswith("(and 499 more faults)")

@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.readers import read_telemetry, write_parquet
-from boresight.telemetry.sample import evenly, read_sample
+from boresight.telemetry.read.frames import evenly, read_sample
+from boresight.telemetry.working_table import WorkingTable, write_working_table
 from tests.calibration.conftest import telemetry
 
 
 @pytest.fixture
 def stored(tmp_path):
-    path = tmp_path / "table.parquet"
-    write_parquet(telemetry(1, frames=50, stars=7), path)
+    path = tmp_path / "table"
+    write_working_table(telemetry(1, frames=50, stars=7), path)
     return path
 
 
@@ -29,7 +29,7 @@ def test_places_are_in_the_set_apart_evenly_and_as_many_as_asked(n, most):
 
 
 def test_a_sample_holds_whole_frames_of_the_set_row_for_row(stored):
-    whole, sample = read_telemetry(stored), read_sample(stored, 9, 10_000)
+    whole, sample = WorkingTable(stored).read(), read_sample(stored, 9, 10_000)
     rows = np.isin(whole.frame, sample.telemetry.frame)
 
     assert (sample.frames, sample.frames_in_set) == (9, 50)
@@ -47,5 +47,5 @@ def test_a_damaged_table_is_refused_with_what_to_do(tmp_path):
     damaged = tmp_path / "table"
     damaged.write_bytes(b"PAR1 and then nothing")
 
-    with pytest.raises(RefusedInputError, match="upload the set again"):
+    with pytest.raises(RefusedInputError, match="upload the telemetry again"):
         read_sample(damaged, 10, 100)

@@ -1,16 +1,15 @@
 """A sensor description is read whole or refused with the names of the wrong fields."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
+from tests.effort import effort
 from tests.strategies import sensors
 
 
@@ -21,7 +20,6 @@ def refusal(document):
 
 
 def changed(document, path, value):
-    """Return the document with one field, named by dots, set to a value or, for `...`, taken out."""
     *folders, key = path.split(".")
     place = document
     for folder in folders:
@@ -35,7 +33,6 @@ def changed(document, path, value):
 
 def test_a_right_description_is_read_in_the_models_order(document):
     sensor = parse_sensor(document)
-
     assert (sensor.rows, sensor.columns, sensor.parity) == (768, 1024, -1)
     assert sensor.initial.tolist() == [0.035, 383.5, 511.5, 0.0, 0.0, 0.0, 0.0, 1.0]
     assert sensor.typical_sigma.tolist() == [3e-4, 10.0, 10.0, 1e6, 100.0, 0.005, 0.005, 2e-4]
@@ -51,11 +48,10 @@ def test_keys_of_other_names_are_let_pass(document):
     assert parse_sensor({**document, "comment": "from the clean room", "serial": 12}).name == "STK-1"
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=effort(12, 60), deadline=None)
 @given(sensor=sensors())
 def test_a_sensor_survives_its_document_and_json(sensor):
     again = parse_sensor(json.loads(json.dumps(sensor_document(sensor))))
-
     np.testing.assert_array_equal(again.initial, sensor.initial)
     np.testing.assert_array_equal(again.typical_sigma, sensor.typical_sigma)
     assert sensor_document(again) == sensor_document(sensor)
@@ -87,7 +83,6 @@ def test_a_missing_key_is_named(document, key):
 )
 def test_a_wrong_number_is_named(document, path, value, words):
     message = refusal(changed(document, path, value))
-
     assert path in message
     assert words in message
 
@@ -138,9 +133,7 @@ def test_a_distortion_that_turns_back_on_the_detector_is_named_with_the_blind_co
     document["typical_sigma"] = {"s": 1e-3, "f_m": 1e-4, "u0_px": 10.0, "v0_px": 10.0, "k1": 0.1, "k2": 0.5}
     document.pop("free", None)
     assert parse_sensor(document).camera_model == "pinhole_radial"
-
     document["initial"]["k1"] = -1e3
-
     assert "turns back before the corner at row -0.5, column -0.5" in refusal(document)
 
 
@@ -148,14 +141,12 @@ def test_every_wrong_field_is_listed(document):
     document["parity"], document["initial"]["f_m"] = 3, "x"
     with pytest.raises(RefusedInputError) as caught:
         parse_sensor(document)
-
     assert [fault.detail.split()[0] for fault in caught.value.faults] == ["parity", "initial.f_m"]
 
 
 def test_a_sensor_file_is_read(document, tmp_path):
     path = tmp_path / "stk.sensor.json"
     path.write_bytes(b"\xef\xbb\xbf" + json.dumps(document).encode())
-
     assert read_sensor(path).name == "STK-1"
 
 
@@ -175,7 +166,6 @@ def test_a_file_that_is_no_sensor_file_is_refused_by_name(tmp_path, content, wor
     path.write_bytes(content)
     with pytest.raises(RefusedInputError) as caught:
         read_sensor(path)
-
     assert words in str(caught.value)
     assert str(caught.value).startswith("stk.sensor.json")
 
@@ -187,5 +177,4 @@ def test_a_missing_sensor_file_is_refused(tmp_path):
 
 def test_the_real_sensor_is_read(real_sky):
     sensor = read_sensor(real_sky / "esa.sensor.json")
-
     assert (sensor.name, sensor.parity, sensor.centroid_sigma_px) == ("ESA-HF35XA", -1, 0.13)

@@ -1,7 +1,5 @@
 """A file that is neither telemetry nor JSON is called what it is, whatever its name, by its first bytes."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import io
@@ -16,7 +14,7 @@ import pytest
 from pyarrow import feather
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.formats import text_of
+from boresight.telemetry.read.formats import text_of
 from boresight.telemetry.sensors import read_sensor
 from tests.telemetry.files import GOOD, refused
 
@@ -83,7 +81,6 @@ OTHERS = {
 @pytest.mark.parametrize("kind", IMAGES)
 def test_an_image_is_told_that_centroids_are_read_and_not_to_be_saved_as_utf8(read, kind, name):
     sentence = str(refused(read, IMAGES[kind], name))
-
     assert f"{kind} image" in sentence
     assert "centroids, not images" in sentence
     assert "UTF-8" not in sentence
@@ -101,7 +98,6 @@ def test_another_file_is_called_what_it_is(read, kind):
 def test_a_sensor_file_that_is_another_file_is_called_what_it_is(kind, tmp_path):
     path = tmp_path / "sensor.json"
     path.write_bytes({**IMAGES, **OTHERS}[kind])
-
     with pytest.raises(RefusedInputError, match=kind) as caught:
         read_sensor(path)
     assert "UTF-8" not in str(caught.value)
@@ -121,5 +117,4 @@ def test_a_column_may_be_called_as_a_signature_is(read, first):
     order = [names.index(first), *(k for k in range(len(names)) if names[k] != first)]
     cells = [[*row[:4], "7", *row[4:]] for row in cells]
     moved = "\n".join(",".join(line[k] for k in order) for line in [names, *cells])
-
     assert read(moved, "pass.csv").unknown[first].to_pylist() == ["7"] * len(rows)

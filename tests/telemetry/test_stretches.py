@@ -1,7 +1,5 @@
 """A Parquet file cut into stretches is the file, and what must be read from its start has none."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -12,27 +10,27 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry import parquet
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.read import parquet
+from boresight.telemetry.read.readers import read_telemetry, stretches, write_parquet
 from boresight.telemetry.schema import joined
-from boresight.telemetry.stretches import stretches
+from tests.effort import effort
 from tests.strategies import telemetry_tables
 from tests.telemetry.files import GOOD
 from tests.telemetry.test_readers import assert_same
 
 EXAMPLES = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=effort(12, 60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 
 def in_groups(telemetry, path, rows):
-    """Write a set so many rows a group."""
     write_parquet(telemetry, path)
     arrow_parquet.write_table(arrow_parquet.read_table(path), path, row_group_size=rows)
 
 
 def of_frames(frame, path, rows=4):
-    """Write a file with this frame column."""
     n = len(frame)
     cells = {"exposure": np.zeros(n, np.int64), "row_px": np.arange(n) + 0.5, "col_px": np.arange(n) + 0.5}
     arrow_parquet.write_table(pa.table({"frame": frame} | cells), path, row_group_size=rows)
@@ -45,10 +43,8 @@ def test_the_stretches_put_together_are_the_file(telemetry, group, batch, frames
     monkeypatch.setattr(parquet, "_BATCH_ROWS", batch)
     path = tmp_path / "pass.parquet"
     in_groups(telemetry, path, group)
-
     found = stretches(path, path.name, frames)
     parts = [part for stretch in found for part in stretch.chunks(frames)]
-
     whole = read_telemetry(path)
     if found:
         assert_same(joined(parts), whole)
@@ -104,9 +100,7 @@ def test_a_stretch_refuses_its_own_faults_by_the_rows_of_the_file(tmp_path):
     row_px = table["row_px"].to_numpy().copy()
     row_px[33] = np.inf
     arrow_parquet.write_table(table.set_column(2, "row_px", pa.array(row_px)), path, row_group_size=4)
-
     *sound, torn, _ = stretches(path, "a.parquet", 1)
-
     assert torn.begins <= 33 < torn.ends
     assert sum(len(part) for one in sound for part in one.chunks(1)) == torn.begins
     with pytest.raises(RefusedInputError, match="row 34, column row_px"):

@@ -1,7 +1,5 @@
 """Telemetry with one trouble each, and the finding that should name it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from boresight.telemetry.schema import Telemetry
@@ -12,8 +10,6 @@ MAGNITUDES = 3.0 + (np.arange(1, 500) % 30) / 10.0
 
 
 class Stars:
-    """A catalogue of the numbers 1 to 499, brightness by number."""
-
     magnitude = MAGNITUDES
 
     def index_of(self, hip):
@@ -28,7 +24,6 @@ def with_rows(values, changes):
 
 
 def calm_telemetry():
-    """Thirty exposures of twelve matched stars all over the detector, a second apart, with nothing to complain of."""
     rng = np.random.default_rng(5)
     star_id = np.concatenate([rng.permutation(np.arange(1, 500))[:STARS] for _ in range(EXPOSURES)])
     frame = np.repeat(np.arange(EXPOSURES), STARS)

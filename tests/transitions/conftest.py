@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.telemetry.readers import write_csv
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
 
 from .installation import Evidence
@@ -21,20 +21,7 @@ SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
 
 
 @pytest.fixture(scope="session")
-def catalogue_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Keep the trimmed star catalogue for all tests."""
-    return tmp_path_factory.mktemp("sky") / "catalogue"
-
-
-@pytest.fixture(scope="session")
-def catalogue(catalogue_folder: Path) -> Catalogue:
-    """Load the star catalogue once."""
-    return load_catalogue(catalogue_folder)
-
-
-@pytest.fixture(scope="session")
 def evidence(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Evidence:
-    """Simulate and calibrate once."""
     path: Path = tmp_path_factory.mktemp("evidence") / "telemetry.csv"
     telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
     write_csv(telemetry, path)

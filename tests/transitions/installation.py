@@ -17,13 +17,21 @@ import httpx
 import orjson
 from argon2 import PasswordHasher
 
-from boresight.services import api_keys, audit, parameter_sets, sensors, telemetry_sets, users
-from boresight.services.actors import COMMAND_LINE, Actor
+from boresight.console import transitions
+from boresight.console.access import api_keys, users
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.platform.actors import COMMAND_LINE, Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
 from boresight.settings import Settings
-from boresight.store.blobs import BlobStore, open_blobs, register_blob
-from boresight.store.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
-from boresight.store.tables import ParameterSet, Run, Sensor
-from tests.passwords import new_password
+from tests.passwords import add_person
 
 PASSWORD = "correct horse battery"
 CHEAP_HASH = PasswordHasher(time_cost=1, memory_cost=8, parallelism=1).hash(PASSWORD)  # hundreds sign with it
@@ -33,8 +41,6 @@ WORDS = {"meaning": "I reviewed the evidence.", "comment": "Seen.", "password": 
 
 @dataclass
 class Evidence:
-    """What every installation is filled with: a sensor file, telemetry and what a calibration found in it."""
-
     sensor: dict[str, Any]
     telemetry: Path
     result: dict[str, Any]
@@ -42,8 +48,6 @@ class Evidence:
 
 @dataclass
 class Installation:
-    """A store on its own folder or database, filled as a test needs it."""
-
     settings: Settings
     evidence: Evidence
     people: Mapping[str, tuple[str, ...]]
@@ -54,30 +58,20 @@ class Installation:
     _credentials: dict[str, tuple[dict[str, str], dict[str, str]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Make the store and its people."""
         self.engine = open_engine(self.settings.database_url)
         self.blobs = open_blobs(self.settings.blob_place)
         migrate(self.engine)
         with writing(self.engine) as session:
             for name, roles in self.people.items():
-                row = users.create_user(
-                    session,
-                    COMMAND_LINE,
-                    name=name,
-                    printed_name=name.title(),
-                    password=new_password(PASSWORD),
-                    roles=roles,
-                )
+                row = add_person(session, name, *roles)
                 row.password_hash = CHEAP_HASH
 
     def actor(self, name: str) -> Actor:
-        """Return a person as they act under a log-in."""
         with reading(self.engine) as session:
             row = next(row for row in users.list_users(session) if row.name == name)
             return users.actor_of(session, row.id)
 
     def sensor(self) -> int:
-        """Register a sensor with a telemetry set."""
         document = {**self.evidence.sensor, "name": f"ST-{next(self._numbers)}"}
         with writing(self.engine) as session:
             row = sensors.register_sensor(session, COMMAND_LINE, document)
@@ -86,13 +80,11 @@ class Installation:
             return row.id
 
     def candidate(self, sensor_id: int, launcher: Actor, creator: Actor | None = None) -> ParameterSet:
-        """Make a candidate of a run that this analyst launched, and created it of too unless another did."""
         with writing(self.engine) as session:
             run = self._run(session, sensor_id, launcher)
             return parameter_sets.create_from_run(session, creator or launcher, self.blobs, run.id)
 
     def _run(self, session: Session, sensor_id: int, analyst: Actor) -> Run:
-        """Store a run that ended, as a worker would."""
         found = self.evidence.result
         nudged = {**found["parameters"], "f_m": found["parameters"]["f_m"] * (1.0 + 1e-7 * next(self._numbers))}
         sha256 = self.blobs.put(orjson.dumps({**found, "parameters": nudged}, option=orjson.OPT_SERIALIZE_NUMPY))
@@ -115,12 +107,10 @@ class Installation:
         return run
 
     def set_of(self, set_id: int) -> ParameterSet:
-        """Return a set as it is now."""
         with reading(self.engine) as session:
-            return parameter_sets.get_parameter_set(session, set_id)
+            return transitions.get_parameter_set(session, set_id)
 
     def client(self, name: str) -> httpx.Client:
-        """Return a new client of a person, who logs in once."""
         if name not in self._credentials:
             with httpx.Client(base_url=self.address, timeout=60, verify=TRUST) as first:
                 answer = first.post("/api/v1/sessions", json={"name": name, "password": PASSWORD})
@@ -131,7 +121,6 @@ class Installation:
         return httpx.Client(base_url=self.address, headers=headers, cookies=cookies, timeout=60, verify=TRUST)
 
     def key(self, name: str) -> httpx.Client:
-        """Return a client with a new API key of a person, with every scope that a key may have."""
         scopes = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
         with writing(self.engine) as session:
             secret = api_keys.create_key(session, self.actor(name), label="test", scopes=scopes)[1]
@@ -141,5 +130,4 @@ class Installation:
 
 
 def tag(version: int) -> dict[str, str]:
-    """Return the header that says which version was seen."""
     return {"If-Match": f'"v{version}"'}

@@ -8,7 +8,8 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
-from boresight.store.tables import GROUND_STATES, ROLES
+from boresight.console.access.tables import ROLES
+from boresight.console.parameter_sets.tables import GROUND_STATES
 
 ACTORS = (
     *ROLES,  # a person with one role each, who has no part in the request
@@ -43,19 +44,15 @@ OF_REQUEST = ("approve", "refuse", "approve-over-the-shoulder", "refuse-over-the
 
 @dataclass(frozen=True)
 class Move:
-    """One attempt."""
-
     actor: str
     transition: str
     place: str
 
     def __str__(self) -> str:
-        """Name the test of this move."""
         return f"{self.actor}, {self.transition}, {self.place}".replace(" ", "_")
 
 
 def _allow(actors: str, transitions: str, places: str) -> set[Move]:
-    """Allow these actors these transitions in these places."""
     named = (text.split(", ") for text in (actors, transitions, places))
     return {Move(*parts) for parts in itertools.product(*named)}
 

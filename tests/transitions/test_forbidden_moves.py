@@ -12,12 +12,19 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.services import approvals, audit, parameter_sets, users
-from boresight.services.actors import COMMAND_LINE, POLICY, Actor, Policy
-from boresight.services.staleness import make_stale_of_set
+from boresight.console.access import users
+from boresight.console.access.tables import ROLES, User
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.staleness import make_stale_of_set
+from boresight.console.approvals.tables import Approval
+from boresight.console.parameter_sets.tables import GROUND_STATES, ParameterSet
+from boresight.console.uplinks.tables import TableDefinition
+from boresight.platform.actors import COMMAND_LINE, POLICY, Actor, Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import reading, utc_now, writing
 from boresight.sky.catalogue import Catalogue
-from boresight.store.sessions import reading, utc_now, writing
-from boresight.store.tables import GROUND_STATES, ROLES, Approval, Base, ParameterSet, TableDefinition, User
 from tests.api.conftest import serving, settings_in
 from tests.api.operations import OPENAPI
 from tests.passwords import new_password, proved
@@ -41,38 +48,31 @@ BETWEEN = {"api_keys": ("last_used_utc",)}  # columns that no transition writes
 
 
 class Board:
-    """A server with one set in each place."""
-
     def __init__(self, installation: Installation) -> None:
         self.installation = installation
         self.sets: dict[str, int] = {}
         self.clients: dict[str, httpx.Client] = {}
 
     def close(self) -> None:
-        """Close what was opened."""
         for client in self.clients.values():
             client.close()
         self.installation.engine.dispose()
 
     def actor(self, name: str) -> Actor:
-        """Return a person as they act under a log-in."""
         return self.installation.actor(name)
 
     def client(self, name: str) -> httpx.Client:
-        """Return the client of an actor, by log-in or by key."""
         if name not in self.clients:
             owner = name.removeprefix("key of the ")
             self.clients[name] = self.installation.client(name) if owner == name else self.installation.key(owner)
         return self.clients[name]
 
     def request_of(self, place: str) -> Approval | None:
-        """Return the newest request for the set in a place."""
         with reading(self.installation.engine) as session:
             return next(iter(approvals.list_approvals(session, parameter_set_id=self.sets[place])), None)
 
     @cache  # noqa: B019 - no move of this file is made, and one board is made
     def seen(self, place: str, kind: str) -> tuple[str, int]:
-        """Return address and version of the set in a place, or of its request."""
         if kind == "set":
             row = self.installation.set_of(self.sets[place])
             return f"/api/v1/parameter-sets/{row.id}", row.version
@@ -81,11 +81,9 @@ class Board:
 
     @cached_property
     def asked(self) -> int:
-        """Return the person whom an assignment asks."""
         return self.actor("approver").user_id or 0
 
     def try_move(self, move: Move, headers: dict[str, str] | None = None, **params: str) -> httpx.Response:
-        """Ask the server for a move, with the version as it is unless other headers are given."""
         address, version = self.seen(move.place, "request" if move.transition in OF_REQUEST else "set")
         name, over_the_shoulder, _ = move.transition.partition("-over-the-shoulder")
         body: dict[str, Any] | None = {"reason": "It moved."}
@@ -101,7 +99,6 @@ class Board:
         return client.post(f"{address}:{name}", json=body, headers=headers, params=params)
 
     def digest(self) -> str:
-        """Digest every row of every table."""
         digest = hashlib.sha256()
         with self.installation.engine.connect() as connection:
             for query in _everything():
@@ -111,7 +108,6 @@ class Board:
 
 @cache
 def _everything() -> list[str]:
-    """The queries of every row of every table, in an order of their own."""
     queries = []
     for table in Base.metadata.sorted_tables:
         named = ", ".join(column.name for column in table.columns if column.name not in BETWEEN.get(table.name, ()))
@@ -121,18 +117,16 @@ def _everything() -> list[str]:
 
 
 def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | None = None) -> ParameterSet:
-    """Have a candidate that the creator made of the launcher's run submitted by the submitter."""
     house = board.installation
     row = house.candidate(sensor_id or house.sensor(), board.actor("launcher"), board.actor("creator"))
     board.sets[place] = row.id
     with writing(house.engine) as session:
         asked = (house.blobs, row.id, "It moved.", row.version)
-        parameter_sets.submit(session, board.actor("submitter"), *asked, policy=policy)
+        submissions.submit(session, board.actor("submitter"), *asked, policy=policy)
     return house.set_of(row.id)
 
 
 def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
-    """Have the signer sign the request in a place."""
     request = board.request_of(place)
     assert request is not None
     with writing(board.installation.engine) as session:
@@ -142,18 +136,16 @@ def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
 
 
 def _promote(board: Board, place: str) -> None:
-    """Have the set in a place signed and promoted."""
     _sign(board, place)
     row = board.installation.set_of(board.sets[place])
     with writing(board.installation.engine) as session:
-        parameter_sets.promote(session, board.actor("promoter"), row.id, row.version)
+        promotions.promote(session, board.actor("promoter"), row.id, row.version)
 
 
 POLICIES = {"EXPIRED": Policy(approval_days=0.0), "HALF": Policy(approvals=2)}
 
 
 def _place(board: Board, place: str) -> None:
-    """Bring a set, of a sensor of its own, into a place."""
     house = board.installation
     if place == "CANDIDATE":
         board.sets[place] = house.candidate(house.sensor(), board.actor("launcher"), board.actor("creator")).id
@@ -168,7 +160,7 @@ def _place(board: Board, place: str) -> None:
         _promote(board, "successor")
     with writing(house.engine) as session:
         if place == "WITHDRAWN":
-            parameter_sets.withdraw(session, board.actor("submitter"), row.id, row.version)
+            submissions.withdraw(session, board.actor("submitter"), row.id, row.version)
         if place == "EXPIRED":
             approvals.expire_due(session)
         if place == "STALE":
@@ -177,7 +169,6 @@ def _place(board: Board, place: str) -> None:
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory, evidence: Evidence, catalogue: Catalogue) -> Iterator[Board]:
-    """Serve a store with a set in each place."""
     settings = settings_in(tmp_path_factory.mktemp("moves"), login_attempts="1000")
     made = Board(Installation(settings, evidence, PEOPLE))
     for place in PLACES:
@@ -209,7 +200,6 @@ def test_the_list_has_every_transition_that_the_document_has() -> None:
 
 
 def _transitions_of_the_document() -> list[str]:
-    """Return the addresses of the transitions of sets and requests."""
     paths = [path for path, methods in OPENAPI["paths"].items() if "post" in methods and ":" in path]
     return [path for path in paths if path.startswith(("/api/v1/parameter-sets", "/api/v1/approvals"))]
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -20,15 +17,21 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import approvals, audit, parameter_sets
-from boresight.store.sessions import Session, reading
-from boresight.store.tables import Approval, AuditRecord, ParameterSet, Promotion, Signature
+from benchmarks.servers import Server, variables
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import Session, reading
 from tests.api.conftest import settings_in
+from tests.effort import effort
 from tests.stores import environment_in
 
 from .installation import WORDS, Evidence, Installation, tag
 
-TRANSITIONS, KILLS, DRIVERS = 200, 3, 4
+TRANSITIONS, KILLS, DRIVERS = effort(60, 200), effort(1, 3), 4
 SENSORS, SETS = 2, 6
 PEOPLE = {"ana": ("analyst",), "cy": ("approver",), "di": ("approver",), "olga": ("operator",)}
 REASON = {"reason": "It moved."}
@@ -42,55 +45,37 @@ CHOICES = {  # of a set's state: who may ask what, and how often it is asked
 
 
 @dataclass
-class Server:
-    """A server process of its own, as `boresight serve` starts it."""
+class Comings:
+    """A server process of its own, as `boresight serve` starts it, that comes and goes."""
 
     folder: Path
-    process: subprocess.Popen[bytes] | None = None
-    port: int = 0
+    process: Server | None = None
 
     @property
     def address(self) -> str:
         """Where it listens."""
-        return f"http://127.0.0.1:{self.port}"
+        assert self.process is not None
+        return self.process.address
 
     def start(self) -> None:
         """Start it and wait until it answers."""
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        command = (sys.executable, "-m", "boresight", "serve", "--data", str(self.folder), "--port", str(self.port))
-        environment = (
-            os.environ | {"BORESIGHT_WORKERS": "0", "BORESIGHT_LOGIN_ATTEMPTS": "1000"} | environment_in(self.folder)
-        )
-        self.process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
-        until_s = time.monotonic() + 90
-        while not self._answers():
-            assert self.process.poll() is None, "the server ended before it began"
-            assert time.monotonic() < until_s, "the server did not begin"
-            time.sleep(0.02)
-
-    def _answers(self) -> bool:
-        try:
-            socket.create_connection(("127.0.0.1", self.port), timeout=1).close()
-        except OSError:
-            return False
-        return True
+        environment = os.environ | variables(data_folder=self.folder, workers=0, login_attempts=1000)
+        self.process = Server(self.folder.parent, environment | environment_in(self.folder))
+        self.process.wait_until_ready("/healthz")
 
     def end(self, number: int) -> None:
         """Send a signal and wait for the end."""
         if self.process is not None:
-            self.process.send_signal(number)
-            self.process.wait(30)
+            self.process.end(number)
             self.process = None
 
 
 @pytest.fixture
-def server(tmp_path: Path, catalogue_folder: Path, evidence: Evidence) -> Iterator[Server]:
+def server(tmp_path: Path, catalogue_folder: Path, evidence: Evidence) -> Iterator[Comings]:
     """Prepare a server on an empty data folder; it is ended at the end."""
     assert evidence.result  # the catalogue was trimmed for it
     shutil.copytree(catalogue_folder, tmp_path / "data" / "catalogue")
-    made = Server(tmp_path / "data")
+    made = Comings(tmp_path / "data")
     yield made
     made.end(signal.SIGTERM)
 
@@ -100,7 +85,7 @@ class Traffic:
     """Random transitions from several people at once, while the server comes and goes."""
 
     house: Installation
-    server: Server
+    server: Comings
     begun: int = 0
     cut_off: int = 0
     accepted: list[str] = field(default_factory=list)
@@ -150,7 +135,7 @@ class Traffic:
 
 
 def test_a_server_killed_in_the_middle_of_transitions_leaves_each_done_or_not_begun(
-    server: Server, evidence: Evidence
+    server: Comings, evidence: Evidence
 ) -> None:
     house = Installation(settings_in(server.folder), evidence, PEOPLE)
     for sensor_id in [house.sensor() for _ in range(SENSORS)]:
@@ -181,7 +166,7 @@ def test_a_server_killed_in_the_middle_of_transitions_leaves_each_done_or_not_be
     house.engine.dispose()
 
 
-def _serve(house: Installation, server: Server, traffic: Traffic) -> None:
+def _serve(house: Installation, server: Comings, traffic: Traffic) -> None:
     """Start the server and let the people go on, each logged in."""
     server.start()
     house.address = server.address

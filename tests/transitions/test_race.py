@@ -14,10 +14,17 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from boresight.services import approvals, audit, parameter_sets
+from boresight.console import transitions
+from boresight.console.approvals import promotions as promotions_module
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals import submissions
+from boresight.console.approvals.tables import Signature
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import reading, writing
 from boresight.sky.catalogue import Catalogue
-from boresight.store.sessions import reading, writing
-from boresight.store.tables import AuditRecord, ParameterSet, Promotion, Signature
 from tests.api.conftest import serving, settings_in
 from tests.passwords import proved
 
@@ -37,8 +44,6 @@ ACTIONS = {"approve": "approved", "promote": "promoted", "roll-back": "asked to 
 
 @dataclass(frozen=True)
 class Shot:
-    """A request that is ready to be sent: who asks what, from which version."""
-
     person: str
     address: str
     version: int
@@ -46,26 +51,24 @@ class Shot:
 
     @property
     def transition(self) -> str:
-        """Name what is asked."""
         return self.address.rpartition(":")[2]
 
 
 def _filled(house: Installation) -> int:
-    """Make a sensor with former baselines and candidates; return its number."""
     sensor_id, ana = house.sensor(), house.actor("ana")
     rows = [house.candidate(sensor_id, ana) for _ in range(FORMER + 1 + READY)]
     for row in rows[: FORMER + 1]:
         _submit(house, row)
         _sign(house, row)
         with writing(house.engine) as session:
-            version = parameter_sets.get_parameter_set(session, row.id).version
-            parameter_sets.promote(session, house.actor("olga"), row.id, version)
+            version = transitions.get_parameter_set(session, row.id).version
+            promotions_module.promote(session, house.actor("olga"), row.id, version)
     return sensor_id
 
 
 def _submit(house: Installation, row: ParameterSet) -> None:
     with writing(house.engine) as session:
-        parameter_sets.submit(session, house.actor("ana"), house.blobs, row.id, "It moved.", row.version)
+        submissions.submit(session, house.actor("ana"), house.blobs, row.id, "It moved.", row.version)
 
 
 def _sign(house: Installation, row: ParameterSet) -> None:
@@ -76,7 +79,6 @@ def _sign(house: Installation, row: ParameterSet) -> None:
 
 
 def _readied(house: Installation, sensor_id: int, signed: int) -> None:
-    """Have every candidate asked for, and so many sets approved at least."""
     for row in _sets(house, sensor_id, "CANDIDATE"):
         _submit(house, row)
     missing = signed - len(_sets(house, sensor_id, "APPROVED"))
@@ -90,7 +92,6 @@ def _sets(house: Installation, sensor_id: int, state: str) -> Sequence[Parameter
 
 
 def _shots(house: Installation, sensor_id: int, rng: np.random.Generator) -> list[Shot]:
-    """Look at the sensor as it is, and aim fifty requests at it in a random order: most come in pairs that exclude."""
     with reading(house.engine) as session:
         waiting = approvals.list_approvals(session, state="OPEN")
     signed = [
@@ -113,7 +114,6 @@ def _shots(house: Installation, sensor_id: int, rng: np.random.Generator) -> lis
 
 
 def _fire(house: Installation, shots: list[Shot]) -> list[tuple[Shot, httpx.Response]]:
-    """Send all requests at the same moment, each from a thread and a connection of its own."""
     gate = threading.Barrier(len(shots))
     answers: list[tuple[Shot, httpx.Response]] = []
 
@@ -133,7 +133,6 @@ def _fire(house: Installation, shots: list[Shot]) -> list[tuple[Shot, httpx.Resp
 
 @contextmanager
 def _watched(house: Installation, sensor_id: int) -> Iterator[list[int]]:
-    """Count the sensor's baselines over and over while something happens."""
     counts: list[int] = []
     over = threading.Event()
     query = sa.select(sa.func.count()).select_from(ParameterSet)
@@ -155,7 +154,6 @@ def _watched(house: Installation, sensor_id: int) -> Iterator[list[int]]:
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """Return the address of an empty database of either kind."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path}/store.sqlite3"
     return request.getfixturevalue("postgresql").url.render_as_string(hide_password=False)
@@ -188,7 +186,6 @@ def test_fifty_at_once_leave_one_baseline_and_one_chain(
 
 
 def _is_on_record(house: Installation, sensor_id: int, accepted: list[tuple[Shot, httpx.Response]]) -> None:
-    """Hold what was accepted against the audit log, the signatures and the promotions, each to its row."""
     with reading(house.engine) as session:
         assert audit.verify(session).ok
         sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id)

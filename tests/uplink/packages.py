@@ -1,14 +1,12 @@
 """Inputs of a package, as the store would gather them, of any camera model; run as a program it prints a package's hash."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys
 
 from boresight.telemetry.sensors import sensor_document
+from boresight.uplink.archive import canonical_bytes
 from boresight.uplink.package import build_package
-from boresight.uplink.spelling import canonical_bytes
 
 from .tables import INITIAL, definition_of, sensor_of
 
@@ -33,7 +31,6 @@ GATE = {"name": "coverage", "title": "Detector coverage", "status": "FAIL", "val
 
 
 def set_of(model, number, shift=0.0, ground_state="SUPERSEDED", **others):
-    """A parameter set as a package describes it; `shift` moves its focal length."""
     parameters = INITIAL[model] | {"f_m": INITIAL[model]["f_m"] + shift}
     names = list(parameters)
     document = {
@@ -52,7 +49,6 @@ def set_of(model, number, shift=0.0, ground_state="SUPERSEDED", **others):
 
 
 def inputs_of(model="pinhole_radial", definition=None, **others):
-    """Everything that a package follows from."""
     approval = {"id": 1, "kind": "PROMOTION", "reason": "f moved", "submitted_by": "Ana", "needed": 2, "bound": {}}
     approval |= {"submitted_utc": "2026-11-21T08:30:00.000000Z", "signatures": [SIGNATURE]}
     gates = {"sha256": "d" * 64, "verdict": "FAIL", "words": "FAIL (1 gate waived)", "waived": ["coverage"]}

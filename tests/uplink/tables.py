@@ -1,10 +1,8 @@
 """Sensors and table definitions, fixed ones and random ones."""
 
-from __future__ import annotations
-
 from hypothesis import strategies as st
 
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import parse_sensor
 
 INITIAL = {
@@ -28,7 +26,6 @@ KINDS = (
 
 
 def sensor_of(model="pinhole_radial", parity=-1, name="FM1"):
-    """A sensor of a camera model."""
     camera = CAMERA_MODELS[model]
     return parse_sensor(
         {
@@ -44,7 +41,6 @@ def sensor_of(model="pinhole_radial", parity=-1, name="FM1"):
 
 
 def definition_of(model="pinhole_radial", kind="float32", **others):
-    """A table of one type throughout, with a version before the parameters and a CRC at its end."""
     fields = [{"name": "VERSION", "constant": 3, "offset_bytes": 0, "type": "uint16"}]
     size = 8 if kind == "float64" else 4
     for place, name in enumerate(INITIAL[model]):
@@ -62,7 +58,6 @@ def definition_of(model="pinhole_radial", kind="float32", **others):
 
 @st.composite
 def definitions(draw):
-    """Tables with gaps, parts of bytes, both byte orders and fixed-point numbers of every size, each camera parameter once."""
     model = draw(st.sampled_from(sorted(INITIAL)))
     fields, bit = [], 0
     for name in draw(st.permutations(list(INITIAL[model]))):
@@ -84,7 +79,6 @@ def definitions(draw):
 
 @st.composite
 def scales(draw, number, kind, bits):
-    """A scale and an offset with which the number lies inside the range of its type, where that needs them."""
     if kind.startswith("float"):
         return {"scale": draw(st.sampled_from([1.0, 0.001, 1e6]))} if draw(st.booleans()) else {}
     raw = draw(st.integers(0, 2 ** min(bits - 1, 50) - 1))

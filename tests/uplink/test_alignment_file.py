@@ -1,7 +1,5 @@
 """C_SD is updated only by a turn that was found against the set that is replaced."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -26,7 +24,6 @@ def aligned():
 def test_a_turn_against_the_replaced_set_is_given(aligned):
     before = set_of("inverted_wang", 1)
     document = json.loads(alignment_json(aligned(before["document"]["parameters"]), before))
-
     assert document["alignment"] == FOUND
     assert document["use"].startswith("C_SD_new = C_SD_old c_sd_update")
 
@@ -34,12 +31,10 @@ def test_a_turn_against_the_replaced_set_is_given(aligned):
 def test_a_turn_against_other_parameters_is_withheld_with_the_reason(aligned):
     before = set_of("inverted_wang", 1, 5e-6)
     document = json.loads(alignment_json(aligned(set_of("inverted_wang", 0)["document"]["parameters"]), before))
-
     assert document["alignment"] is None
     assert "not those of PS-FM1-1" in document["sentence"]
 
 
 def test_a_set_whose_attitudes_were_not_compared_says_so():
     document = json.loads(alignment_json(set_of("inverted_wang", 2), set_of("inverted_wang", 1)))
-
     assert document["sentence"].startswith("No attitude was compared")

@@ -1,7 +1,5 @@
 """A camera file is OpenCV's camera to the last digit, or it is not there and says why."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -9,20 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.uplink.camera_files import camera_files
+from tests.effort import effort
 
 from .tables import INITIAL, sensor_of
 
 
 def _matrix(text, name):
-    """The numbers under a name in one of the YAML files."""
     body = text.split(f"{name}:", 1)[1]
     return np.array([float(number) for number in re.search(r"data: \[(.*?)\]", body)[1].split(",")])
 
 
 def _opencv_projection(K, distortion, x, y, z):
-    """OpenCV's documented formula, written out: column and row of a direction in its own frame."""
     k1, k2, p1, p2, k3 = distortion
     a, b = x / z, y / z
     r2 = a**2 + b**2
@@ -32,7 +29,7 @@ def _opencv_projection(K, distortion, x, y, z):
     return K[0] * c + K[2], K[4] * d + K[5]
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=effort(16, 80), deadline=None)
 @given(
     st.floats(0.9, 1.1),
     st.floats(0.02, 0.2),
@@ -55,14 +52,12 @@ def test_opencv_s_own_formula_finds_the_same_pixels(s, f, u0, v0, k1, k2, name):
     theirs = _opencv_projection(
         _matrix(text, "camera_matrix"), _matrix(text, "distortion_coefficients"), s_d[:, 1], s_d[:, 0], s_d[:, 2]
     )
-
     np.testing.assert_allclose(theirs, (column, row), rtol=0, atol=1e-9)
 
 
 def test_sizes_and_the_projection_without_distortion_are_written_as_ros_reads_them():
     text = camera_files(sensor_of(), INITIAL["pinhole_radial"], "PS-FM 1-1")["camera_info.yaml"].decode()
     K, P = _matrix(text, "camera_matrix").reshape(3, 3), _matrix(text, "projection_matrix").reshape(3, 4)
-
     assert "camera_name: PS_FM_1_1\n" in text
     assert "image_width: 1024\n" in text
     assert "distortion_model: plumb_bob\n" in text
@@ -73,7 +68,6 @@ def test_numbers_with_an_exponent_are_numbers_in_yaml_too():
     parameters = INITIAL["pinhole_radial"] | {"k1": 1e-07, "k2": 2.5e-9}
     text = camera_files(sensor_of(), parameters, "x")["camera_opencv.yaml"].decode()
     yaml_float = re.compile(r"[-+]?[0-9][0-9_]*\.[0-9]*([eE][-+][0-9]+)?")
-
     assert "[1.0e-07, 2.5e-09, 0.0, 0.0, 0.0]" in text
     assert all(yaml_float.fullmatch(word) for line in re.findall(r"data: \[(.*?)\]", text) for word in line.split(", "))
 
@@ -88,7 +82,6 @@ def test_numbers_with_an_exponent_are_numbers_in_yaml_too():
 )
 def test_a_camera_that_is_none_of_theirs_is_refused_with_the_reason(model, parity, reason):
     files = camera_files(sensor_of(model, parity), INITIAL[model], "PS-FM1-1")
-
     assert list(files) == ["camera_files.txt"]
     assert files["camera_files.txt"].startswith(b"Refused")
     assert reason in files["camera_files.txt"].decode()

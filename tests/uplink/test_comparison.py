@@ -1,7 +1,5 @@
 """A dump against what was sent: whatever differs is named, down to the bit, and nothing else is."""
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Any
@@ -64,7 +62,6 @@ PLACES: tuple[tuple[int, int, str], ...] = (
 
 
 def flipped(*bits: int) -> bytes:
-    """The table with some bits flipped, counted with the highest of a byte first."""
     image = int.from_bytes(SENT, "big")
     for bit in bits:
         image ^= 1 << (8 * len(SENT) - 1 - bit)
@@ -72,7 +69,6 @@ def flipped(*bits: int) -> bytes:
 
 
 def where(bit: int) -> str:
-    """In what a bit lies, by the table above and not by the definition."""
     return next((name for first, end, name in PLACES if first <= bit < end), "CRC")
 
 

@@ -1,7 +1,5 @@
 """A table definition with a slip in it is refused, and the refusal names the place."""
 
-from __future__ import annotations
-
 import copy
 
 import pytest
@@ -10,6 +8,7 @@ from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.uplink.table_definition import decode, encode, parse_definition
+from tests.effort import effort
 
 from .tables import INITIAL, definition_of, sensor_of
 
@@ -94,7 +93,6 @@ def test_a_slip_is_refused_where_it_stands(name):
     change, sentence = WRONG[name]
     document = copy.deepcopy(definition_of())
     change(document)
-
     with pytest.raises(RefusedInputError, match=sentence):
         parse_definition(document, sensor_of())
 
@@ -109,7 +107,6 @@ def test_a_type_that_pus_has_no_code_for_is_refused_there_only():
     document = definition_of()
     document["fields"][1] |= {"type": "uint20", "scale": 1e-3}
     parse_definition(document, sensor_of())
-
     with pytest.raises(RefusedInputError, match=r"TC\[20,3\] cannot be made of whole bytes"):
         parse_definition(document | {"pus": {"parameter_ids": IDS}}, sensor_of())
 
@@ -133,7 +130,7 @@ PLACES += [
 PLACES += [("crc", key) for key in ("name", "width", "poly", "offset_bytes", "over", "check")]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=effort(60, 300), deadline=None)
 @given(st.sampled_from(PLACES), JUNK)
 def test_whatever_stands_anywhere_is_read_or_refused_and_nothing_else(place, junk):
     document = copy.deepcopy(definition_of())

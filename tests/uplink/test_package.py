@@ -1,7 +1,5 @@
 """A package is the same bytes wherever and whenever it is built, and everything in it agrees with everything else."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io
@@ -62,7 +60,6 @@ def test_two_processes_in_other_places_build_the_same_bytes():
             check=True,
         )
         hashes.add(done.stdout)
-
     assert hashes == {here}
 
 
@@ -73,7 +70,6 @@ def test_other_inputs_are_other_bytes():
 def test_the_archive_knows_no_clock_and_no_machine():
     with zipfile.ZipFile(io.BytesIO(build_package(inputs_of()))) as packed:
         entries = packed.infolist()
-
     assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
     assert {(entry.compress_type, entry.create_system) for entry in entries} == {(zipfile.ZIP_STORED, 3)}
     assert [entry.filename for entry in entries] == sorted(entry.filename for entry in entries)
@@ -81,7 +77,6 @@ def test_the_archive_knows_no_clock_and_no_machine():
 
 def test_every_file_is_in_the_sums(files):
     listed = dict(line.split("  ")[::-1] for line in files["SHA256SUMS"].decode().splitlines())
-
     assert listed == {
         name: hashlib.sha256(content).hexdigest() for name, content in files.items() if name != "SHA256SUMS"
     }
@@ -89,7 +84,6 @@ def test_every_file_is_in_the_sums(files):
 
 def test_the_set_s_own_document_hashes_to_the_set(files):
     manifest = json.loads(files["MANIFEST.json"])
-
     assert hashlib.sha256(files["parameter_set.json"]).hexdigest() == manifest["parameter_set"]["sha256"]
 
 
@@ -97,19 +91,16 @@ def test_the_set_s_own_document_hashes_to_the_set(files):
 def test_it_can_be_built_again_of_its_own_manifest(model):
     content = build_package(inputs_of(model))
     manifest = json.loads(_files(inputs_of(model))["MANIFEST.json"])
-
     assert build_package(manifest["inputs"]) == content
 
 
 def test_the_way_back_has_the_same_files(files):
     top = {name for name in files if "/" not in name} - {"MANIFEST.json", "SHA256SUMS", "table_definition.json"}
-
     assert {name.removeprefix("backout/") for name in files if name.startswith("backout/")} == top
 
 
 def test_the_way_back_is_the_package_of_the_other_set(files):
     rows, back = _rows(files["parameters.csv"]), _rows(files["backout/parameters.csv"])
-
     assert [(row["old"], row["new"]) for row in rows] == [(row["new"], row["old"]) for row in back]
 
 
@@ -120,14 +111,12 @@ def test_the_sheet_marks_a_gate_that_is_only_observed():
         gates = inputs["subject"]["gates"] | {"document": {"gates": [GATE | {"observe_only": observed}]}}
         sheet = _files(inputs | {"subject": inputs["subject"] | {"gates": gates}})["verification_sheet.html"]
         said.append(b"<td>FAIL (observed only)</td>" in sheet)
-
     assert said == [False, True]
 
 
 def test_what_is_active_on_board_is_there_too_where_it_is_neither():
     files = _files(inputs_of() | {"active": set_of("pinhole_radial", 0, -1e-6)})
     manifest = json.loads(files["MANIFEST.json"])
-
     assert json.loads(files["on_board/parameters.json"])["parameter_set"]["name"] == "PS-FM1-0"
     assert "PS-FM1-0 is recorded as active" in manifest["backout"]["sentence"]
 
@@ -135,7 +124,6 @@ def test_what_is_active_on_board_is_there_too_where_it_is_neither():
 def test_parameters_json_says_what_its_numbers_mean(files):
     document = json.loads(files["parameters.json"])
     names = [parameter["name"] for parameter in document["parameters"]]
-
     assert names == list(INITIAL[document["camera_model"]])
     assert {step.split(" = ")[0] for step in document["equation"]["steps"]} >= {"B"}
     assert all({"value", "sigma", "unit", "symbol", "estimated", "on_board"} <= set(p) for p in document["parameters"])
@@ -155,7 +143,6 @@ def test_parameters_csv_has_the_arithmetic_of_its_columns(files):
 
 def test_the_hex_text_is_the_image(files):
     lines = [line.partition(": ")[2].replace(" ", "") for line in files["table.hex.txt"].decode().splitlines()]
-
     assert bytes.fromhex("".join(lines)) == files["table.bin"]
 
 
@@ -163,21 +150,18 @@ def test_the_manifest_names_the_crc_with_all_its_parameters():
     document = definition_of() | {"crc": {"name": "CRC-32"}}
     files = _files(inputs_of(definition=document))
     crc = json.loads(files["MANIFEST.json"])["tables"]["."]["crc"]
-
     assert int(crc["value"], 16) == zlib.crc32(files["table.bin"])
     assert (crc["width"], crc["poly"], crc["check"]) == (32, "0x04C11DB7", "0xCBF43926")
 
 
 def test_quantisation_is_computed_and_small_for_single_precision(files):
     document = json.loads(files["quantisation.json"])
-
     assert 0 < document["max_px"] < 1e-3
     assert document["sentence"].startswith("The table's number format moves a star by at most")
 
 
 def test_the_sheet_escapes_what_people_wrote(files):
     sheet = files["verification_sheet.html"].decode()
-
     assert "<script" not in sheet
     assert "Cy &lt;b&gt;Approver&lt;/b&gt;" in sheet
     assert "default-src &#39;none&#39;" in sheet or "default-src 'none'" in sheet
@@ -187,7 +171,6 @@ def test_the_sheet_escapes_what_people_wrote(files):
 def test_the_sheet_has_what_changes_who_signed_what_was_waived_and_the_steps(files):
     sheet = files["verification_sheet.html"].decode()
     crc = json.loads(files["MANIFEST.json"])["tables"]["."]["crc"]["value"]
-
     for word in (
         "2026-11-21T09:00:00.000000Z",
         "I approve this set",
@@ -203,7 +186,6 @@ def test_the_sheet_has_what_changes_who_signed_what_was_waived_and_the_steps(fil
 
 def test_without_a_definition_nothing_is_made_up():
     files = _files(inputs_of() | {"definition": None})
-
     assert not [name for name in files if "table" in name or "pus" in name or "quantisation" in name]
     assert all(row["type"] == "float64" for row in _rows(files["parameters.csv"]))
     assert json.loads(files["MANIFEST.json"])["flight_software_version"] is None
@@ -219,14 +201,12 @@ def test_a_way_back_that_does_not_fit_into_the_table_is_refused_by_name():
 def test_pus_is_listed_only_where_it_is_configured(files):
     assert "pus_st20.csv" not in files
     listed = _rows(_files(inputs_of(definition=definition_of(pus={"parameter_ids": IDS})))["pus_st20.csv"])
-
     assert [row["parameter_id"] for row in listed[:-1]] == [f"0x{number:04X}" for number in IDS.values()]
     assert "decided by the on-board software" in listed[-1]["note"]
 
 
 def test_the_package_of_a_simulated_sensor_says_that_it_is_one(files):
     simulated = _files(inputs_of() | {"simulated": True})
-
     assert json.loads(simulated["MANIFEST.json"])["simulated"] is True
     assert b"SIMULATED: " in simulated["verification_sheet.html"]
     assert b"SIMULATED: " not in files["verification_sheet.html"]
@@ -234,7 +214,6 @@ def test_the_package_of_a_simulated_sensor_says_that_it_is_one(files):
 
 def test_the_sheet_names_the_way_back_with_its_crc_and_the_way_back_s_own_sheet_names_none(files):
     told = json.loads(files["MANIFEST.json"])["tables"]["backout/"]["crc_told"]["value"]
-
     assert "load the way back. backout/ is PS-FM1-1" in files["verification_sheet.html"].decode()
     assert told in files["verification_sheet.html"].decode()
     assert "load the way back" not in files["backout/verification_sheet.html"].decode()

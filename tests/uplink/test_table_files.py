@@ -1,7 +1,5 @@
 """The table as other programs' files: cFE's headers, OpenC3's definition, the request of PUS service 20."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -16,6 +14,7 @@ from boresight.uplink import cfe
 from boresight.uplink.parameter_service import application_data, type_code
 from boresight.uplink.table_definition import encode, parse_definition
 from boresight.uplink.table_files import table_files
+from tests.effort import effort
 
 from .tables import INITIAL, definition_of, definitions, sensor_of
 
@@ -33,28 +32,24 @@ def test_a_cfe_file_has_the_headers_that_cfe_reads():
     content = table_files(definition, PINHOLE, "PS-FM1-1")["table.tbl"]
     primary = struct.pack(">IIIIIIII32s", 0x63464531, 8, 64, 66, 1, 9, 0, 0, b"Star tracker camera")
     secondary = struct.pack(">III40s", 0, 0, 32, b"STR_APP.CAMERA")
-
     assert (len(primary), len(secondary)) == (64, 52)
     assert content == primary + secondary + encode(definition, PINHOLE)
 
 
 def test_cfe_s_headers_are_big_endian_whatever_the_table_is():
     content = table_files(_defined(cfe=CFE, byte_order="little"), PINHOLE, "PS")["table.tbl"]
-
     assert struct.unpack(">I", content[8:12]) == (64,)
     assert struct.unpack(">3I", content[64:76]) == (0, 0, 32)
 
 
 def test_the_description_is_the_set_where_the_mission_gave_none_and_is_cut_to_its_room():
     content = table_files(_defined(cfe=CFE), PINHOLE, "PS-" + "x" * 60)["table.tbl"]
-
     assert content[32:64] == b"PS-" + b"x" * 28 + b"\0"
 
 
 def test_a_dump_comes_back_with_or_without_its_headers():
     definition = _defined(cfe=CFE)
     files = table_files(definition, PINHOLE, "PS")
-
     for content in (files["table.tbl"], files["table.bin"]):
         assert cfe.table_image(definition.cfe, 32, content) == files["table.bin"]
 
@@ -71,7 +66,6 @@ def test_a_dump_comes_back_with_or_without_its_headers():
 def test_a_cfe_file_of_something_else_is_refused(damage, sentence):
     definition = _defined(cfe=CFE)
     content = damage(table_files(definition, PINHOLE, "PS")["table.tbl"])
-
     with pytest.raises(RefusedInputError, match=sentence):
         cfe.table_image(definition.cfe, 32, content)
 
@@ -81,7 +75,6 @@ def test_without_cfe_there_is_no_cfe_file():
 
 
 def _rebuilt(text, length):
-    """Write an image as OpenC3's Table Manager does: every PARAMETER's default at its place, zeros elsewhere."""
     image = 0
     for line in text.splitlines():
         words = shlex.split(line)
@@ -101,19 +94,17 @@ def _rebuilt(text, length):
     return image.to_bytes(length, "big")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=effort(12, 60), deadline=None)
 @given(definitions())
 def test_openc3_s_definition_alone_makes_the_image(made):
     model, document = made
     definition = parse_definition(document, sensor_of(model))
     files = table_files(definition, INITIAL[model], "PS-FM1-1")
-
     assert _rebuilt(files["table_def.txt"].decode(), definition.length_bytes) == files["table.bin"]
 
 
 def test_openc3_s_definition_is_in_its_words():
     lines = table_files(_defined(), PINHOLE, 'PS "FM1"')["table_def.txt"].decode().splitlines()
-
     assert lines[1] == 'TABLE "STR_CAM" BIG_ENDIAN KEY_VALUE "PS \'FM1\'"'
     assert lines[2] == '  PARAMETER VERSION 0 16 UINT 0 65535 3 "constant" BIG_ENDIAN'
     assert lines[3] == '  PARAMETER FILL_16 16 16 BLOCK 0xA5A5 "fill" BIG_ENDIAN'
@@ -125,7 +116,6 @@ def test_application_data_of_tc_20_3_is_count_identifiers_and_values():
     definition = _defined(pus={"parameter_ids": IDS, "count_type": "uint16"}, byte_order="little")
     data = application_data(definition.pus, definition.fields, PINHOLE)
     expected = struct.pack(">H", 6) + b"".join(struct.pack(">Hf", IDS[name], value) for name, value in PINHOLE.items())
-
     assert data == expected
     listed = list(csv.DictReader(io.StringIO(table_files(definition, PINHOLE, "PS")["pus_st20.csv"].decode())))
     assert bytes.fromhex(listed[-1]["raw_hex"]) == expected
@@ -147,5 +137,4 @@ def test_application_data_of_tc_20_3_is_count_identifiers_and_values():
 def test_types_are_told_by_the_codes_of_the_standard(kind, code):
     document = definition_of(kind="float64")
     document["fields"][1] |= {"type": kind, "scale": 0.5}
-
     assert type_code(parse_definition(document, sensor_of()).fields[1]) == code

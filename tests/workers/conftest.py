@@ -9,15 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs import queries as runs
+from boresight.console.runs.run_events import events_of_run
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit import chain
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.db.sessions import migrate, open_engine, reading, utc_now, writing
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor
-from boresight.sky.catalogue import load_catalogue
-from boresight.store import chain, runs
-from boresight.store.blobs import open_blobs, register_blob
-from boresight.store.run_events import events_of_run
-from boresight.store.sessions import migrate, open_engine, reading, utc_now, writing
-from boresight.store.tables import TERMINAL_RUN_STATES, Run, Sensor, TelemetrySet
-from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
 from boresight.workers import cluster
@@ -32,8 +35,6 @@ PATIENCE_S = 300.0  # how quick a machine is, is no claim here
 
 
 class Store:
-    """The database of a data folder with one sensor and one telemetry set."""
-
     def __init__(self, folder: Path, catalogue: Path, **settings: str) -> None:
         shutil.copytree(catalogue, folder / "catalogue")
         environment = {"workers": "2", "lease_s": "3", "max_attempts": "3", "data_folder": str(folder)} | settings
@@ -74,7 +75,6 @@ class Store:
             return sensor.id, telemetry.id
 
     def launch(self, behaviour: str, count: int = 1) -> list[int]:
-        """Queue runs whose sensor's name says what the stand-in does."""
         with writing(self.database) as session:
             return [self._add(session, behaviour) for _ in range(count)]
 
@@ -95,69 +95,58 @@ class Store:
         return run.id
 
     def cancel(self, run_id: int) -> str:
-        """Ask for a run to be stopped; return the state it is in then."""
         with writing(self.database) as session:
             chain.append_own(session, "cancelled", f"runs/{run_id}")
             return runs.request_cancel(session, run_id, "Cancelled in a test.").state
 
     def run(self, run_id: int) -> Run:
-        """Return a run's row."""
         with reading(self.database) as session:
             return runs.find_run(session, run_id)
 
     def states(self, run_ids) -> list[str]:
-        """Return the states of runs, in the order asked."""
         with reading(self.database) as session:
             found = runs.states_of(session, run_ids)
         by_id = {run_id: state for (run_id, _), state in found.items()}
         return [by_id[run_id] for run_id in run_ids]
 
     def log(self, run_id: int, kind: str) -> list[str]:
-        """Return the messages of one kind from a run's log."""
         with reading(self.database) as session:
             return [event.message for event in events_of_run(session, run_id, 0, None) if event.kind == kind]
 
     def ends(self, run_id: int) -> list[str]:
-        """Return the terminal states that were written for a run."""
-        words = [message.partition(":")[0] for message in self.log(run_id, "state")]
+        with reading(self.database) as session:
+            words = [event.state for event in events_of_run(session, run_id, 0, None) if event.state]
         return [word for word in words if word in TERMINAL_RUN_STATES]
 
     def processes(self) -> list[int]:
-        """Return the processes that computed anything, in order of time."""
         names = sorted((path.name for path in self.marks.iterdir()), key=lambda name: int(name.split("-")[-1]))
         return [int(name.split("-")[2]) for name in names]
 
     def alive(self) -> set[int]:
-        """Return those of these processes that still work; one that ended and waits to be collected does not."""
         return {pid for pid in self.processes() if is_alive(pid)}
 
     def begun(self, run_id: int) -> list[int]:
-        """Return the processes that began to compute a run, in order of time."""
         paths = sorted(self.marks.glob(f"*-{run_id}-*-*"), key=lambda path: int(path.name.split("-")[-1]))
         return [int(path.name.split("-")[2]) for path in paths]
 
     def wait_for(self, condition) -> None:
-        """Wait until `condition()` holds."""
         until_s = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < until_s, "waited in vain"
             time.sleep(0.05)
 
     def wait_until_ended(self, run_ids) -> list[str]:
-        """Wait until every run is in a terminal state; return the states."""
         self.wait_for(lambda: all(state in TERMINAL_RUN_STATES for state in self.states(run_ids)))
         return self.states(run_ids)
 
 
 def is_alive(pid: int) -> bool:
-    """Say whether a process still works."""
     with contextlib.suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     return False
 
 
 def four_stars() -> Telemetry:
-    """Make the smallest telemetry a reader accepts."""
     return Telemetry(
         frame=np.zeros(4, np.int64),
         exposure=np.zeros(4, np.int64),
@@ -167,16 +156,8 @@ def four_stars() -> Telemetry:
     )
 
 
-@pytest.fixture(scope="session")
-def catalogue_folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sky") / "catalogue"
-    load_catalogue(folder)
-    return folder
-
-
 @pytest.fixture(scope="module")
-def make_store(tmp_path_factory, catalogue_folder):
-    """Make stores with changed settings, the newest of which the stand-in marks; they are closed at the end."""
+def make_store(tmp_path_factory, catalogue_folder, catalogue):  # noqa: ARG001 - it fills the folder
     made = []
     with pytest.MonkeyPatch.context() as environment:
         environment.setattr(cluster, "WarmUp", Unwarmed)
@@ -193,7 +174,6 @@ def make_store(tmp_path_factory, catalogue_folder):
 
 @pytest.fixture(scope="module")
 def start_engine():
-    """Start engines with the stand-in calculation; stop them at the end."""
     started = []
 
     def start(store, broadcast=None, **options):

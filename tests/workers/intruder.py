@@ -16,13 +16,12 @@ from distributed import Client, Security
 from distributed.core import rpc
 from distributed.protocol.pickle import dumps
 
-from boresight.workers.certificates import issue
+from boresight.workers.security import issue
 
 PATIENCE_S = 4.0
 
 
 def forged() -> Security:
-    """Return a certificate of the same names as Boresight's own, by an authority that this user made."""
     made = issue()
     return Security(
         require_encryption=True,
@@ -35,7 +34,6 @@ def forged() -> Security:
 
 
 def trusting(security: Security) -> dict:
-    """Return what a connection takes that shows a certificate and asks for none."""
     arguments = security.get_connection_args("client")
     arguments["ssl_context"].verify_mode = ssl.CERT_NONE
     return arguments
@@ -49,7 +47,6 @@ DISGUISES = {
 
 
 async def run_on_scheduler(port, scheme, arguments):
-    """Do as the audit did."""
     client = Client(f"{scheme}://127.0.0.1:{port}", timeout=PATIENCE_S, asynchronous=True, set_as_default=False)
     client.connection_args = arguments or client.connection_args
     async with client:
@@ -57,7 +54,6 @@ async def run_on_scheduler(port, scheme, arguments):
 
 
 async def call(port, scheme, arguments, **message):
-    """Say one thing to a scheduler, a worker or a nanny."""
     remote = rpc(f"{scheme}://127.0.0.1:{port}", connection_args=arguments, timeout=PATIENCE_S)
     try:
         return await getattr(remote, message.pop("op"))(**message)
@@ -66,7 +62,6 @@ async def call(port, scheme, arguments, **message):
 
 
 def attempts(port):
-    """Every way of asking for something at a port."""
     run = {"function": dumps(os.getpid), "args": dumps(()), "kwargs": dumps({})}
     for name, arguments in DISGUISES.items():
         scheme = name[:3]
@@ -76,7 +71,6 @@ def attempts(port):
 
 
 async def outcome(port, what, attempt):
-    """Return what was got, or None."""
     try:
         got = await asyncio.wait_for(attempt, 3 * PATIENCE_S)
     except Exception:  # noqa: BLE001 - whatever kept it from getting anything
@@ -86,7 +80,6 @@ async def outcome(port, what, attempt):
 
 
 def answer(port, *, encrypted):
-    """Return the bytes that a port answers to an HTTP request, in the clear or by TLS without a certificate."""
     try:
         with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as plain:
             plain.settimeout(PATIENCE_S)
@@ -101,7 +94,6 @@ def answer(port, *, encrypted):
 
 
 def readable(path):
-    """Say whether a file can be read."""
     try:
         with Path(path).open("rb") as file:
             file.read(1)
@@ -111,7 +103,6 @@ def readable(path):
 
 
 async def main(task):
-    """Try everything."""
     got = await asyncio.gather(*(outcome(port, *attempt) for port in task["ports"] for attempt in attempts(port)))
     got += [
         [port, f"answered, encrypted: {encrypted}", repr(found)]

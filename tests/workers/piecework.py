@@ -12,21 +12,18 @@ COUNT = 24
 
 
 def square(number, folder, seconds=0.2):
-    """Compute slowly, and leave a trace of where."""
     (Path(folder) / f"piece-{number}-{os.getpid()}-{time.monotonic_ns()}").touch()
     time.sleep(seconds)
     return number * number
 
 
 def refuse(number, folder):
-    """Refuse two of the pieces."""
     if number in {5, 9}:
         raise RefusedInputError(f"piece {number} is refused")
     return square(number, folder, 0.01)
 
 
 def die(number, folder):
-    """Take the process along, wherever it is computed."""
     if number == 5:
         (Path(folder) / f"died-{os.getpid()}-{time.monotonic_ns()}").touch()
         os.kill(os.getpid(), signal.SIGKILL)
@@ -34,7 +31,6 @@ def die(number, folder):
 
 
 def spread(folder, function=square, count=COUNT, stop_after_s=None, seconds=None):
-    """Do what a run does: spread pieces from within its task."""
     begun_s = time.monotonic()
     asked = lambda: stop_after_s is not None and time.monotonic() - begun_s > stop_after_s  # noqa: E731 - a question
     told = []
@@ -48,7 +44,6 @@ def spread(folder, function=square, count=COUNT, stop_after_s=None, seconds=None
 
 
 def spread_unseen(folder):
-    """Spread pieces over workers none of which sees the scratch folder."""
     seen = ClusterSpread("1-1", Path(folder), lambda: False)
     seen._sign.unlink()
     results = seen.map(square, [(number, str(folder), 0.05) for number in range(COUNT)])
@@ -56,13 +51,11 @@ def spread_unseen(folder):
 
 
 def occupy(folder, seconds):
-    """Be a run that has nothing to do with it."""
     (Path(folder) / f"occupied-{os.getpid()}").touch()
     time.sleep(seconds)
 
 
 def calculate(telemetry, sensor, catalogue, settings, **_):  # noqa: ARG001 - as `calibrate` is called
-    """Stand in for a calibration: one that spreads pieces, one of them deadly where the sensor's name says so."""
     behaviour, _, run_id = sensor.name.partition("-")
     marks = Path(os.environ["BORESIGHT_TEST_MARKS"]) / "pieces" / run_id
     marks.mkdir(parents=True, exist_ok=True)

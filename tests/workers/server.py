@@ -3,12 +3,11 @@
 import signal
 import threading
 
+from boresight.platform.db.sessions import open_engine
 from boresight.settings import read_settings, use_kernel_folder
-from boresight.store.sessions import open_engine
 
 
 def main() -> None:
-    """Run an engine until asked to end."""
     settings = read_settings()
     use_kernel_folder(settings)
     from standin import Unwarmed  # noqa: PLC0415 - after the kernel folder is set
@@ -17,7 +16,6 @@ def main() -> None:
     from boresight.workers.engine import Engine  # noqa: PLC0415 - likewise
 
     cluster.WarmUp = Unwarmed
-
     asked = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: asked.set())
     engine = Engine(open_engine(settings.database_url), settings, calculation="standin:calculate")

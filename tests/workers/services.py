@@ -1,22 +1,13 @@
 """Schedulers and workers as an administrator starts them, for tests to kill."""
 
 import os
-import signal
 import socket
-import subprocess
-import sys
 import threading
-import time
 from pathlib import Path
 
+from benchmarks.servers import Service, variables, wait_until
+
 PATIENCE_S = 120.0
-
-
-def free_port() -> int:
-    """Find a port that nobody listens on."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return listener.getsockname()[1]
 
 
 def listens(port: int) -> bool:
@@ -30,42 +21,25 @@ class Services:
 
     def __init__(self, folder: Path, **settings: str) -> None:
         self.folder = folder
-        self.started: list[subprocess.Popen] = []
+        self.started: list[Service] = []
         self.environment = os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": str(Path(__file__).parent)}
-        self.environment |= {f"BORESIGHT_{name.upper()}": value for name, value in settings.items()}
+        self.environment |= variables(**settings)
 
-    def start(self, *words: str, **settings: str) -> subprocess.Popen:
+    def start(self, *words: str, **settings: str) -> Service:
         """Start a command."""
-        log = self.folder / f"{words[0]}-{len(self.started)}.log"
-        environment = self.environment | {f"BORESIGHT_{name.upper()}": value for name, value in settings.items()}
-        with log.open("wb") as file:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "boresight", *words], env=environment, stdout=file, stderr=file, cwd=self.folder
-            )
-        process.log = log
-        self.started.append(process)
-        return process
+        log = f"{words[0]}-{len(self.started)}.log"
+        self.started.append(Service(words, self.folder, self.environment | variables(**settings), log))
+        return self.started[-1]
 
     def stop(self) -> None:
         """End what still runs."""
-        for process in reversed(self.started):
-            if process.poll() is None:
-                process.send_signal(signal.SIGTERM)
-        for process in reversed(self.started):
-            try:
-                process.wait(20)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        for service in reversed(self.started):
+            service.stop()
 
 
 def wait_for(condition, patience_s=PATIENCE_S):
     """Wait until `condition()` holds, and return what it returned."""
-    until_s = time.monotonic() + patience_s
-    while not (found := condition()):
-        assert time.monotonic() < until_s, "waited in vain"
-        time.sleep(0.05)
-    return found
+    return wait_until(condition, patience_s, 0.05)
 
 
 def loops() -> set[threading.Thread]:

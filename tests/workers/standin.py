@@ -17,7 +17,6 @@ MARKS = "BORESIGHT_TEST_MARKS"
 
 
 def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report=None, cancelled=None, cache_folder):
-    """Do what the sensor's name says."""
     assert len(telemetry) > 0
     assert len(catalogue.hip) > 0
     assert cache_folder.is_dir()
@@ -36,15 +35,12 @@ def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report
 
 
 def mark(name):
-    """Leave a trace that a computation began, and in which process; return how often it has begun."""
     folder = Path(os.environ[MARKS])
     (folder / f"{name}-{os.getpid()}-{time.monotonic_ns()}").touch()
     return len(list(folder.glob(f"{name}-*")))
 
 
 class Unwarmed(WorkerPlugin):
-    """In place of warming, a second of work in each new process: what the stand-in does needs no kernels."""
-
     name = "unwarmed"
 
     def __init__(self, _catalogue_folder, *, ours):
@@ -56,12 +52,10 @@ def quick(_report, _cancelled, _attempt):
 
 
 def brief(_report, _cancelled, _attempt):
-    """Compute for a moment."""
     time.sleep(0.03)
 
 
 def endless(report, cancelled, _attempt, seconds=1000.0):
-    """Go on, telling of it, until asked to stop."""
     steps = int(seconds / 0.05)
     for step in range(steps):
         history = {"frame": list(range(1000)), "rms": [0.5] * 1000}
@@ -72,28 +66,23 @@ def endless(report, cancelled, _attempt, seconds=1000.0):
 
 
 def stuck(report, cancelled, attempt):
-    """Be still computing whenever it is killed, however late; be quick the second time."""
     if attempt == 1:
         endless(report, cancelled, attempt, seconds=60.0)
 
 
 def deaf(_report, _cancelled, _attempt):
-    """Go on whatever is asked."""
     time.sleep(1000.0)
 
 
 def poison(_report, _cancelled, _attempt):
-    """Take the worker process along."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def refuse(_report, _cancelled, _attempt):
-    """Refuse the input."""
     raise RefusedInputError("Frame 3 has too few stars; use a longer set.")
 
 
 def crash(_report, _cancelled, _attempt):
-    """Have a defect."""
     raise ZeroDivisionError("a defect")
 
 

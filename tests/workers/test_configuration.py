@@ -8,22 +8,19 @@ import pytest
 from cryptography import x509
 from distributed import Client, get_worker
 
-from boresight.workers.cluster import Cluster
-from boresight.workers.nodes import Nanny
+from boresight.workers.cluster import Cluster, Nanny
 
 SELDOM_MS = {"tick": 1000.0, "monitor": 5000.0}  # at the least between two
 
 
 @pytest.fixture(scope="module")
 def cluster(make_store):
-    """Open a cluster of two workers."""
     opened = Cluster.open(make_store(workers="2").settings, lambda _report: None)
     yield opened
     opened.close(())
 
 
 def every_ms(server):
-    """Return what a server of distributed does again and again, and how often."""
     return {name: callback.callback_time for name, callback in server.periodic_callbacks.items()}
 
 

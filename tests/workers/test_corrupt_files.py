@@ -1,7 +1,5 @@
 """A run of a table that was altered on the disk ends FAILED with that cause, once, and whoever raises alarms is told which file."""
 
-from __future__ import annotations
-
 from tests.store.test_corrupt_files import _flip
 
 

@@ -15,11 +15,12 @@ import httpx
 import numpy as np
 import pytest
 
+from benchmarks.servers import free_port
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.readers import write_parquet
+from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
-from services import free_port, wait_for
+from services import wait_for
 from tests.postgresql import server
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "deployment.md").read_text()
@@ -140,6 +141,7 @@ def test_a_run_of_the_site_that_the_page_makes_ends(launch):
     assert found["state"] == "SUCCEEDED", json.dumps(found)
 
 
+@pytest.mark.full
 def test_when_the_scheduler_is_killed_the_workers_come_back_by_themselves_and_the_run_ends(site, launch):
     runs = [launch() for _ in range(6)]
     wait_for(lambda: any(launch.client.get(run).json()["state"] == "RUNNING" for run in runs))

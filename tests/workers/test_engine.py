@@ -18,14 +18,12 @@ EVENTS = []
 
 @pytest.fixture(scope="module")
 def store(make_store, start_engine):
-    """Make a store with an engine that lives through all the tests of this file."""
     made = make_store()
     start_engine(made, EVENTS.append, cancel_grace_s=4.0)
     return made
 
 
 def told(run_id):
-    """How far a run was at each time that the listeners heard of it."""
     return [event["fraction"] for event in EVENTS if event["run_id"] == run_id and event["kind"] == "progress"]
 
 

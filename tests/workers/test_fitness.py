@@ -7,9 +7,10 @@ import socket
 import pytest
 
 import boresight
-from boresight.workers.connection import Connection
-from boresight.workers.fitness import UNFIT_TOPIC, Fitness, fault_of
-from services import Services, free_port, wait_for
+from benchmarks.servers import free_port
+from boresight.workers.cluster import Connection
+from boresight.workers.flight import UNFIT_TOPIC, Fitness, fault_of
+from services import Services, wait_for
 
 
 def test_a_worker_of_the_same_version_that_sees_the_folder_is_fit(tmp_path):
@@ -52,4 +53,4 @@ def test_a_worker_of_another_version_tells_both_sides_and_leaves_and_joins_when_
         assert heard[0] in worker.log.read_text()
         client.register_plugin(Fitness(boresight.__version__, ""))
         client.wait_for_workers(1, timeout=120)
-    assert worker.poll() is None
+    assert worker.process.poll() is None

@@ -11,7 +11,6 @@ THREADS = {"tcp://a": 1, "tcp://b": 2}
 
 
 def flights(*made):
-    """Note flights in this order."""
     found = Flights()
     for flight in made:
         found.add(flight)
@@ -19,7 +18,6 @@ def flights(*made):
 
 
 def flight(worker, run_id, **more):
-    """Make a flight of one run."""
     return Flight(None, worker, {(run_id, 1)}, **more)
 
 

@@ -14,7 +14,8 @@ import httpx
 import psutil
 import pytest
 
-from services import Services, free_port, listens, wait_for
+from benchmarks.servers import free_port
+from services import Services, listens, wait_for
 
 INTRUDER = Path(__file__).parent / "intruder.py"
 NOBODY = 65534
@@ -52,10 +53,10 @@ class Served:
         )
         self.services.environment["TMPDIR"] = str(folder / "temporary")
         self.port = free_port()
-        process = self.services.start("serve", "--port", str(self.port))
-        wait_for(lambda: self._is_ready() or process.poll() is not None)
-        assert process.poll() is None, process.log.read_text()
-        self.processes = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+        server = self.services.start("serve", "--port", str(self.port))
+        wait_for(lambda: self._is_ready() or server.process.poll() is not None)
+        assert server.process.poll() is None, server.log.read_text()
+        self.processes = server.family()
 
     def _is_ready(self) -> bool:
         try:
@@ -116,7 +117,7 @@ def test_the_key_of_the_workers_is_in_no_file_and_on_no_command_line(served):
 def test_another_user_gets_nothing_from_a_scheduler_and_a_worker_with_certificates_of_the_command(tmp_path):
     port = free_port()
     certificates = Services(tmp_path).start("certificates", str(tmp_path / "made"))
-    assert certificates.wait(60) == 0
+    assert certificates.process.wait(60) == 0
     files = {
         "tls_authority": str(tmp_path / "made" / "authority.pem"),
         "tls_certificate": str(tmp_path / "made" / "boresight.pem"),

@@ -2,18 +2,18 @@
 
 import pytest
 
-from boresight.workers import lookout
-from boresight.workers.lookout import RUNS, Lookout
+from boresight.console.runs.queries import End
+from boresight.workers import reconcile as lookout
+from boresight.workers.reconcile import RUNS, Lookout
 
 
 @pytest.fixture
 def look(make_store):
-    """Make a lookout that has noted some runs."""
     store = make_store()
 
     def make(count, state="SUCCEEDED"):
         made = Lookout(store.database)
-        made.note([{"run_id": run_id, "state": state} for run_id in store.launch("quick", count)])
+        made.note([End(run_id, 1, state) for run_id in store.launch("quick", count)])
         return made
 
     return make

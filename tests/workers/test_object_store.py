@@ -8,8 +8,8 @@ import obstore
 import pytest
 from obstore.store import from_url
 
-from boresight.store.blob_places import BlobPlace
-from boresight.store.blobs import open_blobs
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.places import BlobPlace
 from tests.object_store import SECRET, serving_s3
 
 BUCKET = "s3://flight/blobs"
@@ -17,7 +17,6 @@ BUCKET = "s3://flight/blobs"
 
 @pytest.fixture(scope="module")
 def flying(make_store, start_engine, tmp_path_factory):
-    """An engine whose blobs are in a bucket, and whose workers keep files in a folder of their own."""
     with serving_s3("flight"), pytest.MonkeyPatch.context() as environment:
         own = tmp_path_factory.mktemp("worker")
         environment.setenv("BORESIGHT_DATA_FOLDER", str(own))

@@ -2,17 +2,16 @@
 
 import pytest
 
-from boresight.services.run_estimates import Timed
-from boresight.store.queued_runs import Waiting
-from boresight.workers import paces
-from boresight.workers.paces import FRESH_S, Paces
+from boresight.console.runs.dry_runs import Timed
+from boresight.console.runs.queries import Waiting
+from boresight.workers import reconcile as paces
+from boresight.workers.reconcile import FRESH_S, Paces
 
 SMALL, LARGE = Timed(stars=5_000, seconds=0.4), Timed(stars=300_000, seconds=3.0)
 
 
 @pytest.fixture
 def read(monkeypatch):
-    """Let the newest runs be one small and one large, and note when they are read."""
     asked = []
     monkeypatch.setattr(paces, "timed_runs", lambda _session, method: asked.append(method) or [SMALL, LARGE])
     monkeypatch.setattr(paces, "seconds_per_star", lambda _session, _method: 1e-5)
@@ -20,7 +19,6 @@ def read(monkeypatch):
 
 
 def waiting(stars, **settings):
-    """Make a waiting run."""
     return Waiting(1, 0, "batch", settings, 200, stars)
 
 

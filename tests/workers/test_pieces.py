@@ -1,14 +1,12 @@
 """The ledger of a map's pieces: whatever is lost, overdue or computed twice, each result stands in its place once."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.workers.pieces import GROUP_S, Broken, Pieces
+from boresight.workers.spread import GROUP_S, Broken, Pieces
 
 
 @given(
@@ -30,7 +28,6 @@ def test_every_piece_has_its_result_once_whatever_becomes_of_the_groups(count, s
             late.extend([group] if fate == "late" else [])
     for group in late:
         pieces.settle(group, [10 * place for place in group], 0.1)
-
     assert pieces.complete
     assert pieces.results() == [10 * place for place in range(count)]
 
@@ -40,7 +37,6 @@ def test_a_group_lasts_half_a_second_and_the_last_ones_less():
     sizes = []
     while group := pieces.take(2):
         sizes.append(len(group))
-
     assert sum(sizes) == 1000
     assert sizes[0] == GROUP_S / 0.01
     assert max(sizes) == sizes[0]
@@ -59,7 +55,6 @@ def test_the_first_group_of_something_never_timed_is_one_piece():
 def test_a_piece_that_was_lost_goes_only_to_who_asks_for_such():
     pieces = Pieces(1)
     pieces.give_back(pieces.take(1))
-
     assert pieces.take(1) == ()
     assert pieces.take(1, returned=True) == (0,)
 
@@ -71,7 +66,6 @@ def test_what_the_first_broken_piece_raised_is_raised_though_a_later_one_broke_b
     assert not pieces.complete
     pieces.settle(groups[1], [Broken(ValueError("first"))], 0.1)
     pieces.settle(groups[0], [1], 0.1)
-
     assert pieces.complete
     with pytest.raises(ValueError, match="first"):
         pieces.results()
@@ -81,7 +75,6 @@ def test_nothing_behind_a_broken_piece_is_given_out():
     pieces = Pieces(50)
     first, second = pieces.take(1), pieces.take(1)
     pieces.settle(second, [Broken(ValueError())], 0.1)
-
     assert pieces.take(1) == ()
     pieces.give_back(first)
     assert pieces.take(1, returned=True) == first
@@ -90,5 +83,4 @@ def test_nothing_behind_a_broken_piece_is_given_out():
 def test_nothing_is_given_out_when_all_is_over():
     pieces = Pieces(50)
     pieces.close()
-
     assert pieces.take(1, returned=True) == ()

@@ -3,23 +3,20 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.store.queued_runs import Waiting
-from boresight.workers.planning import GROUP_RUNS, GROUP_S, LONG_GROUP_S, planned
+from boresight.console.runs.queries import Waiting
+from boresight.workers.reconcile import GROUP_RUNS, GROUP_S, LONG_GROUP_S, planned
 
 
 def waiting(stars, attempts=None):
-    """Make waiting runs; a star takes a millisecond."""
     attempts = attempts or [0] * len(stars)
     return [Waiting(i, attempts[i], "batch", {}, 1, stars[i]) for i in range(len(stars))]
 
 
 def seconds(run):
-    """Predict a millisecond a star."""
     return run.stars * 1e-3
 
 
 def ids(groups):
-    """Take the runs of each group."""
     return [group.run_ids for group in groups]
 
 

@@ -1,11 +1,15 @@
 """The rows stay true under leases, attempts and fences; no worker is needed to see it."""
 
+from dataclasses import replace
 from itertools import count
 
 import pytest
 
-from boresight.store import runs
-from boresight.store.sessions import writing
+from boresight.console.runs import queries as runs
+from boresight.console.runs.queries import End
+from boresight.console.runs.run_events import Line
+from boresight.platform.db.sessions import writing
+from boresight.workers.link import Report
 from boresight.workers.reconcile import Reconciler
 
 NUMBERS = count()
@@ -18,8 +22,6 @@ def store(make_store):
 
 @pytest.fixture
 def make_rows(store):
-    """Make owners of runs; a negative lease has lapsed when it begins."""
-
     def make(lease_s=30.0, max_attempts=3):
         return Reconciler(store.database, f"owner-{next(NUMBERS)}", lease_s, max_attempts)
 
@@ -27,25 +29,14 @@ def make_rows(store):
 
 
 def take_one(rows, run_id):
-    """Claim one run."""
     with writing(rows.database) as session:
         claimed = runs.claim(session, rows.owner, rows.lease_s, 1, [run_id])
     return [(run.run_id, run.attempt) for run in claimed]
 
 
 def success(held):
-    """Make the outcome of a good attempt."""
-    return {
-        "run_id": held[0],
-        "attempt": held[1],
-        "state": "SUCCEEDED",
-        "reason": None,
-        "result_sha256": f"{held[0]:032x}{held[1]:032x}",
-        "result_bytes": 2,
-        "summary": {"status": "converged"},
-        "log": ["done"],
-        "corrupt_sha256": None,
-    }
+    address = f"{held[0]:032x}{held[1]:032x}"
+    return End(*held, "SUCCEEDED", None, address, {"status": "converged"}, 2, [Line.log("done")])
 
 
 def test_a_run_is_claimed_by_one_owner_only(store, make_rows):
@@ -63,7 +54,8 @@ def test_a_lapsed_lease_gives_the_run_back_and_the_late_result_writes_nothing(st
     (new,) = take_one(next_owner, run_id)
     assert new == (run_id, 2)
     gone.settle([success(old)])
-    gone.record({old: {"fraction": 0.9, "message": "late", "elapsed_s": 1.0, "partial": None}}, {old: "90 %: late"})
+    late = Report(*old, 0.9, "late", 1.0)
+    gone.record({old: late}, {old: late.line()})
     assert store.states([run_id]) == ["RUNNING"]
     assert store.run(run_id).progress is None
     assert store.run(run_id).result_sha256 is None
@@ -122,7 +114,7 @@ def test_a_terminal_state_is_written_once(store, make_rows):
     rows = make_rows()
     (held,) = take_one(rows, run_id)
     rows.settle([success(held)])
-    rows.settle([success(held) | {"state": "FAILED", "reason": "again"}])
+    rows.settle([replace(success(held), state="FAILED", reason="again")])
     rows.give_up([held], "its worker process died")
     rows.put_back([held], "its server was stopped")
     rows.end_cancelled(held)
@@ -160,8 +152,8 @@ def test_progress_is_dropped_when_the_result_is_there(store, make_rows):
     (run_id,) = store.launch("quick")
     rows = make_rows()
     (held,) = take_one(rows, run_id)
-    report = {"fraction": 0.5, "message": "half", "elapsed_s": 2.0, "partial": b'{"status": "running"}'}
-    rows.record({held: report}, {held: "50 %: half"})
+    report = Report(*held, 0.5, "half", 2.0, b'{"status": "running"}')
+    rows.record({held: report}, {held: report.line()})
     assert store.run(run_id).progress["partial"] == {"status": "running"}
     assert "50 %: half" in store.log(run_id, "log")
     rows.settle([success(held)])
@@ -173,8 +165,8 @@ def test_ends_written_together_are_each_written_or_left_as_one_alone_would_be(st
     done, failed, stopped, late = (take_one(rows, run_id)[0] for run_id in store.launch("quick", 4))
     rows.settle([success(late)])
     store.cancel(stopped[0])
-    crash = success(failed) | {"state": "FAILED", "reason": "a defect", "result_sha256": None, "summary": None}
-    rows.settle([success(done), crash, success(stopped), success(late) | {"state": "FAILED"}, success((done[0], 7))])
+    crash = replace(success(failed), state="FAILED", reason="a defect", result_sha256=None, summary=None)
+    rows.settle([success(done), crash, success(stopped), replace(success(late), state="FAILED"), success((done[0], 7))])
     ids = [held[0] for held in (done, failed, stopped, late)]
     assert store.states(ids) == ["SUCCEEDED", "FAILED", "CANCELLED", "SUCCEEDED"]
     assert [store.ends(run_id) for run_id in ids] == [[state] for state in store.states(ids)]

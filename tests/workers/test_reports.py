@@ -1,7 +1,5 @@
 """What is told of a course on its way: every point once, few at a time, whatever happened to the reports between."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from typing import Any
@@ -12,14 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.workers.link import thinned
-from boresight.workers.reports import LINE_EVERY_S, POINTS_AN_EVENT, Reports, points_after
+from boresight.workers.link import LINE_EVERY_S, POINTS_AN_EVENT, Report, Reports, points_after, thinned
 
 HELD = (7, 1)
 
 
 def course(frames: list[int]) -> dict[str, Any]:
-    """A filter's history over some frames, each column told apart by its frame."""
     return {
         "frame": frames,
         "parameters": [[float(frame), 0.0] for frame in frames],
@@ -31,11 +27,9 @@ def course(frames: list[int]) -> dict[str, Any]:
     }
 
 
-def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HELD) -> dict[str, Any]:
-    """A report as it comes from a worker."""
+def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HELD) -> Report:
     partial = orjson.dumps({"status": "running", "history": course(frames) if frames else None})
-    told = {"fraction": fraction, "message": f"frame {frames[-1:]}", "elapsed_s": 1.0, "partial": partial}
-    return {"run_id": held[0], "attempt": held[1]} | told
+    return Report(*held, fraction, f"frame {frames[-1:]}", 1.0, partial)
 
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=12), st.data())
@@ -79,6 +73,15 @@ def test_nothing_new_and_no_course_are_told_as_nothing() -> None:
     assert reports.news(HELD, report([1]))["history"]["after"] is None  # it began anew
 
 
+def test_a_report_is_read_from_its_bytes_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    read, loads = [], orjson.loads
+    monkeypatch.setattr("boresight.workers.link.orjson.loads", lambda text: read.append(text) or loads(text))
+    heard = report([1, 2])
+    assert Reports().news(HELD, heard)["history"]["frame"] == [1, 2]
+    assert heard.progress("2026")["partial"]["status"] == "running"
+    assert len(read) == 1
+
+
 def test_another_attempt_is_told_from_its_start() -> None:
     reports = Reports()
     reports.hear(report([1, 2]))
@@ -96,7 +99,7 @@ def test_the_log_gets_a_line_a_twentieth_and_never_two_within_two_seconds(monkey
     for step in range(1, 101):
         now_s += LINE_EVERY_S / 4
         lines += reports.lines({HELD: report([step], step / 100)}).values()
-    assert lines[0] == "1 %: frame [1]"
-    assert [line.partition(" ")[0] for line in lines[1:]] == [str(percent) for percent in range(5, 101, 5)]
+    assert (lines[0].message, lines[0].numbers) == ("1 %: frame [1]", {"fraction": 0.01, "elapsed_s": 1.0})
+    assert [line.numbers["fraction"] for line in lines[1:]] == [percent / 100 for percent in range(5, 101, 5)]
     now_s += 1.0
     assert reports.lines({HELD: report([100], 1.0)}) == {}

@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 from distributed import Security
 
+from benchmarks.servers import free_port
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
-from boresight.workers.certificates import issue
-from boresight.workers.connection import Connection
-from boresight.workers.security import security_of
-from services import Services, free_port, loops
+from boresight.workers.cluster import Connection
+from boresight.workers.security import issue, security_of
+from services import Services, loops
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "deployment.md").read_text()
 MADE, EXPORTS = re.findall(r"^```sh certificates\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)

@@ -10,9 +10,10 @@ from pathlib import Path
 import piecework
 import pytest
 
+from benchmarks.servers import free_port
 from boresight.errors import CancelledError, RefusedInputError
-from boresight.workers.connection import Connection
-from services import Services, free_port, listens, wait_for
+from boresight.workers.cluster import Connection
+from services import Services, listens, wait_for
 
 EXPECTED = [number * number for number in range(piecework.COUNT)]
 

@@ -1,7 +1,5 @@
 """A typed client, generated from the OpenAPI document, does a day's work against a real server with a worker of its own."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import subprocess
@@ -18,7 +16,7 @@ import pytest
 
 from boresight.simulation.scenes import simulate
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.readers import write_csv
+from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
 from tests.api.conftest import PASSWORD, SCENARIO, add_people, serving, settings_in
 
@@ -30,7 +28,6 @@ ENDED = {"SUCCEEDED", "FAILED", "CANCELLED", "LOST"}
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[str, Any], Path]]:
-    """Serve with one worker; give the address, the OpenAPI document and a telemetry file."""
     folder = tmp_path_factory.mktemp("typed")
     catalogue = load_catalogue(folder / "catalogue")
     write_csv(simulate(SCENARIO, np.random.default_rng(1), catalogue), folder / "telemetry.csv")
@@ -44,7 +41,6 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict
 def generated(
     served: tuple[str, dict[str, Any], Path], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[ModuleType]:
-    """Generate the client and import it."""
     folder = tmp_path_factory.mktemp("generated")
     (folder / "openapi.json").write_text(json.dumps(served[1]))
     (folder / "config.json").write_text(json.dumps(CONFIG))

@@ -1,7 +1,5 @@
 """Warming: afterwards no run waits for the compiler."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -18,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from boresight import kernels
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import METHODS, VARIANTS, CalibrationSettings
+from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.sky.catalogue import load_catalogue
-from boresight.telemetry.readers import read_telemetry, write_parquet
+from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from boresight.workers.warm import warm
 
 folder = Path(sys.argv[1])
@@ -37,7 +35,7 @@ catalogue = load_catalogue(folder)
 for name, scenario in (("fit", calibration_scenario(1)), ("held", validation_scenario(1))):
     write_parquet(simulate(replace(scenario, frames=8), np.random.default_rng(1), catalogue), folder / name)
 for method in METHODS:
-    for variant in VARIANTS:
+    for variant in OPTIONS["variant"].words:
         calibrate(
             read_telemetry(folder / "fit"),
             scenario.sensor,
@@ -72,7 +70,6 @@ def test_the_demonstration_compiles_at_the_end_of_the_installation_where_it_look
 
 @pytest.fixture
 def folder_used(tmp_path, monkeypatch):
-    """Say which folder is used for kernels, in an environment of its own with a data folder."""
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "environment"))
 
     def used(given: str | None = None) -> str:

@@ -2,3 +2,5 @@
 
 One function, `calibrate.calibrate`, is what the command line, the workers, the studies and notebooks all call.
 """
+
+from __future__ import annotations

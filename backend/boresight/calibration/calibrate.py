@@ -15,19 +15,20 @@ from typing import Any
 import numpy as np
 
 from boresight.calibration import result
-from boresight.calibration.cycles import AnySet, Cycled, filter_set, fit_in_cycles
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.judgement import judge, validate
+from boresight.calibration.evaluation.judgement import judge, validate
 from boresight.calibration.listening import Listener, Progress
-from boresight.calibration.match_report import identification_advice
+from boresight.calibration.matching.cycles import Ended, filter_set, fit_in_cycles
+from boresight.calibration.matching.match_report import identification_advice
+from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.opening import Workplace, held_out, matchable, opened
-from boresight.calibration.problem import AnyProblem
-from boresight.calibration.settings import CalibrationSettings
-from boresight.calibration.source import TelemetryFile
-from boresight.calibration.spread import Spread
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem
+from boresight.calibration.source import StoredTable, TelemetryFile, is_large
 from boresight.calibration.streaming.sample import JUDGED_STARS
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.estimation.spread import Spread
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -36,12 +37,12 @@ __all__ = ["Progress", "calibrate", "matchable", "parameters_of"]
 
 
 def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the caller by name
-    telemetry: Telemetry | TelemetryFile,
+    telemetry: Telemetry | TelemetryFile | StoredTable,
     sensor: Sensor,
     catalogue: Catalogue,
     settings: CalibrationSettings,
     *,
-    validation: Telemetry | TelemetryFile | None = None,
+    validation: Telemetry | TelemetryFile | StoredTable | None = None,
     sha256s: Mapping[str, str] | None = None,
     report: Callable[[Progress], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
@@ -95,7 +96,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
         chosen = matchable(judged, settings)
         validate(document, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
         document["advice"] += off.sentences(" in the validation set")
-        if isinstance(validation, TelemetryFile) and validation.large():
+        if is_large(validation):
             frames = len(np.unique(judged.frame))
             document["advice"].append(
                 f"The validation set is large: {frames:,} of its frames, evenly spread, were looked at."
@@ -107,13 +108,13 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
 
 
 def _calibrated(
-    sets: AnySet,
+    sets: Dataset,
     parameters: Parameters,
     settings: CalibrationSettings,
     sha256s: Mapping[str, str],
     place: Workplace,
     clock: _Stopwatch,
-) -> tuple[dict[str, Any], Cycled | None]:
+) -> tuple[dict[str, Any], Ended | None]:
     """Estimate and judge; returns the document, and where it ended, None where there was nothing to estimate from."""
     first = sets.at_start()
     clock.lap("arcs")
@@ -136,7 +137,7 @@ def _calibrated(
     return document, ended
 
 
-def _say_what_was_judged(document: dict[str, Any], judged: AnyProblem) -> None:
+def _say_what_was_judged(document: dict[str, Any], judged: Problem) -> None:
     """Say of a set too large to be judged whole what was."""
     if judged.arcs.n_frames == document["frames"]:
         return
@@ -169,7 +170,7 @@ def parameters_of(sensor: Sensor, settings: CalibrationSettings) -> Parameters:
     return Parameters(free, sensor.typical_sigma[free])
 
 
-def _checked(problem: AnyProblem, estimate: Estimate) -> Estimate:
+def _checked(problem: Problem, estimate: Estimate) -> Estimate:
     """Call an estimate diverged when a parameter left the range of what can be, or part of the detector has no direction."""
     low, high = np.array(problem.camera.plausible).T
     inside = np.isfinite(estimate.x).all() and bool(np.all((low <= estimate.x) & (estimate.x <= high)))

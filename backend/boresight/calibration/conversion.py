@@ -14,16 +14,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.result import numbers
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.estimation.conversion import REASON, Conversion, convert
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
-
-FloatArray = NDArray[np.float64]
 
 SCHEMA = "boresight.parameters/1"
 #: Misfit that is allowed, as a share of the sensor's centroid_sigma_px.

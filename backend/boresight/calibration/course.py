@@ -19,11 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.filters.history import FilterHistory, FilterState
 from boresight.estimation.metrics import aggregate_rms
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: 100,000 updates with eight parameters.
 IN_MEMORY_BYTES = 16_000_000

@@ -1,22 +1,88 @@
-"""Where an estimator ended, in one shape for batch and sequential methods, and how they are run on a problem."""
+"""Where an estimator ended, in one shape for batch and sequential methods, and how they are run on a problem.
+
+Huber's loss beside least squares: how many arcs it held back, and how far that moved the estimate.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import ndtr
 
-from boresight.calibration.comparison import compared
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.course import Course
-from boresight.calibration.problem import AnyProblem
-from boresight.calibration.robust import Robustness
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.evaluation.comparison import compared
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem
 from boresight.estimation import batch, cosine
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+#: Move from least squares, in sigmas of the estimate, from which it is called one.
+MOVED = 1.0
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """Huber's loss beside least squares.
+
+    Parameters
+    ----------
+    threshold
+        In whitened sigmas.
+    downweighted, arcs
+        Arcs beyond it at the estimate, and all.
+    x, x_without
+        (n_parameters,) the estimate, and where least squares ends on the same arcs, SI.
+    """
+
+    threshold: float
+    downweighted: int
+    arcs: int
+    x: FloatArray
+    x_without: FloatArray
+
+
+def robust_view(found: Robustness, names: Sequence[str], sigma: FloatArray) -> dict[str, Any]:
+    """Write the `robust` object of the calibration JSON.
+
+    Parameters
+    ----------
+    names
+        All parameters of the camera, in order.
+    sigma
+        (n_parameters,) one-sigma of the estimate, SI; NaN where not estimated.
+    """
+    shift = (found.x - found.x_without) / np.where(sigma > 0, sigma, np.nan)
+    share, expected = found.downweighted / found.arcs, 2 * float(ndtr(-found.threshold))
+    return {
+        "threshold": found.threshold,
+        "downweighted": found.downweighted,
+        "share": share,
+        "expected_share": expected,
+        "parameters_without": {name: float(x) for name, x in zip(names, found.x_without, strict=True)},
+        "shift_in_sigma": {name: float(z) if np.isfinite(z) else None for name, z in zip(names, shift, strict=True)},
+        "sentence": _sentence(found.downweighted, share, expected, dict(zip(names, shift, strict=True))),
+    }
+
+
+def _sentence(count: int, share: float, expected: float, shift: dict[str, float]) -> str:
+    """Say what the loss did, against what it does to noise alone."""
+    counted = (
+        f"Huber's loss held back {count:,} arcs, {share:.1%} of them, where Gaussian noise alone gives {expected:.1%}"
+    )
+    moved = {name: z for name, z in shift.items() if np.isfinite(z)}
+    if not moved:
+        return f"{counted}."
+    name = max(moved, key=lambda key: abs(moved[key]))
+    if abs(moved[name]) < MOVED:
+        return f"{counted}; least squares agrees within {abs(moved[name]):.1f} sigma."
+    return (
+        f"{counted}; it moved the estimate by up to {abs(moved[name]):.1f} sigma ({name}) from least squares: "
+        "look for wrong matches before trusting either."
+    )
+
 
 #: Weights are taken anew at the solution so often; the second time changes sigmas by the square of the first change.
 WEIGHINGS = 2
@@ -28,6 +94,16 @@ class Parameters:
 
     free: IntArray
     scale: FloatArray
+
+    def covariance(self, P: FloatArray) -> FloatArray:
+        """A covariance (n_free, n_free) in typical sigmas, in SI."""
+        return np.asarray(P * np.outer(self.scale, self.scale))
+
+    def full_covariance(self, P: FloatArray, held: FloatArray | float = 0.0, *, n: int) -> FloatArray:
+        """The same among all n parameters, (n, n) SI; of those held fixed it is `held`."""
+        full = np.full((n, n), held)
+        full[np.ix_(self.free, self.free)] = self.covariance(P)
+        return full
 
 
 @dataclass(frozen=True)
@@ -80,7 +156,7 @@ Asked = Callable[[], bool]
 
 
 def run_batch(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, listen: Listener, cancelled: Asked
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, listen: Listener, cancelled: Asked
 ) -> Estimate:
     """Fit, take the weights at the solution, and fit again."""
     steps: list[batch.Step] = []
@@ -102,7 +178,7 @@ def run_batch(
 
 
 def _fit(
-    problem: AnyProblem,
+    problem: Problem,
     x: FloatArray,
     parameters: Parameters,
     settings: CalibrationSettings,
@@ -119,7 +195,7 @@ def _fit(
 
 
 def _robustness(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, fitted: batch.BatchFit
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, fitted: batch.BatchFit
 ) -> Robustness:
     """Set a robust fit beside least squares on the same arcs, started where it ended."""
     plain = _fit(problem, fitted.x, parameters, replace(settings, robust="none"), None, _never)
@@ -132,7 +208,7 @@ def _never() -> bool:
     return False
 
 
-def _of_cosine(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> Estimate:
+def _of_cosine(problem: Problem, parameters: Parameters, estimate: Estimate) -> Estimate:
     """Give a cosine fit the information that the arcs' true covariance leaves it."""
     judged = compared(problem.weighed(estimate.x), estimate.x, parameters.free, parameters.scale)
     if judged is None:

@@ -11,8 +11,8 @@ import numpy as np
 
 from boresight.calibration import result
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import AnyProblem
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem
 
 #: Seconds between two progress reports with a partial result.
 REPORT_EVERY_S = 0.25
@@ -45,7 +45,7 @@ class Listener:
 
     def __init__(
         self,
-        problem: AnyProblem,
+        problem: Problem,
         parameters: Parameters,
         settings: CalibrationSettings,
         sha256s: Mapping[str, str],

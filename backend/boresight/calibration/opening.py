@@ -10,14 +10,13 @@ from tempfile import TemporaryDirectory
 
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.listening import Progress
-from boresight.calibration.matched import MatchedSet
-from boresight.calibration.settings import CalibrationSettings
-from boresight.calibration.source import TelemetryFile
-from boresight.calibration.spread import InThisProcess, Spread
-from boresight.calibration.streaming.rematched_set import RematchedSet
-from boresight.calibration.streaming.streamed_set import PREPARED, StreamedSet, copied
+from boresight.calibration.matching.matched import Dataset
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.source import StoredTable, TelemetryFile, is_large, read_whole
+from boresight.calibration.streaming.telemetry_pieces import PREPARED, copied
+from boresight.estimation.spread import InThisProcess, Spread
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.detector import OffDetector, check_against_sensor
+from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
 
@@ -60,13 +59,13 @@ class Workplace:
 
 @contextmanager
 def opened(
-    telemetry: Telemetry | TelemetryFile,
+    telemetry: Telemetry | TelemetryFile | StoredTable,
     sensor: Sensor,
     catalogue: Catalogue,
     parameters: Parameters,
     settings: CalibrationSettings,
     workplace: Workplace,
-) -> Iterator[tuple[MatchedSet | StreamedSet | RematchedSet, OffDetector]]:
+) -> Iterator[tuple[Dataset, OffDetector]]:
     """Make a set ready, and say which stars of it lie off the detector; while the context lasts it can be matched and computed on.
 
     Raises
@@ -76,18 +75,17 @@ def opened(
     CancelledError
         When `workplace.cancelled` says so.
     """
-    if not (isinstance(telemetry, TelemetryFile) and telemetry.large()):
-        inside = telemetry.read() if isinstance(telemetry, TelemetryFile) else telemetry
+    if not is_large(telemetry):
+        inside = read_whole(telemetry)
         off = check_against_sensor(inside, sensor)
         chosen = matchable(inside, settings)
-        yield MatchedSet(inside, sensor, catalogue, parameters, chosen, workplace.cache_folder), off
+        yield Dataset(inside, sensor, catalogue, parameters, chosen, workplace.cache_folder), off
         return
     spread = workplace.spread or InThisProcess(workplace.cancelled)
     with workplace.folder() as folder:
         copy = copied(telemetry, sensor, folder, spread, workplace.tell, workplace.cancelled)
         chosen = matchable(copy.pieces[0].read(), settings)
-        taken = RematchedSet if chosen.match == "rematch" else StreamedSet
-        sets = taken(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
+        sets = Dataset(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
         yield sets, copy.off_detector
 
 
@@ -98,7 +96,9 @@ def matchable(telemetry: Telemetry, settings: CalibrationSettings) -> Calibratio
     return settings
 
 
-def held_out(telemetry: Telemetry | TelemetryFile, sensor: Sensor, most_rows: int) -> tuple[Telemetry, OffDetector]:
+def held_out(
+    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, most_rows: int
+) -> tuple[Telemetry, OffDetector]:
     """Read a validation set, of a large one parts that are evenly spread over it, and say which stars of all are off the detector.
 
     Raises
@@ -106,8 +106,8 @@ def held_out(telemetry: Telemetry | TelemetryFile, sensor: Sensor, most_rows: in
     RefusedInputError
         When the file cannot be used, or too many matched stars lie off the sensor's detector.
     """
-    if not (isinstance(telemetry, TelemetryFile) and telemetry.large()):
-        inside = telemetry.read() if isinstance(telemetry, TelemetryFile) else telemetry
+    if not is_large(telemetry):
+        inside = read_whole(telemetry)
         return inside, check_against_sensor(inside, sensor)
     kept: list[Telemetry] = []
     every, off = 1, OffDetector()

@@ -19,17 +19,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from boresight.calibration.rematch import ground_covariance
-from boresight.calibration.settings import CalibrationSettings
+from boresight.arrays import FloatArray
+from boresight.calibration.matching.rematch import ground_covariance
+from boresight.calibration.options import CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.telemetry.formats import json_of
-from boresight.telemetry.refusals import Faults
+from boresight.telemetry.read.checks import Faults
+from boresight.telemetry.read.formats import json_of
 from boresight.telemetry.sensors import Sensor, check_geometry
-
-FloatArray = NDArray[np.float64]
 
 #: Statuses under which a calibration's numbers are no calibration.
 FAILED = ("diverged", "too_few_stars", "running")

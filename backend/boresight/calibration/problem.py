@@ -9,23 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray, TimeArray
+from boresight.cameras import CAMERA_MODELS, CameraModel
+from boresight.estimation import MINIMUM_STARS
 from boresight.estimation import arcs as arcsets
-from boresight.estimation.arcs import Arcs, ArcSet
-from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.stored_arcs import Arcs
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
-from boresight.telemetry.detector import matched_rows, on_detector
+from boresight.telemetry.quality.detector import matched_rows, on_detector
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 
 STAR_REASONS = (
     "not matched to a catalogue star",
@@ -44,49 +41,16 @@ class LeftOut:
     reason: str
 
 
-class AnyProblem(Protocol):
-    """A set ready for estimation, in memory (`Problem`) or in files."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """Whose telemetry it is."""
-
-    @property
-    def camera(self) -> CameraModel:
-        """Its camera model."""
-
-    @property
-    def arcs(self) -> Arcs:
-        """Stars in order, not weighed."""
-
-    @property
-    def frames_in_set(self) -> int:
-        """Frames in the telemetry, taking part or not."""
-
-    @property
-    def left_out(self) -> tuple[LeftOut, ...]:
-        """What takes no part."""
-
-    def weighed(self, x: FloatArray) -> Arcs:
-        """Return the arcs with R taken at state x (n_parameters,)."""
-
-    def place_of(self, frame: IntArray) -> IntArray:
-        """Places (n,) of frame numbers (n,) among those that take part."""
-
-    def times_of(self, frame: IntArray) -> NDArray[np.datetime64] | None:
-        """Times (n,) of frames (n,), NaT of those that take no part; None where the set has none."""
-
-
 @dataclass(frozen=True)
 class Problem:
     """A telemetry set ready for estimation.
 
     Parameters
     ----------
-    sensor, camera
+    sensor
         Whose telemetry it is.
     arcs
-        Stars in order; `phi` and `band` are filled by `weighed`.
+        Stars in order, in memory or in files; `phi` and `band` are filled by `weighed`.
     time_utc
         (n_frames,) time of each frame that takes part, or None.
     frames_in_set
@@ -96,19 +60,23 @@ class Problem:
     """
 
     sensor: Sensor
-    camera: CameraModel
-    arcs: ArcSet
-    time_utc: NDArray[np.datetime64] | None
+    arcs: Arcs
+    time_utc: TimeArray | None
     frames_in_set: int
     left_out: tuple[LeftOut, ...]
-    _weighed: dict[bytes, ArcSet] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _weighed: dict[bytes, Arcs] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def weighed(self, x: FloatArray) -> ArcSet:
+    @property
+    def camera(self) -> CameraModel:
+        """Its camera model."""
+        return CAMERA_MODELS[self.sensor.camera_model]
+
+    def weighed(self, x: FloatArray) -> Arcs:
         """Return the arcs with R taken at state x (n_parameters,); those of the last state asked for are kept."""
         key = np.asarray(x, np.float64).tobytes()
         arcs = self._weighed.get(key)
         if arcs is None:
-            arcs = weighed(self.arcs, self.camera, x)
+            arcs = self.arcs.each(weigh_part, self.camera.name, x)
             self._weighed.clear()
             self._weighed[key] = arcs
         return arcs
@@ -117,12 +85,12 @@ class Problem:
         """Places (n,) of frame numbers (n,) among those that take part."""
         return np.asarray(np.searchsorted(self.arcs.frame, frame))
 
-    def times_of(self, frame: IntArray) -> NDArray[np.datetime64] | None:
+    def times_of(self, frame: IntArray) -> TimeArray | None:
         """Times (n,) of frames (n,), NaT of those that take no part; None where the set has none."""
         return None if self.time_utc is None else times_at(frame, self.arcs.frame, self.time_utc)
 
 
-def times_at(frame: IntArray, known: IntArray, times: NDArray[np.datetime64]) -> NDArray[np.datetime64]:
+def times_at(frame: IntArray, known: IntArray, times: TimeArray) -> TimeArray:
     """Times (n,) of frames (n,) among known ones (m,) in their order with theirs (m,); NaT of the others."""
     place = np.minimum(np.searchsorted(known, frame), max(len(known) - 1, 0))
     unknown = np.datetime64("NaT", "us")
@@ -140,7 +108,7 @@ def weigh_part(arcs: ArcSet, camera_model: str, x: FloatArray) -> ArcSet:
 
 
 def build_problem(
-    telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, minimum_stars: int = arcsets.MINIMUM_STARS
+    telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, minimum_stars: int = MINIMUM_STARS
 ) -> Problem:
     """Choose and order the stars of a telemetry set.
 
@@ -187,7 +155,6 @@ def problem_of(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_st
     first_rows = arcs.source_row[arcs.star_start[arcs.frame_start[:-1]]]
     return Problem(
         sensor=sensor,
-        camera=CAMERA_MODELS[sensor.camera_model],
         arcs=arcs,
         time_utc=None if telemetry.time_utc is None else telemetry.time_utc[first_rows],
         frames_in_set=len(np.unique(telemetry.frame)),

@@ -1,33 +1,43 @@
 """The contract's calibration JSON, `boresight.calibration/1`: every number beside how far it can be trusted.
 
 Numbers are SI in parameter order; null stands where a number was not estimated or cannot be known, never NaN.
+
+What a trend over the mission keeps of a calibration: its parameters with the full covariance, made honest.
+
+A test of drift is as good as the covariances it is given, and a covariance that is too small cries wolf. So variances are
+multiplied by the largest of
+
+- chi-square per degree of freedom, where it is above its 95 % bound: the residuals are larger than the stated noise;
+- a filter's normalised innovations per degree of freedom, where they are above theirs;
+- the Cramer-Rao bound over the claim, squared, over all directions, where a claim is below what the centroids allow,
+
+and what no factor makes comparable takes no part, with the reason: filters whose estimate is of their last frames only, or
+whose matches were held to another set's parameters, or that linearise once a frame (see `estimation.filters.square_root`).
 """
 
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import __version__
+from boresight.arrays import FloatArray
 from boresight.calibration.advice import advice, too_few
-from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import AnyProblem
-from boresight.calibration.robust import robust_view
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.estimate import Estimate, Parameters, robust_view
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem
+from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.calibration.views import coverage_view, history_view, radial_view, trace_view
-from boresight.estimation.arcs import Arcs
 from boresight.estimation.batch import sigma_in_scale
-from boresight.estimation.consistency import ChiSquare, chi_square
 from boresight.estimation.metrics import tail_rms
-from boresight.estimation.observability import observability
-
-FloatArray = NDArray[np.float64]
+from boresight.estimation.statistics.consistency import ChiSquare, chi_square
+from boresight.estimation.statistics.observability import observability
+from boresight.estimation.stored_arcs import Arcs
 
 SCHEMA = "boresight.calibration/1"
 
@@ -40,7 +50,7 @@ def numbers(values: FloatArray) -> list[Any]:
 
 
 def header(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
 ) -> dict[str, Any]:
     """Everything that is known before estimating."""
     sensor, camera = problem.sensor, problem.camera
@@ -82,7 +92,7 @@ def _versions() -> dict[str, str]:
 
 
 def document(
-    problem: AnyProblem,
+    problem: Problem,
     parameters: Parameters,
     settings: CalibrationSettings,
     estimate: Estimate,
@@ -128,7 +138,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _sigma(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> FloatArray:
+def _sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> FloatArray:
     """(n_parameters,) one-sigma in SI, NaN where not estimated or not determined."""
     sigma = np.full(len(problem.camera.parameter_names), np.nan)
     in_scale = np.sqrt(np.diag(estimate.P))
@@ -138,11 +148,11 @@ def _sigma(problem: AnyProblem, parameters: Parameters, estimate: Estimate) -> F
     return sigma
 
 
-def _estimated(problem: AnyProblem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> dict[str, Any]:
+def _estimated(problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> dict[str, Any]:
     """Parameters with sigma, covariance and shift."""
     names = problem.camera.parameter_names
     known = np.isfinite(sigma[parameters.free])
-    P = estimate.P * np.outer(parameters.scale, parameters.scale)
+    P = parameters.covariance(estimate.P)
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = (estimate.x - problem.sensor.initial) / sigma
     return {
@@ -159,7 +169,7 @@ def _estimated(problem: AnyProblem, parameters: Parameters, estimate: Estimate, 
 
 
 def _judged(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, arcs: Arcs
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, arcs: Arcs
 ) -> dict[str, Any]:
     """Chi-square, innovations, observability and advice; nulls while the estimate is on its way."""
     dof = arcs.n_arcs - len(parameters.free)
@@ -217,7 +227,7 @@ def _innovations_so_far(estimate: Estimate) -> dict[str, Any] | None:
 
 
 def nothing_estimated(
-    problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
 ) -> dict[str, Any]:
     """The document of a set with too few stars everywhere: the start's values, no sigma, and why."""
     names: Sequence[str] = problem.camera.parameter_names
@@ -238,3 +248,65 @@ def nothing_estimated(
         "advice": too_few(problem, settings.minimum_stars),
         "timing_s": {},
     }
+
+
+USABLE = "converged"
+LEFT_OUT_VARIANTS = {
+    "q": "process noise lets it forget: it is an estimate of its last frames",
+    "no-refit": "its matches were held to the parameters that it started from",
+}
+
+
+def trend_entry(result: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return what a trend keeps; None where nothing was estimated.
+
+    Returns
+    -------
+    dict
+        `camera_model`, `names` (k,) of the estimated parameters, `parameters {}` of all, `covariance` (k, k) with
+        `variance_factor` in it, `said` sentences on that factor, `left_out` why it takes no part in tests, or null.
+    """
+    covariance = result.get("covariance") or {}
+    names = list(covariance.get("names") or ())
+    if not names:
+        return None
+    factors = dict(_factors(result))
+    said = max(factors, key=lambda sentence: factors[sentence], default=None)
+    factor = 1.0 if said is None else factors[said]
+    return {
+        "camera_model": result["camera_model"],
+        "names": names,
+        "parameters": dict(result["parameters"]),
+        "covariance": [[None if one is None else one * factor for one in row] for row in covariance["matrix"]],
+        "variance_factor": factor,
+        "said": said,
+        "left_out": _left_out(result),
+    }
+
+
+def _factors(result: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """Yield why variances must be larger, and by how much."""
+    chi2, nis = result.get("chi2") or {}, result.get("nis") or {}
+    per_dof = result.get("chi2_per_dof")
+    if per_dof is not None and chi2.get("upper") is not None and per_dof > chi2["upper"]:
+        yield f"sigmas widened {per_dof**0.5:.2f} times: chi-square is {per_dof:.3g} per degree of freedom", per_dof
+    mean = nis.get("mean")
+    if mean is not None and nis.get("upper") is not None and mean > nis["upper"]:
+        yield f"sigmas widened {mean**0.5:.2f} times: the normalised innovations are {mean:.3g}", mean
+    ratio = ((result.get("trust") or {}).get("efficiency") or {}).get("overall_ratio")
+    if ratio is not None and 0 < ratio < TOO_SMALL:
+        yield f"sigmas widened {1 / ratio:.2f} times: they were claimed below the Cramér-Rao bound", ratio**-2
+
+
+def _left_out(result: Mapping[str, Any]) -> str | None:
+    """Say why an estimate takes no part in tests; None where it does."""
+    settings = (result.get("inputs") or {}).get("settings") or {}
+    if result.get("status") != USABLE:
+        return f"it ended {str(result.get('status')).replace('_', ' ')}"
+    if result.get("variant") in LEFT_OUT_VARIANTS:
+        return LEFT_OUT_VARIANTS[str(result["variant"])]
+    if result.get("variant") is not None and settings.get("linearisations") == 1:
+        return "one linearisation a frame makes it over-confident"
+    if (settings.get("forgetting_factor") or 1.0) < 1.0:
+        return "it forgets: it is an estimate of its last frames"
+    return None

@@ -9,25 +9,22 @@ chunk of frames at the state before it: single frames first, then twice as many 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import replace
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import IntArray
 from boresight.calibration.course import Course
 from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, claim
-from boresight.calibration.problem import AnyProblem, weighed
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem, weighed
 from boresight.errors import CancelledError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import FilterHistory, FilterState, start
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from boresight.estimation.singular_values import Selection
 
 #: A filter's first update pools frames until it holds this many arcs a free parameter: from one thin frame ten sigmas off, the
 #: posterior has other minima (3 of 60 simulated sets fell into one at a single frame, none of 240 at 12 or more arcs).
@@ -47,43 +44,39 @@ CHUNKS = 40
 MOST_IN_CHUNK = 4096
 
 
-class Frames(Protocol):
-    """The frames of a set as a filter takes them in."""
+@dataclass(frozen=True)
+class Frames:
+    """The frames of a set as a filter takes them in.
+
+    Parameters
+    ----------
+    number
+        (n_frames,) their numbers.
+    arcs
+        Unweighed arcs of the frames first <= k < last, for a filter at this state; frames without usable stars are not in it.
+    """
+
+    number: IntArray
+    arcs: Callable[[int, int, FilterState], ArcSet]
 
     @property
     def n_frames(self) -> int:
         """How many there are."""
+        return len(self.number)
 
     def place_of(self, frame: int) -> int:
         """Place of a frame number among them."""
-
-    def arcs(self, first: int, last: int, state: FilterState) -> ArcSet:
-        """Unweighed arcs of the frames first <= k < last, for a filter at this state; frames without usable stars are not in it."""
+        return int(np.searchsorted(self.number, frame))
 
 
-class ProblemFrames:
-    """Frames whose matches stand."""
-
-    def __init__(self, problem: AnyProblem) -> None:
-        self._problem = problem
-
-    @property
-    def n_frames(self) -> int:
-        """How many take part."""
-        return self._problem.arcs.n_frames
-
-    def place_of(self, frame: int) -> int:
-        """Place of a frame number among them."""
-        return int(self._problem.place_of(np.array([frame]))[0])
-
-    def arcs(self, first: int, last: int, state: FilterState) -> ArcSet:  # noqa: ARG002 - these matches do not follow the state
-        """Return the frames first <= k < last."""
-        return self._problem.arcs.frames(first, last)
+def standing_frames(problem: Problem) -> Frames:
+    """Take the frames of a problem whose matches stand."""
+    return Frames(problem.arcs.frame, lambda first, last, _: problem.arcs.frames(first, last))
 
 
 def run_sequential(
     frames: Frames,
-    problem: AnyProblem,
+    problem: Problem,
     parameters: Parameters,
     settings: CalibrationSettings,
     listen: Listener,
@@ -124,13 +117,13 @@ def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
     """How the first update is made, which an iterated filter leaves time to rest, and how all others are."""
     tuning = Tuning(
         settings.linearisations, settings.process_noise, settings.forgetting_factor,
-        selection=settings.selection, gain_form=settings.gain_form,
+        selection=Selection(settings.star_model, settings.singular_values), gain_form=settings.gain_form,
     )  # fmt: skip
     most = max(settings.linearisations, START_LINEARISATIONS) if settings.linearisations > 1 else 1
     return replace(tuning, linearisations=most), tuning
 
 
-def finished(problem: AnyProblem, parameters: Parameters, history: Course) -> Estimate:
+def finished(problem: Problem, parameters: Parameters, history: Course) -> Estimate:
     """Judge a filter's end by a whole set: its information, its chi-square and whether it improved on the start."""
     x = history.last.x
     ended = batch.normal_equations(problem.weighed(x), x, parameters.free, parameters.scale)
@@ -148,7 +141,7 @@ def finished(problem: AnyProblem, parameters: Parameters, history: Course) -> Es
     )  # fmt: skip
 
 
-def _of_one_update(problem: AnyProblem, history: Course) -> Iterator[str]:
+def _of_one_update(problem: Problem, history: Course) -> Iterator[str]:
     """Say that a set was too small to be taken in frame by frame."""
     n_frames = problem.arcs.n_frames
     if history.finite and len(history) == 1 and n_frames > 1:
@@ -158,7 +151,7 @@ def _of_one_update(problem: AnyProblem, history: Course) -> Iterator[str]:
         )
 
 
-def _of_blindness(problem: AnyProblem, parameters: Parameters, history: Course) -> Iterator[str]:
+def _of_blindness(problem: Problem, parameters: Parameters, history: Course) -> Iterator[str]:
     """Say whose spread took a filter beyond the range of the lens, and what can be done."""
     names = [problem.camera.parameter_names[parameters.free[place]] for place in history.blind]
     if names:
@@ -178,7 +171,7 @@ def _on_its_way(history: Course) -> Estimate:
 
 
 def _first_frames(
-    frames: Frames, problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, state: FilterState
+    frames: Frames, problem: Problem, parameters: Parameters, settings: CalibrationSettings, state: FilterState
 ) -> tuple[ArcSet, int]:
     """Take the frames of the first update as one; returns them and their number."""
     tuning, n_free = _tunings(settings)[0], len(parameters.free)
@@ -197,7 +190,7 @@ def _first_frames(
 
 
 def _bend(
-    arcs: ArcSet, problem: AnyProblem, parameters: Parameters, settings: CalibrationSettings, state: FilterState
+    arcs: ArcSet, problem: Problem, parameters: Parameters, settings: CalibrationSettings, state: FilterState
 ) -> float:
     """Largest ratio of a filter's information to that of its arcs and start one sigma off along its weakest direction."""
     variances, directions = np.linalg.eigh(state.P)

@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.course import Course
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import AnyProblem
+from boresight.calibration.problem import Problem
 from boresight.calibration.streaming.sample import spread_blocks
-from boresight.estimation.arcs import Arcs, ArcSet
+from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.metrics import sums_of_squares, tail_rms
-from boresight.estimation.uncertainty import displacement_px, radial_difference
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from boresight.estimation.statistics.uncertainty import displacement_px, radial_difference
+from boresight.estimation.stored_arcs import Arcs
 
 #: Tail RMS costs one pass over the set a point; a history keeps as many points as this many frame passes allow.
 TAIL_BUDGET = 4_000_000
@@ -44,7 +43,7 @@ def kept_points(n_updates: int, n_frames: int) -> IntArray:
     return np.unique(np.linspace(0, n_updates - 1, most).round().astype(np.int64))
 
 
-def history_view(problem: AnyProblem, parameters: Parameters, estimate: Estimate, arcs: Arcs) -> dict[str, Any] | None:
+def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, arcs: Arcs) -> dict[str, Any] | None:
     """A filter's history: state, sigma, tail and aggregate RMS, innovations; None for the batch."""
     history = estimate.history
     if not history:
@@ -93,7 +92,7 @@ def _tail(arcs: Arcs, states: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total / n_arcs))
 
 
-def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: AnyProblem) -> dict[str, Any] | None:
+def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: Problem) -> dict[str, Any] | None:
     """The batch's iterates; None for a filter."""
     if not estimate.steps:
         return None
@@ -111,7 +110,7 @@ def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem:
 
 
 def radial_view(
-    problem: AnyProblem, parameters: Parameters, estimate: Estimate, sigma: FloatArray
+    problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray
 ) -> dict[str, Any] | None:
     """Radial displacement of the estimate against its start, one-sigma, and where the data are (E Figure 5)."""
     sensor, camera = problem.sensor, problem.camera
@@ -121,9 +120,7 @@ def radial_view(
     rows, columns = np.array([0, sensor.rows - 1.0]), np.array([0, sensor.columns - 1.0])
     corner = float(np.hypot(np.abs(rows - row_0).max(), np.abs(columns - col_0).max()))
     radius = np.linspace(0, corner, RADII)
-    P = np.zeros((len(sigma), len(sigma)))
-    scaled = estimate.P * np.outer(parameters.scale, parameters.scale)
-    P[np.ix_(parameters.free, parameters.free)] = np.nan_to_num(scaled)
+    P = np.nan_to_num(parameters.full_covariance(estimate.P, n=len(sigma)))
     curve = radial_difference(camera, estimate.x, sensor.initial, P, radius, sensor.pixel_pitch_m)
     edges = np.linspace(0, corner, 25)
     seen = problem.arcs.over_blocks(_reach_in_block, row_0, col_0, edges)
@@ -148,7 +145,7 @@ def _reach_in_block(block: ArcSet, row_0: float, col_0: float, edges: FloatArray
     return float(reach.max()), np.histogram(reach, edges)[0]
 
 
-def coverage_view(problem: AnyProblem) -> dict[str, Any]:
+def coverage_view(problem: Problem) -> dict[str, Any]:
     """Star counts over the detector."""
     sensor = problem.sensor
     row_edges = np.linspace(-0.5, sensor.rows - 0.5, COVERAGE_ROWS + 1)

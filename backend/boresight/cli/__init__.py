@@ -9,27 +9,22 @@ from __future__ import annotations
 import click
 
 import boresight
+from boresight.cli.administration import certificates, migrate, user, webhook
 from boresight.cli.assess import assess
-from boresight.cli.audit import audit
-from boresight.cli.backup import backup, restore
-from boresight.cli.bench import bench
+from boresight.cli.audit import audit, backup, restore
 from boresight.cli.calibrate import calibrate
-from boresight.cli.certificates import certificates
 from boresight.cli.check import check
 from boresight.cli.convert import convert
 from boresight.cli.evaluate import evaluate
 from boresight.cli.export import export
 from boresight.cli.match import match
-from boresight.cli.migrate import migrate
-from boresight.cli.refusals import RefusingGroup
+from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce
 from boresight.cli.serve import demo, serve
 from boresight.cli.simulate import simulate
 from boresight.cli.table import table
-from boresight.cli.users import user
 from boresight.cli.warm import warm
-from boresight.cli.webhooks import webhook
 from boresight.cli.worker import scheduler, worker
 
 
@@ -55,7 +50,6 @@ for command in (
     export,
     table,
     reproduce,
-    bench,
     serve,
     demo,
     worker,

@@ -9,8 +9,7 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned, check_writable, json_option, write_json
-from boresight.cli.progress import progress
+from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings, use_kernel_folder
 
@@ -48,10 +47,10 @@ def assess(
 
 def _assess(files: tuple[Path, Path, Path | None, Path | None, Path | None], report: Any) -> dict[str, Any]:
     """Read the files and judge."""
-    from boresight.gates import parse_profile
-    from boresight.gates.assessment import as_set, assess, ground_set
-    from boresight.services.calibration_document import refuse_incomplete
+    from boresight.console.runs.calibration_document import refuse_incomplete
     from boresight.telemetry.sensors import read_sensor
+    from boresight.verdicts.gates import parse_profile
+    from boresight.verdicts.gates.assessment import as_set, assess, ground_set
 
     calibration, sensor_file, against, telemetry, profile_file = files
     sensor = read_sensor(sensor_file)
@@ -67,8 +66,8 @@ def _assess(files: tuple[Path, Path, Path | None, Path | None, Path | None], rep
 def _frames(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any]:
     """Read held-out frames and the catalogue for their directions."""
     from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.detector import check_against_sensor
-    from boresight.telemetry.readers import read_telemetry
+    from boresight.telemetry.quality.detector import check_against_sensor
+    from boresight.telemetry.read.readers import read_telemetry
 
     stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
     check_against_sensor(stars, sensor)
@@ -78,7 +77,7 @@ def _frames(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any]:
 
 def _read_object(path: Path, what: str) -> dict[str, Any]:
     """Read a JSON object from a file."""
-    from boresight.telemetry.formats import json_of
+    from boresight.telemetry.read.formats import json_of
 
     try:
         document = json_of(path, path.name)
@@ -91,7 +90,7 @@ def _read_object(path: Path, what: str) -> dict[str, Any]:
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
     """Lay a report out for a terminal: the table, then a sentence for every gate that does not pass."""
-    from boresight.gates.table import gate_rows
+    from boresight.verdicts.gates.table import gate_rows
 
     rows = gate_rows(document)
     head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")

@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned, check_writable, json_option, write_json
-from boresight.cli.progress import progress
+from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
 from boresight.settings import read_settings
 
 
@@ -20,8 +19,8 @@ from boresight.settings import read_settings
 def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
     """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
     from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.chunks import read_chunks
-    from boresight.telemetry.quality_parts import QualityParts
+    from boresight.telemetry.quality.report import QualityParts
+    from boresight.telemetry.read.chunks import read_chunks
     from boresight.telemetry.sensors import read_sensor
 
     check_writable(json_file)

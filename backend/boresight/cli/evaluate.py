@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned, check_writable, json_option, write_json
-from boresight.cli.progress import progress
+from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
 from boresight.errors import RefusedInputError
 from boresight.estimation.blocks import computing_on
 from boresight.settings import read_settings, use_kernel_folder
@@ -51,7 +50,7 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
 
 def _settings(choices: dict[str, Any]) -> Any:
     """Read the choices; one that does not exist is wrong usage."""
-    from boresight.calibration.settings import CalibrationSettings
+    from boresight.calibration.options import CalibrationSettings
 
     try:
         return CalibrationSettings.parse({key: choices[key] for key in ("match", "flight_tolerance_urad")})
@@ -63,14 +62,14 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     """Read the files and compare."""
     import numpy as np
 
-    from boresight.calibration import bootstrap
-    from boresight.calibration.evaluate import evaluate_sightings
+    from boresight.calibration.evaluation import bootstrap
+    from boresight.calibration.evaluation.evaluate import evaluate_sightings
+    from boresight.calibration.evaluation.shadow import shadow_view
+    from boresight.calibration.matching.sighting import sightings
     from boresight.calibration.parameter_file import read_parameters
-    from boresight.calibration.shadow import shadow_view
-    from boresight.calibration.sighting import sightings
     from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.detector import check_against_sensor
-    from boresight.telemetry.readers import read_telemetry
+    from boresight.telemetry.quality.detector import check_against_sensor
+    from boresight.telemetry.read.readers import read_telemetry
     from boresight.telemetry.sensors import read_sensor
 
     settings, folder = _settings(choices), read_settings().catalogue_folder

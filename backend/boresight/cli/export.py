@@ -20,10 +20,10 @@ def export(parameter_set: str, file: str, flight_software: str | None, table_id:
     again of the same set it is the same file.
     """
     check_writable(file, "ZIP")
-    from boresight.services import packages
-    from boresight.services.actors import COMMAND_LINE
-    from boresight.store.blobs import open_blobs
-    from boresight.store.sessions import opened, writing
+    from boresight.console.uplinks import packages
+    from boresight.platform.actors import COMMAND_LINE
+    from boresight.platform.blobs.opening import open_blobs
+    from boresight.platform.db.sessions import opened, writing
 
     settings = read_settings()
     blobs = open_blobs(settings.blob_place)

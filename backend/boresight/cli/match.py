@@ -16,10 +16,10 @@ from boresight.cli.output import (
     check_writable,
     json_option,
     opened_for_writing,
+    progress,
     tell,
     write_json,
 )
-from boresight.cli.progress import progress
 from boresight.errors import RefusedInputError
 from boresight.estimation.blocks import computing_on
 from boresight.settings import read_settings, use_kernel_folder
@@ -72,14 +72,14 @@ def _match(
     telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path, choices: dict[str, Any], report: Any
 ) -> dict[str, Any]:
     """Read the files, match, and write the rows again."""
-    from boresight.calibration.match_report import match_report, matched_stars
+    from boresight.calibration.matching.match_report import match_report, matched_stars
+    from boresight.calibration.matching.rematch import ground_covariance, rematch
+    from boresight.calibration.matching.sighting import sighting_of
+    from boresight.calibration.options import CalibrationSettings
     from boresight.calibration.parameter_file import read_parameters
-    from boresight.calibration.rematch import ground_covariance, rematch
-    from boresight.calibration.settings import CalibrationSettings
-    from boresight.calibration.sighting import sighting_of
     from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.detector import check_against_sensor
-    from boresight.telemetry.readers import read_table, read_telemetry
+    from boresight.telemetry.quality.detector import check_against_sensor
+    from boresight.telemetry.read.readers import read_table, read_telemetry
     from boresight.telemetry.sensors import read_sensor
     from boresight.telemetry.writers import write_with_stars
 

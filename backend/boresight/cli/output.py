@@ -1,8 +1,14 @@
-"""Results: aligned columns for people on standard output, files for machines or, with `-`, those on standard output."""
+"""Results: aligned columns for people on standard output, files for machines or, with `-`, those on standard output.
+
+What a refusal looks like in a terminal: one line, then the first faults, a line each.
+
+Progress on standard error: a bar in a terminal, one plain line elsewhere, nothing for what ends within a second.
+"""
 
 from __future__ import annotations
 
 import sys
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +17,8 @@ from typing import IO, Any
 import click
 import orjson
 
-from boresight.errors import RefusedInputError
+from boresight.disks import storage_error
+from boresight.errors import BoresightError, RefusedInputError
 
 json_option = click.option(
     "--json", "json_file", metavar="FILE", help="Write the machine-readable result to FILE; - is standard output."
@@ -170,3 +177,119 @@ def aligned(rows: Iterable[Sequence[str]], left: Iterable[int] = (0,)) -> str:
         "  ".join(side(cell, width) for side, cell, width in zip(sides, row, widths, strict=True)).rstrip()
         for row in table
     )
+
+
+FAULTS_SHOWN = 10
+REFUSED, INTERRUPTED = 1, 130
+
+
+class RefusingGroup(click.Group):
+    """A command group that turns errors into lines and exit codes."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; a refusal becomes exit code 1, Ctrl-C 130."""
+        try:
+            return super().invoke(ctx)
+        except BoresightError as error:
+            _print_refusal(error)
+            ctx.exit(REFUSED)
+        except KeyboardInterrupt:
+            click.echo("boresight: stopped.", err=True)
+            ctx.exit(INTERRUPTED)
+        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+            raise
+        except Exception as error:
+            of_disk = storage_error(error) if isinstance(error, OSError) else None
+            if of_disk is not None:
+                _print_refusal(of_disk)
+                ctx.exit(REFUSED)
+            if ctx.params.get("debug"):
+                raise
+            sentence = (
+                f"unexpected {type(error).__name__}: {error}. Run it again as `boresight --debug ...` to see where."
+            )
+            click.echo(f"boresight: {sentence}", err=True)
+            ctx.exit(REFUSED)
+
+
+def _print_refusal(error: BoresightError) -> None:
+    """Print the sentence, then the places it speaks of."""
+    click.echo(f"boresight: {error}", err=True)
+    faults = error.faults if isinstance(error, RefusedInputError) else ()
+    if len(faults) == 1:  # the sentence has said it
+        return
+    for fault in faults[:FAULTS_SHOWN]:
+        click.echo(f"  {fault}", err=True)
+    if len(faults) > FAULTS_SHOWN:
+        click.echo(f"  and {len(faults) - FAULTS_SHOWN} more.", err=True)
+
+
+PATIENCE_S = 1.0
+
+
+class Progress:
+    """A bar or a line; call it with a message, and with a fraction where one is known."""
+
+    def __init__(self, message: str) -> None:
+        self._message = message
+        self._bar = _Bar(message) if sys.stderr.isatty() else None
+        self._timer = threading.Timer(PATIENCE_S, self._speak)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def __call__(self, message: str, fraction: float | None = None) -> None:
+        """Say what is being done, and how much of it is done (0 to 1)."""
+        self._message = message
+        if self._bar is not None:
+            self._bar.update(message, fraction)
+
+    def _speak(self) -> None:
+        if self._bar is not None:
+            self._bar.start()
+        else:
+            click.echo(f"boresight: {self._message} ...", err=True)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._timer.cancel()
+        if self._bar is not None:
+            self._bar.stop()
+
+
+class _Bar:
+    """The bar itself; loads its library only in a terminal."""
+
+    def __init__(self, message: str) -> None:
+        from rich import progress as rich
+        from rich.console import Console
+
+        columns = (
+            rich.SpinnerColumn(),
+            rich.TextColumn("{task.description}", markup=False),
+            rich.BarColumn(),
+            rich.TaskProgressColumn(),
+            rich.TimeElapsedColumn(),
+        )
+        self._progress = rich.Progress(*columns, console=Console(stderr=True), transient=True)
+        self._task = self._progress.add_task(message, total=None)
+
+    def start(self) -> None:
+        self._progress.start()
+
+    def update(self, message: str, fraction: float | None) -> None:
+        self._progress.update(self._task, description=message, completed=fraction or 0.0)
+        if fraction is not None:
+            self._progress.update(self._task, total=1.0)
+
+    def stop(self) -> None:
+        self._progress.stop()
+
+
+@contextmanager
+def progress(message: str) -> Iterator[Progress]:
+    """Show progress while the block runs."""
+    shown = Progress(message)
+    try:
+        yield shown
+    finally:
+        shown.close()

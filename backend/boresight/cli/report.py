@@ -49,7 +49,7 @@ def _check_out(out_file: str) -> None:
 
 def _read(source: str) -> dict[str, Any]:
     """Read a calibration from a file."""
-    from boresight.services.calibration_document import refuse_incomplete
+    from boresight.console.runs.calibration_document import refuse_incomplete
 
     try:
         document: dict[str, Any] = orjson.loads(Path(source).read_bytes())
@@ -67,9 +67,9 @@ def _read(source: str) -> dict[str, Any]:
 
 def _stored(run_id: int) -> dict[str, Any]:
     """Read a run's calibration from the store."""
-    from boresight.services import runs
-    from boresight.store.blobs import open_blobs
-    from boresight.store.sessions import opened, reading
+    from boresight.console.runs import service as runs
+    from boresight.platform.blobs.opening import open_blobs
+    from boresight.platform.db.sessions import opened, reading
 
     settings = read_settings()
     with opened(settings.database_url) as engine, reading(engine) as session:

@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned, refuse_standard_output
-from boresight.cli.progress import progress
+from boresight.cli.output import aligned, progress, refuse_standard_output
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings, use_kernel_folder
 
@@ -49,7 +48,7 @@ def _enright(
     sizes: dict[str, Any], validation: int, sensors: str | None, catalogue: Path | None, out: Path, report: Report
 ) -> tuple[dict[str, Any], list[Path]]:
     """Run the study of Enright 2018 and write it down."""
-    from boresight.studies import enright
+    from boresight.papers import enright
 
     numbers = _numbers(sensors) if sensors is not None else enright.Plan.sensors
     document = enright.run(enright.Plan(sensors=numbers, validation_frames=validation, **sizes), catalogue, report)
@@ -60,7 +59,7 @@ def _wu(
     sizes: dict[str, Any], judges: int, sensors: str | None, catalogue: Path | None, out: Path, report: Report
 ) -> tuple[dict[str, Any], list[Path]]:
     """Run the study of Wu 2019 and write it down."""
-    from boresight.studies import wu
+    from boresight.papers import wu
 
     if sensors is not None:
         raise RefusedInputError("Wu 2019 has one sensor: leave out --sensors.")

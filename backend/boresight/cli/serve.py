@@ -83,9 +83,9 @@ def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> Non
     """Run the server; Ctrl-C and SIGTERM are its ordinary ends, with exit code 0."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # uvicorn raises it once more when all is closed
     use_kernel_folder(settings)
+    from boresight.platform.blobs.opening import open_blobs
+    from boresight.platform.db.sessions import opened
     from boresight.server import serve as run
-    from boresight.store.blobs import open_blobs
-    from boresight.store.sessions import opened
     from boresight.workers.security import security_of
 
     with private_files(settings):
@@ -103,10 +103,10 @@ def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> Non
 def _populate(settings: Settings) -> None:
     """Make the demonstration as soon as the server answers, so that its first page does not wait for it."""
     _wait_until_served(settings)
-    from boresight.services.demonstration import LOG_INS, create_demonstration
+    from boresight.cli.demonstration import LOG_INS, create_demonstration
+    from boresight.platform.blobs.opening import open_blobs
+    from boresight.platform.db.sessions import open_engine
     from boresight.sky.catalogue import load_catalogue
-    from boresight.store.blobs import open_blobs
-    from boresight.store.sessions import open_engine
 
     click.echo(f"\n  Boresight demonstration: {_address(settings)}\n\n  Log in as")
     for person in LOG_INS:

@@ -9,8 +9,7 @@ from typing import Any
 import click
 import orjson
 
-from boresight.cli.output import aligned, refuse_standard_output, write_json
-from boresight.cli.progress import progress
+from boresight.cli.output import aligned, progress, refuse_standard_output, write_json
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
 
@@ -80,7 +79,7 @@ def _write(folder: Path, scenarios: dict[str, Any], suffix: str, report: Any) ->
 
     from boresight.simulation.scenes import scenario_document, simulate
     from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.readers import write_csv, write_parquet
+    from boresight.telemetry.read.readers import write_csv, write_parquet
 
     catalogue = load_catalogue(read_settings().catalogue_folder)
     _make(folder)

@@ -7,8 +7,7 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import aligned, check_writable, tell, write_bytes
-from boresight.cli.refusals import REFUSED
+from boresight.cli.output import REFUSED, aligned, check_writable, tell, write_bytes
 
 SENSOR = click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file.")
 DEFINITION = click.option(
@@ -30,7 +29,7 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str
     """Lay PARAMETERS, a calibration JSON or names and values, into the table."""
     check_writable(file, "")
     from boresight.calibration.parameter_file import read_parameters
-    from boresight.estimation.cameras import CAMERA_MODELS
+    from boresight.cameras import CAMERA_MODELS
     from boresight.telemetry.sensors import read_sensor
     from boresight.uplink import table_definition
 
@@ -53,7 +52,7 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str
 @click.pass_context
 def decode(context: click.Context, image: Path, sensor_file: Path, definition_file: Path) -> None:
     """Read IMAGE as the flight software does; exit code 1 when its CRC is not that of its bytes."""
-    from boresight.telemetry.formats import read_bytes
+    from boresight.telemetry.read.formats import read_bytes
     from boresight.telemetry.sensors import read_sensor
     from boresight.uplink import cfe, table_definition
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from boresight.cli.progress import progress
+from boresight.cli.output import progress
 from boresight.cli.serve import data_option, settings_of
 from boresight.settings import use_kernel_folder
 

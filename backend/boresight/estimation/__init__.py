@@ -2,3 +2,8 @@
 
 No web, no database, no clock, no files. A numeric failure is a value with advice; a programming error is a ValueError.
 """
+
+from __future__ import annotations
+
+#: An exposure of fewer stars determines nothing (E, section III: N_min).
+MINIMUM_STARS = 4

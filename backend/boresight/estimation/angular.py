@@ -27,12 +27,9 @@ This module is the plain form; `kernels.angles` holds the compiled one, which th
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.arcs import arclength
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def all_pairs(n: int) -> IntArray:

@@ -32,59 +32,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
+from boresight.cameras import CameraModel
 from boresight.estimation.blocks import in_blocks
-from boresight.estimation.cameras import CameraModel
 
 T = TypeVar("T")
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-MINIMUM_STARS = 4
 #: Sine of the smallest angle of a triangle below which an exposure counts as collinear: over 1,000 px the third star is
 #: then less than 5 px off the line, where the linear error model of R ends.
 COLLINEAR = 0.005
-
-
-class Arcs(Protocol):
-    """The arcs of a set, in memory (`ArcSet`) or in files; what is computed of them is the same to the last bit."""
-
-    @property
-    def n_frames(self) -> int:
-        """Number of frames."""
-
-    @property
-    def n_exposures(self) -> int:
-        """Number of exposures."""
-
-    @property
-    def n_stars(self) -> int:
-        """Number of star sightings."""
-
-    @property
-    def n_arcs(self) -> int:
-        """Number of arcs, once the set is weighed."""
-
-    def frames(self, first: int, last: int) -> ArcSet:
-        """Return the frames first <= k < last as a set of their own, in memory."""
-
-    def each(self, function: Callable[..., ArcSet], *arguments: Any) -> Arcs:
-        """Return the set with `function(part, *arguments)` in the place of every part.
-
-        The function stands at the top of a module and treats every exposure by itself, so that the parts may be any.
-        """
-
-    def over_blocks(self, function: Callable[..., T], *arguments: Any) -> list[T]:
-        """Call `function(block, *arguments)` for each block of frames and return the results in the order of the blocks.
-
-        The function stands at the top of a module, and what it takes and gives is small: see `estimation.blocks`.
-        """
 
 
 @dataclass(frozen=True)
@@ -190,12 +152,22 @@ class ArcSet:
             band=self.band[a0:a1],
         )
 
+    def whole(self) -> ArcSet:
+        """Return the set, which is in memory."""
+        return self
+
     def each(self, function: Callable[..., ArcSet], *arguments: Any) -> ArcSet:
-        """Return `function(set, *arguments)`, see `Arcs`."""
+        """Return `function(set, *arguments)`.
+
+        The function stands at the top of a module and treats every exposure by itself, so that a set in pieces can do it to each.
+        """
         return function(self, *arguments)
 
     def over_blocks(self, function: Callable[..., T], *arguments: Any) -> list[T]:
-        """Call `function(block, *arguments)` for each block of frames, on as many threads as there are, see `Arcs`."""
+        """Call `function(block, *arguments)` for each block of frames, on as many threads as there are, in their order.
+
+        The function stands at the top of a module, and what it takes and gives is small: see `estimation.blocks`.
+        """
         return in_blocks(lambda first, last: function(self.frames(first, last), *arguments), self.n_frames)
 
 

@@ -28,11 +28,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray
 from boresight.errors import CancelledError
-from boresight.estimation.arcs import Arcs, ArcSet
+from boresight.estimation.arcs import ArcSet
 from boresight.estimation.robust import insurance
-
-FloatArray = NDArray[np.float64]
+from boresight.estimation.stored_arcs import Arcs
 
 #: Distance from the optimum, in standard deviations, at which the fit rests.
 REST = 1e-4

@@ -26,12 +26,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.estimation.cameras.model import CameraModel
-
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import CameraModel
 
 #: What counts as rounding, pixels.
 EXACT_PX = 1e-6

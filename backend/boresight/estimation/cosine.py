@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
-from boresight.estimation.arcs import Arcs, ArcSet
-
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.stored_arcs import Arcs
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,11 @@ judges each frame by the state the filter had after it (Eq 33).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import kernels
-from boresight.estimation.arcs import Arcs, ArcSet
-
-FloatArray = NDArray[np.float64]
+from boresight.arrays import FloatArray
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.stored_arcs import Arcs
 
 
 def arc_errors(arcs: ArcSet, x: FloatArray) -> FloatArray:

@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
-from boresight.estimation.arcs import Arcs, ArcSet
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.stored_arcs import Arcs
 
 
 @dataclass(frozen=True)

@@ -46,9 +46,9 @@ ends when all that remain are determined by others but for `DETERMINED` of their
 rows would take a third of their rows from {1, 2} and {1, 3}, and leave a predicted sigma up to 1.9 times as wide.)
 With the centroids' rows D = dw/dx / sigma_i the information is D^T Pi D, Pi the projection on the rows of G. Model 4 with {2, 3}
 has 2 N - 4 of the 2 N - 3 dimensions that there are; with {1, 3} and {1, 2, 3} its sigmas are the same to 0.1 %, and with
-{1, 2}, more of whose rows end below the bound, to 1.3 % (W's sensor, 19 stars, `benchmarks/subsets.py`). What is left between them
-is curvature: sigma_1 tells of sigma_3 by its square. Nothing is seen of it at 0.2 px and 2,400 frames (100 sets, mean NEES 6.3 for
-{2, 3}, {1, 2} and {1, 3}, at most 6.68 expected); at 0.5 px it is 6.7, 7.1 and 6.8.
+{1, 2}, more of whose rows end below the bound, to 1.3 % (W's sensor, 19 stars: `python -m benchmarks.monte_carlo subsets`).
+What is left between them is curvature: sigma_1 tells of sigma_3 by its square. Nothing is seen of it at 0.2 px and 2,400 frames
+(100 sets, mean NEES 6.3 for {2, 3}, {1, 2} and {1, 3}, at most 6.68 expected); at 0.5 px it is 6.7, 7.1 and 6.8.
 
 This module is the plain form; `kernels.singular` holds the compiled one, which the tests hold against it.
 """
@@ -60,8 +60,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from boresight.arrays import FloatArray, IntArray
 
 STAR_MODELS = (1, 2, 3, 4)
 VALUES = (1, 2, 3)

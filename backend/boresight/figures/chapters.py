@@ -1,34 +1,34 @@
 """Every chart of the product, chapter by chapter; a new one is one file and one line here."""
 
-from boresight.figures.arc_uncertainty import ARC_UNCERTAINTY
+from __future__ import annotations
+
 from boresight.figures.chart import Figure
-from boresight.figures.convergence import CONVERGENCE
-from boresight.figures.correlation import CORRELATION
-from boresight.figures.coverage import COVERAGE
-from boresight.figures.distortion import DISTORTION
-from boresight.figures.drop_one import DROP_ONE
-from boresight.figures.efficiency import EFFICIENCY
-from boresight.figures.frame_observability import FRAME_OBSERVABILITY
-from boresight.figures.innovations import INNOVATIONS
-from boresight.figures.matching import MATCHING
-from boresight.figures.methods import METHODS
-from boresight.figures.more_data import MORE_DATA
-from boresight.figures.observability import OBSERVABILITY
-from boresight.figures.parameters import PARAMETERS
-from boresight.figures.radial import RADIAL
-from boresight.figures.reference_information import REFERENCE_INFORMATION
-from boresight.figures.residual_against import RESIDUAL_AGAINST
-from boresight.figures.residual_distribution import RESIDUAL_DISTRIBUTION
-from boresight.figures.residual_map import RESIDUAL_MAP
-from boresight.figures.residual_outliers import RESIDUAL_OUTLIERS
-from boresight.figures.residual_quiver import RESIDUAL_QUIVER
-from boresight.figures.residual_rms import RESIDUAL_RMS
-from boresight.figures.rms import RMS
-from boresight.figures.rms_axes import RMS_AXES
-from boresight.figures.shadow import SHADOW
-from boresight.figures.stars import STARS
-from boresight.figures.two_halves import TWO_HALVES
-from boresight.figures.whiteness import WHITENESS
+from boresight.figures.charts.convergence import CONVERGENCE
+from boresight.figures.charts.correlation import CORRELATION
+from boresight.figures.charts.coverage import COVERAGE
+from boresight.figures.charts.distortion import DISTORTION
+from boresight.figures.charts.frame_observability import FRAME_OBSERVABILITY
+from boresight.figures.charts.matching import MATCHING
+from boresight.figures.charts.methods import METHODS
+from boresight.figures.charts.observability import OBSERVABILITY
+from boresight.figures.charts.parameters import PARAMETERS
+from boresight.figures.charts.radial import RADIAL
+from boresight.figures.charts.reference_information import REFERENCE_INFORMATION
+from boresight.figures.charts.rms import RMS, RMS_AXES
+from boresight.figures.charts.shadow import SHADOW
+from boresight.figures.charts.trust.arc_uncertainty import ARC_UNCERTAINTY
+from boresight.figures.charts.trust.drop_one import DROP_ONE
+from boresight.figures.charts.trust.efficiency import EFFICIENCY
+from boresight.figures.charts.trust.innovations import INNOVATIONS
+from boresight.figures.charts.trust.more_data import MORE_DATA
+from boresight.figures.charts.trust.residual_against import RESIDUAL_AGAINST
+from boresight.figures.charts.trust.residual_distribution import RESIDUAL_DISTRIBUTION
+from boresight.figures.charts.trust.residual_map import RESIDUAL_MAP, RESIDUAL_RMS
+from boresight.figures.charts.trust.residual_outliers import RESIDUAL_OUTLIERS
+from boresight.figures.charts.trust.residual_quiver import RESIDUAL_QUIVER
+from boresight.figures.charts.trust.stars import STARS
+from boresight.figures.charts.trust.two_halves import TWO_HALVES
+from boresight.figures.charts.trust.whiteness import WHITENESS
 
 CHAPTERS: dict[str, tuple[Figure, ...]] = {
     "summary": (PARAMETERS, CORRELATION),

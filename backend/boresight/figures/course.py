@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.figures.chart import Result
-
-FloatArray = NDArray[np.float64]
 
 SETTLED_SIGMAS = 3.0
 

@@ -13,7 +13,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from boresight.errors import RefusedInputError
-from boresight.figures.thinning import keep_extremes
+from boresight.figures.style.thinning import keep_extremes
 
 POINT_BUDGET = 16_000  # of all curves together
 FEWEST = 60  # a curve

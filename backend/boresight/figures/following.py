@@ -16,9 +16,7 @@ import plotly.graph_objects as go
 
 from boresight.figures.chart import Trace
 from boresight.figures.course import Course, course_of
-from boresight.figures.quantities import Quantity
-
-BAND_SIGMAS = 3
+from boresight.verdicts.quantities import Quantity
 
 
 class Panel(Protocol):
@@ -75,8 +73,8 @@ def follow_errors(figure: go.Figure, factor: float, traces: Sequence[Trace]) -> 
         pairs = traces[0].result.get("pairs")
         share = {"share": 1 / sqrt(2 * pairs)} if pairs else {}
         for trace in figure.select_traces({"type": "scatter"}):
-            aggregate = (trace.name or "").endswith("aggregate")
-            column = "aggregate_rms_rad" if aggregate else "tail_rms_rad"
+            is_aggregate = (trace.meta or {}).get("part") == "aggregate"
+            column = "aggregate_rms_rad" if is_aggregate else "tail_rms_rad"
             _mark([trace], {"column": column, "factor": factor} | share)
     return figure
 
@@ -86,5 +84,6 @@ def _mark(traces: Iterable[Any], how: dict[str, Any]) -> None:
     for trace in traces:
         y = [] if trace.y is None else list(trace.y)
         is_level = len(y) == 2 and y[0] == y[1]
-        grows = {"level": True} if is_level else how | ({"band": BAND_SIGMAS} if trace.fill == "toself" else {})
-        trace.meta = {"follow": grows}
+        said = trace.meta or {}
+        grows = {"level": True} if is_level else how | ({"band": said["sigmas"]} if "sigmas" in said else {})
+        trace.meta = {**said, "follow": grows}

@@ -20,7 +20,7 @@ table("result.json", "radial")  # the numbers behind it, in SI, as columns
 
 `result.json` is what `boresight calibrate --json` writes. The images show simulated frames of one sensor; the page
 `/gallery` of every installation has the same figures to hover over, in every state and theme. This page and its images
-are written by `python docs/draw.py`.
+are written by `python -m benchmarks.pages --figures`.
 """
 
 

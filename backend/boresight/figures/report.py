@@ -2,6 +2,11 @@
 
 The drawing library and the figures are inside the file; a content security policy in it forbids every connection.
 Everything that came from outside is escaped: text by the template, data by writing `<` as its JSON escape.
+
+Figures inside a page that stands alone: the library, the data and the colours go into the file itself.
+
+Everything that came from outside is escaped: in a script element only `<` could end it, so it is written as its JSON
+escape. `figures/drawn_figures.html` is the part of the page that draws them.
 """
 
 from __future__ import annotations
@@ -9,16 +14,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import plotly.graph_objects as go
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
 
 from boresight import __version__
 from boresight.errors import RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES
-from boresight.figures.chart import Result, Trace
-from boresight.figures.command_line import calibrate_command
-from boresight.figures.evidence import verdict
-from boresight.figures.matching import why_no_matching
-from boresight.figures.matching_table import (
+from boresight.figures.chart import Result, Trace, figure_json
+from boresight.figures.charts.matching import why_no_matching
+from boresight.figures.notebook import calibrate_command
+from boresight.figures.style.theme import LIGHT_TEMPLATE, TOKENS, declared
+from boresight.figures.tables.matching_table import (
     flight_rows,
     flight_tolerance,
     match_counts,
@@ -26,12 +34,24 @@ from boresight.figures.matching_table import (
     reason_tables,
     side_by_side,
 )
-from boresight.figures.printed_table import HEADINGS, printed_rows
-from boresight.figures.standing import standing
-from boresight.figures.star_table import star_rows, to_flag
-from boresight.figures.trust_marks import prospects, trust_marks
-from boresight.figures.trust_parts import why_absent
+from boresight.figures.tables.parameter_table import HEADINGS, printed_rows
+from boresight.figures.tables.star_table import star_rows, to_flag
 from boresight.resources import folder
+from boresight.verdicts.verdict import prospects, trust_marks, verdict, why_absent
+
+
+def standing(figures: Mapping[str, go.Figure]) -> dict[str, Markup]:
+    """Return what a page that draws these figures by name needs: `plotly`, `figures_json`, and `tokens` of white paper."""
+    for figure in figures.values():
+        figure.update_layout(template=LIGHT_TEMPLATE, meta=None)
+    text = ",".join(f'"{name}":{figure_json(figure).decode()}' for name, figure in figures.items())
+    escaped = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    return {
+        "plotly": Markup(get_plotlyjs()),  # noqa: S704 - the library's own file, as its writer inlines it
+        "figures_json": Markup("{" + escaped + "}"),  # noqa: S704 - escaped here
+        "tokens": Markup(declared(TOKENS["light"])),  # noqa: S704 - the style sheet's own text
+    }
+
 
 SCHEMA = "boresight.calibration/1"
 MOST_STARS = 25  # in print; the run's CSV has more
@@ -55,7 +75,7 @@ def render_report(result: Result, *, four_eyes: bool = True) -> str:
     environment = Environment(
         loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
     )
-    return environment.get_template("report.html").render(
+    return environment.get_template("figures/report.html").render(
         result=result,
         four_eyes=four_eyes,
         verdict=verdict(result),

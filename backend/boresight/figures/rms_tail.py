@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.figures.chart import Result, Trace
 from boresight.figures.course import Course, course_of, settled_step
-
-FloatArray = NDArray[np.float64]
+from boresight.verdicts.verdict import sigma_of_rms
 
 SETTLING_SHARE = 0.2  # of the run, where nothing says when it settled
 LATEST_SHARE = 0.95  # of the run: a tail that is shorter than the rest says nothing
@@ -88,8 +86,3 @@ def tail_of(result: Result) -> Tail | None:
         sigma_rad=sigma_of_rms(mean, arcs),
         chosen=result.get("tail_from") is not None,
     )
-
-
-def sigma_of_rms(rms_rad: float | None, arcs: float | None) -> float | None:
-    """Return one sigma of an RMS over so many arcs, in its unit."""
-    return None if rms_rad is None or not arcs else float(rms_rad / np.sqrt(2 * arcs))

@@ -17,7 +17,7 @@ import numpy as np
 import orjson
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.figures.chart import Result, Trace
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.sky.catalogue import Catalogue

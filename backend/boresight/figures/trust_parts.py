@@ -11,31 +11,14 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
-from boresight.figures import theme
-from boresight.figures.chart import Result, Trace
-from boresight.figures.theme import RunStyle
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Trace
+from boresight.figures.style import theme
+from boresight.figures.style.theme import RunStyle
+from boresight.verdicts.verdict import part_of, why_absent
 
-FloatArray = NDArray[np.float64]
 Part = tuple[Trace, RunStyle, Any]
-
-NOT_YET = "Trust is examined when the run ends; it is not there yet."
-NEVER = "This result was made without an examination of trust: clone its run and start it again to have one."
-NO_REASON = "This part of the examination could not be made for this run."
-
-
-def part_of(result: Result, name: str) -> Any:
-    """Read one part of `trust`; None where it is not there, or is empty."""
-    return (result.get("trust") or {}).get(name) or None
-
-
-def why_absent(result: Result, name: str) -> str:
-    """Say in a sentence why a part is not there."""
-    trust = result.get("trust")
-    if not trust:
-        return NEVER if result.get("status") not in {None, "running"} else NOT_YET
-    return str((trust.get("unavailable") or {}).get(name) or NO_REASON)
 
 
 def parts(traces: Sequence[Trace], name: str) -> list[Part]:

@@ -313,7 +313,7 @@ def _largest_exposure(star_start):
 def solid_angles(model, x, pitch, row_px, col_px, omega):
     """Fill `omega` (n_stars,) with the solid angle of one pixel at each star, steradian.
 
-    Called by `estimation.cameras`: |det d(t_x, t_y) / d(m, n)| / |t|^3, where moving the pixel is moving the principal point back.
+    Called by `cameras`: |det d(t_x, t_y) / d(m, n)| / |t|^3, where moving the pixel is moving the principal point back.
     """
     w = np.empty((1, _STAR))
     p, q = (5, 6) if model == _INVERTED_WANG else (6, 7)

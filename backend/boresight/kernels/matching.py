@@ -42,6 +42,8 @@ _CURVATURE = 0.1
 
 _FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
 _jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+#: For the steps of one frame, which take tuples of many arrays: handing these to a function of its own costs a fifth of the whole.
+_step = numba.njit(nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
 
 
 class Scratch(NamedTuple):
@@ -750,216 +752,343 @@ def _attitude_covariance(A, sigma, use, covariance, work):
             covariance[a, b] = value
 
 
+class Seen(NamedTuple):
+    """The detections of consecutive frames, (n_rows,) each: what was measured, and what the file says of it."""
+
+    s: np.ndarray
+    G: np.ndarray
+    sigma: np.ndarray
+    weight: np.ndarray
+    given: np.ndarray
+    given_s: np.ndarray
+    own: np.ndarray
+
+
+class Observer(NamedTuple):
+    """When each exposure was made and how fast its observer moved, (n_exposures,)."""
+
+    years: np.ndarray
+    earth: np.ndarray
+    beta: np.ndarray
+
+
+class Guides(NamedTuple):
+    """The stars that may be matched with."""
+
+    hip: np.ndarray
+    place: np.ndarray
+    motion: np.ndarray
+    parallax: np.ndarray
+    density: float
+
+
+class Hints(NamedTuple):
+    """From where each exposure may start, (n_exposures,): attitude, how far off it may be, and where it came from."""
+
+    attitude: np.ndarray
+    radius: np.ndarray
+    start: np.ndarray
+
+
+class Rules(NamedTuple):
+    """How is matched: whether rows have directions of their own, whether given matches are believed, and three limits."""
+
+    any_own: bool
+    believe: bool
+    cone: float
+    gate: float
+    minimum_stars: int
+
+
+class Answer(NamedTuple):
+    """What matching says, (n_rows,) and from `start` on (n_exposures,); see `sky.matching.Association`."""
+
+    star_id: np.ndarray
+    direction: np.ndarray
+    reason: np.ndarray
+    tolerance: np.ndarray
+    start: np.ndarray
+    valid: np.ndarray
+    attitude: np.ndarray
+    covariance: np.ndarray
+
+
+class Frame(NamedTuple):
+    """What is known of the exposures of the frame at hand, (exposures,) each, and space for one of them."""
+
+    A: np.ndarray  # (exposures, most, 2, d), as T, named and use: of each detection
+    T: np.ndarray
+    named: np.ndarray
+    use: np.ndarray
+    solved: np.ndarray
+    Lambda: np.ndarray  # (exposures, d, d)
+    eta: np.ndarray
+    shared: np.ndarray  # (exposures, p, p): what an exposure says of the parameters
+    shared_eta: np.ndarray
+    total: np.ndarray  # (d, d)
+    total_eta: np.ndarray
+    L: np.ndarray
+    y: np.ndarray
+    r: np.ndarray
+    axis: np.ndarray
+    bad: np.ndarray  # (most,)
+    chosen: np.ndarray
+    star: np.ndarray  # (n_stars,): the candidates of an exposure, with `taken` and `c`
+    taken: np.ndarray
+    c: np.ndarray
+    work: Scratch
+
+
 @_jit
-def match_frames(
-    frame_start, row_start, s, G, sigma, given, given_s, own, any_own, believe,
-    hint, hint_radius, hint_start, years, earth, beta, hip, place, motion, parallax, density, cone, gate, minimum_stars,
-    star_id, direction, reason, tolerance, start, valid, attitude, covariance,
-):  # fmt: skip
+def _frame(frame_start, row_start, p, n_stars):
+    """Make the space for any of these frames, with p parameters and so many guide stars."""
+    d, most, widest = 3 + p, 0, 0
+    for e in range(row_start.shape[0] - 1):
+        most = max(most, row_start[e + 1] - row_start[e])
+    for k in range(frame_start.shape[0] - 1):
+        widest = max(widest, frame_start[k + 1] - frame_start[k])
+    return Frame(
+        np.empty((widest, most, 2, d)), np.empty((widest, most, 2, 3)),
+        np.zeros((widest, most), np.bool_), np.zeros((widest, most), np.bool_), np.zeros(widest, np.bool_),
+        np.zeros((widest, d, d)), np.zeros((widest, d)), np.zeros((widest, p, p)), np.zeros((widest, p)),
+        np.empty((d, d)), np.empty(d), np.zeros((d, d)), np.empty(d), np.empty(2), np.empty(3),
+        np.empty(most, np.int64), np.empty(most, np.int64),
+        np.empty(n_stars, np.int64), np.empty(n_stars, np.bool_), np.empty((n_stars, 3)), scratch(most, d, n_stars),
+    )  # fmt: skip
+
+
+@_jit
+def match_frames(frame_start, row_start, seen, observer, guides, hints, rules, answer):
     """Match the detections of every frame; see `sky.matching.match` for what goes in and comes out.
 
     Frame k owns the exposures frame_start[k]:frame_start[k + 1], exposure e the rows row_start[e]:row_start[e + 1].
     Each frame starts from the same parameters and their covariance; what its stars say of the parameters' errors serves
     its own exposures only.
     """
-    p = G.shape[2]
-    d = 3 + p
-    most = 0
-    for e in range(row_start.shape[0] - 1):
-        most = max(most, row_start[e + 1] - row_start[e])
-    widest = 0
-    for k in range(frame_start.shape[0] - 1):
-        widest = max(widest, frame_start[k + 1] - frame_start[k])
-    n_stars = hip.shape[0]
-    A, T = np.empty((widest, most, 2, d)), np.empty((widest, most, 2, 3))
-    named = np.zeros((widest, most), np.bool_)
-    use, bad, chosen = np.zeros((widest, most), np.bool_), np.empty(most, np.int64), np.empty(most, np.int64)
-    solved = np.zeros(widest, np.bool_)
-    Lambda, eta = np.zeros((widest, d, d)), np.zeros((widest, d))
-    shared, shared_eta = np.zeros((widest, p, p)), np.zeros((widest, p))
-    total, total_eta = np.empty((d, d)), np.empty(d)
-    L, y, r, axis = np.zeros((d, d)), np.empty(d), np.empty(2), np.empty(3)
-    star, taken, c = np.empty(n_stars, np.int64), np.empty(n_stars, np.bool_), np.empty((n_stars, 3))
-    work = scratch(most, d, n_stars)
-    turned, before, fallback_use, fallback_attitude = work.turned, work.before, work.held_use, work.attitude
-    weight = 1.0 / (sigma * sigma)
+    frame = _frame(frame_start, row_start, seen.G.shape[2], guides.hip.shape[0])
     for k in range(frame_start.shape[0] - 1):
         e0, e1 = frame_start[k], frame_start[k + 1]
-        # attitudes from the given matches
+        for e in range(e0, e1):
+            _start_from_given(e, e - e0, row_start[e], row_start[e + 1], seen, rules, answer, frame)
         for e in range(e0, e1):
             q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
-            start[e] = NO_START
-            solved[q], valid[e] = False, False
-            n = i1 - i0
-            for i in range(n):
-                use[q, i] = believe and given[i0 + i] > 0 and not math.isnan(given_s[i0 + i, 0])
-                named[q, i] = use[q, i]
-                direction[i0 + i] = given_s[i0 + i]
-                reason[i0 + i] = NO_ATTITUDE
-                star_id[i0 + i] = given[i0 + i] if use[q, i] else 0
-            _rows(s[i0:i1], G[i0:i1], A[q], T[q])
-            n_named = _count(use[q], n)
-            agreed = _verify(s[i0:i1], G[i0:i1], sigma[i0:i1], direction[i0:i1], use[q], named[q], gate, bad, work)
-            # two that agree among many that do not are a coincidence
-            if agreed >= 3 or (agreed == 2 and n_named <= 3):
-                solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e], work)
-            if solved[q]:
-                start[e] = GIVEN
+            if not frame.solved[q] or _count(frame.use[q], i1 - i0) < min(3, rules.minimum_stars):
+                _start_from_hints(e, e0, e1, i0, i1, seen, observer, guides, hints, rules, answer, frame)
+        for e in range(e0, e1):
+            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
+            frame.shared[q] = 0.0
+            frame.shared_eta[q] = 0.0
+            if frame.solved[q]:
+                _learn(e, q, i0, i1, seen, answer, frame)
+        for e in range(e0, e1):
+            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
+            if not frame.solved[q]:
+                _blank(e, i0, i1, answer)
+                continue
+            _know(q, e1 - e0, frame)
+            _match_exposure(e, q, i0, i1, seen, observer, guides, rules, answer, frame)
+            if math.isnan(answer.attitude[e, 0, 0]):
+                frame.solved[q] = False
             else:
-                use[q, :n] = False
-        # attitudes of the others: the frame's other exposure, else the hint; the first stars are found by voting
-        for e in range(e0, e1):
-            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
-            if solved[q] and _count(use[q], i1 - i0) >= min(3, minimum_stars):
-                continue
-            n = i1 - i0
-            fallback = solved[q]
-            fallback_use[:] = use[q]
-            fallback_attitude[:] = attitude[e]
-            for attempt in range(2):
-                radius = 0.0
-                kind = NO_START
-                wanted = _SEARCH_STARS
-                if attempt == 0:
-                    for other in range(e0, e1):
-                        if other != e and solved[other - e0] and start[other] != NO_START:
-                            attitude[e] = attitude[other]
-                            radius, kind, wanted = _SIBLING_RADIUS, OTHER_EXPOSURE, _SIBLING_STARS
-                elif hint_start[e] != NO_START:
-                    attitude[e] = hint[e]
-                    radius, kind = hint_radius[e], hint_start[e]
-                if kind == NO_START:
-                    continue
-                axis[:] = attitude[e, 2]
-                m = _candidates(axis, cone + radius, place, motion, parallax, years[e], earth[e], beta[e], star, c)
-                if any_own:
-                    m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1], work)
-                found = _search(s[i0:i1], G[i0:i1], sigma[i0:i1], attitude[e], radius, m, c, gate, use[q], chosen, work)
-                if found < wanted:
-                    use[q, :n] = False
-                    solved[q] = False
-                    start[e] = NO_START
-                    continue
-                for i in range(n):
-                    if use[q, i]:
-                        star_id[i0 + i] = hip[star[chosen[i]]]
-                        direction[i0 + i] = c[chosen[i]]
-                solved[q] = _wahba(s[i0:i1], direction[i0:i1], weight[i0:i1], use[q], attitude[e], work)
-                if solved[q]:
-                    start[e] = kind
-                    break
-            if fallback and not solved[q]:
-                solved[q], start[e] = True, GIVEN
-                use[q] = fallback_use
-                attitude[e] = fallback_attitude
-                for i in range(n):
-                    star_id[i0 + i], direction[i0 + i] = given[i0 + i], given_s[i0 + i]
-        # what the first stars of each exposure say of the parameters
-        for e in range(e0, e1):
-            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
-            Lambda[q] = 0.0
-            eta[q] = 0.0
-            shared[q] = 0.0
-            shared_eta[q] = 0.0
-            if not solved[q]:
-                continue
-            for a in range(3):
-                Lambda[q, a, a] = _DIFFUSE
-            for i in range(i1 - i0):
-                if use[q, i]:
-                    _residual(s[i0 + i], T[q, i], attitude[e], direction[i0 + i], r)
-                    _add(Lambda[q], eta[q], A[q, i], r[0], r[1], 1.0 / _variance(sigma[i0 + i], r[0], r[1]), d)
-            _marginal(Lambda[q], eta[q], d, L, shared[q], shared_eta[q], work)
-        # growth, exposure by exposure, each with what the others know
-        for e in range(e0, e1):
-            q, i0, i1 = e - e0, row_start[e], row_start[e + 1]
-            if not solved[q]:
-                for i in range(i0, i1):
-                    star_id[i] = 0
-                    direction[i] = np.nan
-                attitude[e] = np.nan
-                covariance[e] = np.nan
-                continue
-            n = i1 - i0
-            total[:] = Lambda[q]
-            total_eta[:] = eta[q]
-            for a in range(p):
-                total[3 + a, 3 + a] += 1.0
-                for other in range(e1 - e0):
-                    if other != q and solved[other]:
-                        total_eta[3 + a] += shared_eta[other, a]
-                        for b in range(a + 1):
-                            total[3 + a, 3 + b] += shared[other, a, b]
-            axis[:] = attitude[e, 2]
-            m = _candidates(axis, cone, place, motion, parallax, years[e], earth[e], beta[e], star, c)
-            if any_own:
-                m = _onto_given(m, star, c, hip, given[i0:i1], given_s[i0:i1], own[i0:i1], sigma[i0:i1], work)
-            taken[:m] = False
-            for i in range(n):
-                named[q, i] = use[q, i] and star_id[i0 + i] == given[i0 + i]
-                reason[i0 + i] = MATCHED if use[q, i] else NO_STAR
-                if use[q, i]:
-                    for j in range(m):
-                        if hip[star[j]] == star_id[i0 + i]:
-                            taken[j] = True
-                    chosen[i] = -1
-            before[:] = use[q]
-            _prune(
-                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], named[q], gate,
-                total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y, work,
-            )  # fmt: skip
-            for i in range(n):
-                if before[i] and not use[q, i]:
-                    for j in range(m):
-                        if hip[star[j]] == star_id[i0 + i]:
-                            taken[j] = False
-            ok = _grow(
-                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], m, c, turned, taken, density, gate,
-                total, total_eta, use[q], chosen, reason[i0:i1], L, y, work,
-            )  # fmt: skip
-            for i in range(n):
-                if use[q, i] and not before[i]:
-                    star_id[i0 + i] = hip[star[chosen[i]]]
-                    direction[i0 + i] = c[chosen[i]]
-            ok = ok and _prune(
-                s[i0:i1], T[q], A[q], sigma[i0:i1], attitude[e], direction[i0:i1], named[q], gate,
-                total, total_eta, use[q], reason[i0:i1], tolerance[i0:i1], L, y, work,
-            )  # fmt: skip
-            _finish(
-                s[i0:i1], G[i0:i1], A[q], sigma[i0:i1], weight[i0:i1], named[q], gate, n + 1 if not ok else 2 if start[e] <=
-                OTHER_EXPOSURE else minimum_stars, use[q], star_id[i0:i1], direction[i0:i1], reason[i0:i1], attitude[e],
-                covariance[e], bad, work,
-            )  # fmt: skip
-            count = _count(use[q], n)
-            n_named, n_kept = 0, 0
-            for i in range(i0, i1):
-                n_named += given[i] > 0 and not math.isnan(given_s[i, 0])
-                n_kept += given[i] > 0 and star_id[i] == given[i]
-            if start[e] == GIVEN and 2 * n_kept < n_named and 2 * count < n:
-                # neither what the file says nor what the detector shows agrees with this attitude
-                for i in range(n):
-                    if use[q, i]:
-                        reason[i0 + i] = DISAGREES
-                use[q, :n] = False
-                star_id[i0:i1] = 0
-                direction[i0:i1] = np.nan
-                attitude[e] = np.nan
-                covariance[e] = np.nan
-                count = 0
-            valid[e] = count >= minimum_stars
-            # the other exposures learn from all stars of this one
-            Lambda[q] = 0.0
-            eta[q] = 0.0
-            for a in range(3):
-                Lambda[q, a, a] = _DIFFUSE
-            if math.isnan(attitude[e, 0, 0]):
-                solved[q] = False
-                continue
-            for i in range(n):
-                if use[q, i]:
-                    _residual(s[i0 + i], T[q, i], attitude[e], direction[i0 + i], r)
-                    _add(Lambda[q], eta[q], A[q, i], r[0], r[1], 1.0 / _variance(sigma[i0 + i], r[0], r[1]), d)
-            _marginal(Lambda[q], eta[q], d, L, shared[q], shared_eta[q], work)
+                _learn(e, q, i0, i1, seen, answer, frame)  # the other exposures learn from all stars of this one
+
+
+@_step
+def _start_from_given(e, q, i0, i1, seen, rules, answer, frame):
+    """Attitude of exposure e from its given matches, after they have voted out the wrong ones."""
+    s, G, direction, use, named = seen.s[i0:i1], seen.G[i0:i1], answer.direction[i0:i1], frame.use[q], frame.named[q]
+    answer.start[e] = NO_START
+    frame.solved[q], answer.valid[e] = False, False
+    n = i1 - i0
+    for i in range(n):
+        use[i] = rules.believe and seen.given[i0 + i] > 0 and not math.isnan(seen.given_s[i0 + i, 0])
+        named[i] = use[i]
+        direction[i] = seen.given_s[i0 + i]
+        answer.reason[i0 + i] = NO_ATTITUDE
+        answer.star_id[i0 + i] = seen.given[i0 + i] if use[i] else 0
+    _rows(s, G, frame.A[q], frame.T[q])
+    n_named = _count(use, n)
+    agreed = _verify(s, G, seen.sigma[i0:i1], direction, use, named, rules.gate, frame.bad, frame.work)
+    # two that agree among many that do not are a coincidence
+    if agreed >= 3 or (agreed == 2 and n_named <= 3):
+        frame.solved[q] = _wahba(s, direction, seen.weight[i0:i1], use, answer.attitude[e], frame.work)
+    if frame.solved[q]:
+        answer.start[e] = GIVEN
+    else:
+        use[:n] = False
+
+
+@_step
+def _start_from_hints(e, e0, e1, i0, i1, seen, observer, guides, hints, rules, answer, frame):
+    """Attitude of exposure e from the frame's other exposure, else from its hint; what the given matches said stands otherwise."""
+    q, use, attitude = e - e0, frame.use[e - e0], answer.attitude[e]
+    fallback, fallback_use, fallback_attitude = frame.solved[q], frame.work.held_use, frame.work.attitude
+    fallback_use[:] = use
+    fallback_attitude[:] = attitude
+    found = False
+    for other in range(e0, e1):
+        if other != e and frame.solved[other - e0] and answer.start[other] != NO_START:
+            attitude[:] = answer.attitude[other]
+            found = True
+    if found:
+        found = _vote(
+            e, q, i0, i1, _SIBLING_RADIUS, OTHER_EXPOSURE, _SIBLING_STARS, seen, observer, guides, rules, answer, frame
+        )
+    if not found and hints.start[e] != NO_START:
+        attitude[:] = hints.attitude[e]
+        _vote(
+            e, q, i0, i1, hints.radius[e], hints.start[e], _SEARCH_STARS, seen, observer, guides, rules, answer, frame
+        )
+    if fallback and not frame.solved[q]:
+        frame.solved[q], answer.start[e] = True, GIVEN
+        use[:] = fallback_use
+        attitude[:] = fallback_attitude
+        for i in range(i0, i1):
+            answer.star_id[i], answer.direction[i] = seen.given[i], seen.given_s[i]
+
+
+@_step
+def _vote(e, q, i0, i1, radius, kind, wanted, seen, observer, guides, rules, answer, frame):
+    """Find the first stars of exposure e by voting about where its attitude says, at least so many; whether that solved it."""
+    s, sigma, use, attitude = seen.s[i0:i1], seen.sigma[i0:i1], frame.use[q], answer.attitude[e]
+    m = _near(e, i0, i1, rules.cone + radius, seen, observer, guides, rules, answer, frame)
+    c, chosen = frame.c, frame.chosen
+    found = _search(s, seen.G[i0:i1], sigma, attitude, radius, m, c, rules.gate, use, chosen, frame.work)
+    if found < wanted:
+        use[: i1 - i0] = False
+        frame.solved[q] = False
+        answer.start[e] = NO_START
+        return False
+    for i in range(i1 - i0):
+        if use[i]:
+            answer.star_id[i0 + i] = guides.hip[frame.star[chosen[i]]]
+            answer.direction[i0 + i] = c[chosen[i]]
+    frame.solved[q] = _wahba(s, answer.direction[i0:i1], seen.weight[i0:i1], use, attitude, frame.work)
+    if frame.solved[q]:
+        answer.start[e] = kind
+    return frame.solved[q]
+
+
+@_step
+def _near(e, i0, i1, cone, seen, observer, guides, rules, answer, frame):
+    """List the guide stars within `cone` of the boresight of exposure e, with their directions; returns how many."""
+    frame.axis[:] = answer.attitude[e, 2]
+    m = _candidates(
+        frame.axis, cone, guides.place, guides.motion, guides.parallax, observer.years[e], observer.earth[e],
+        observer.beta[e], frame.star, frame.c,
+    )  # fmt: skip
+    if rules.any_own:
+        m = _onto_given(
+            m, frame.star, frame.c, guides.hip, seen.given[i0:i1], seen.given_s[i0:i1], seen.own[i0:i1], seen.sigma[i0:i1],
+            frame.work,
+        )  # fmt: skip
+    return m
+
+
+@_step
+def _learn(e, q, i0, i1, seen, answer, frame):
+    """Take what the used stars of exposure e say of attitude and parameters, and of the parameters alone."""
+    Lambda, eta, r = frame.Lambda[q], frame.eta[q], frame.r
+    d = eta.shape[0]
+    Lambda[:] = 0.0
+    eta[:] = 0.0
+    for a in range(3):
+        Lambda[a, a] = _DIFFUSE
+    for i in range(i1 - i0):
+        if frame.use[q, i]:
+            _residual(seen.s[i0 + i], frame.T[q, i], answer.attitude[e], answer.direction[i0 + i], r)
+            _add(Lambda, eta, frame.A[q, i], r[0], r[1], 1.0 / _variance(seen.sigma[i0 + i], r[0], r[1]), d)
+    _marginal(Lambda, eta, d, frame.L, frame.shared[q], frame.shared_eta[q], frame.work)
+
+
+@_step
+def _know(q, n_exposures, frame):
+    """Add up what is known when exposure q is matched: its own first stars, the start's parameters, and the other exposures."""
+    total, total_eta = frame.total, frame.total_eta
+    total[:] = frame.Lambda[q]
+    total_eta[:] = frame.eta[q]
+    for a in range(total.shape[0] - 3):
+        total[3 + a, 3 + a] += 1.0
+        for other in range(n_exposures):
+            if other != q and frame.solved[other]:
+                total_eta[3 + a] += frame.shared_eta[other, a]
+                for b in range(a + 1):
+                    total[3 + a, 3 + b] += frame.shared[other, a, b]
+
+
+@_step
+def _blank(e, i0, i1, answer):
+    """Say that nothing of exposure e is matched."""
+    answer.star_id[i0:i1] = 0
+    answer.direction[i0:i1] = np.nan
+    answer.attitude[e] = np.nan
+    answer.covariance[e] = np.nan
+
+
+@_step
+def _take(i0, n, m, wanted, unwanted, value, guides, answer, frame):
+    """Mark the candidates that are the stars of the detections in one mask and not in another as taken, or not."""
+    for i in range(n):
+        if wanted[i] and not unwanted[i]:
+            for j in range(m):
+                if guides.hip[frame.star[j]] == answer.star_id[i0 + i]:
+                    frame.taken[j] = value
+
+
+@_step
+def _match_exposure(e, q, i0, i1, seen, observer, guides, rules, answer, frame):
+    """Match exposure e: drop first stars that the others reject, take further ones, verify, and judge by what the file names."""
+    n, work, use, named, before = i1 - i0, frame.work, frame.use[q], frame.named[q], frame.work.before
+    s, sigma, A, T, attitude = seen.s[i0:i1], seen.sigma[i0:i1], frame.A[q], frame.T[q], answer.attitude[e]
+    star_id, direction, reason = answer.star_id[i0:i1], answer.direction[i0:i1], answer.reason[i0:i1]
+    tolerance, total, total_eta, L, y = answer.tolerance[i0:i1], frame.total, frame.total_eta, frame.L, frame.y
+    m = _near(e, i0, i1, rules.cone, seen, observer, guides, rules, answer, frame)
+    frame.taken[:m] = False
+    before[:] = False
+    for i in range(n):
+        named[i] = use[i] and star_id[i] == seen.given[i0 + i]
+        reason[i] = MATCHED if use[i] else NO_STAR
+        if use[i]:
+            frame.chosen[i] = -1
+    _take(i0, n, m, use, before, True, guides, answer, frame)
+    before[:] = use
+    _prune(
+        s, T, A, sigma, attitude, direction, named, rules.gate, total, total_eta, use, reason, tolerance, L, y, work
+    )  # fmt: skip
+    _take(i0, n, m, before, use, False, guides, answer, frame)
+    ok = _grow(
+        s, T, A, sigma, attitude, m, frame.c, work.turned, frame.taken, guides.density, rules.gate, total, total_eta, use,
+        frame.chosen, reason, L, y, work,
+    )  # fmt: skip
+    for i in range(n):
+        if use[i] and not before[i]:
+            star_id[i] = guides.hip[frame.star[frame.chosen[i]]]
+            direction[i] = frame.c[frame.chosen[i]]
+    ok = ok and _prune(
+        s, T, A, sigma, attitude, direction, named, rules.gate, total, total_eta, use, reason, tolerance, L, y, work
+    )  # fmt: skip
+    fewest = n + 1 if not ok else 2 if answer.start[e] <= OTHER_EXPOSURE else rules.minimum_stars
+    _finish(
+        s, seen.G[i0:i1], A, sigma, seen.weight[i0:i1], named, rules.gate, fewest, use, star_id, direction, reason,
+        attitude, answer.covariance[e], frame.bad, work,
+    )  # fmt: skip
+    if _contradicted(e, q, i0, i1, seen, answer, frame):
+        for i in range(n):
+            if use[i]:
+                reason[i] = DISAGREES
+        use[:n] = False
+        _blank(e, i0, i1, answer)
+    answer.valid[e] = _count(use, n) >= rules.minimum_stars
+
+
+@_step
+def _contradicted(e, q, i0, i1, seen, answer, frame):
+    """Whether neither what the file says nor what the detector shows agrees with an attitude from given matches."""
+    n_named, n_kept = 0, 0
+    for i in range(i0, i1):
+        n_named += seen.given[i] > 0 and not math.isnan(seen.given_s[i, 0])
+        n_kept += seen.given[i] > 0 and answer.star_id[i] == seen.given[i]
+    return answer.start[e] == GIVEN and 2 * n_kept < n_named and 2 * _count(frame.use[q], i1 - i0) < i1 - i0
 
 
 @_jit

@@ -13,15 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.estimation.cameras.model import corners
+from boresight.arrays import FloatArray, IntArray
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import corners
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: North Galactic pole, ICRS, degrees (ESA SP-1200, 1.5.3).
 GALACTIC_POLE_DEG = (192.85948, 27.12825)

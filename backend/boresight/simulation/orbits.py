@@ -39,8 +39,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-TimeArray = NDArray[np.datetime64]
+from boresight.arrays import FloatArray, TimeArray
+
 Pointing = Callable[["Orbit", FloatArray, float], tuple[FloatArray, FloatArray]]
 
 MU_M3_S2 = 3.986004418e14

@@ -32,15 +32,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.simulation.orbits import MOTIONS, Orbit
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from boresight.arrays import FloatArray, IntArray
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.simulation.orbits import attitude, state, usable
 from boresight.simulation.scenarios import (
     Scenario,
@@ -51,9 +52,6 @@ __all__ = [
     "simulate",
     "validation_scenario",
 ]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 DETECTION_WIDTH_MAG = 0.1
 FAINTEST_BEYOND_LIMIT_MAG = 0.6  # where a detection has become a one in 400 chance

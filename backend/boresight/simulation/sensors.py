@@ -38,13 +38,11 @@ centroid noise, 0.2 px what its tables imply (erratum). Its frame is right-hande
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import NotFoundError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import Sensor
-
-FloatArray = NDArray[np.float64]
 
 ST16_ROWS, ST16_COLUMNS = 1944, 2592
 ST16_PIXEL_PITCH_M = 2.2e-6

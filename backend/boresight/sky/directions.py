@@ -19,12 +19,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.errors import RefusedInputError
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def star_directions(

@@ -31,6 +31,8 @@ References
 ----------
 Kolomenkin, Pollak, Shimshoni, Lindenbaum, "Geometric voting algorithm for star trackers", IEEE TAES 44, 2008. Markley, "Attitude
 determination using vector observations and the singular value decomposition", J. Astronaut. Sci. 36, 1988.
+
+What a tracker detected, ready to be matched with the sky.
 """
 
 from __future__ import annotations
@@ -41,15 +43,85 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
+from boresight.estimation.attitude import matrix_of, quaternion_of
 from boresight.estimation.blocks import in_blocks
-from boresight.estimation.rotations import matrix_of, quaternion_of
 from boresight.kernels import matching as loops
-from boresight.sky.detections import Detections
 from boresight.sky.guide_stars import GuideStars, ObserverMotion
-from boresight.sky.neighbours import carried_on
+from boresight.sky.identification import carried_on
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+
+@dataclass(frozen=True)
+class Detections:
+    """Detections of a set in the right-handed triad of D, exposure after exposure.
+
+    Parameters
+    ----------
+    frame_start
+        (n_frames + 1,) first exposure of each frame.
+    row_start
+        (n_exposures + 1,) first detection of each exposure.
+    s
+        (n_rows, 3) measured directions under the parameters matched with.
+    G
+        (n_rows, 3, p) their derivative times the square root of the parameters' covariance, ds/dx P^(1/2).
+    sigma_rad
+        (n_rows,) isotropic direction error.
+    star_id
+        (n_rows,) given Hipparcos numbers, 0 = none.
+    given_s
+        (n_rows, 3) apparent directions of the given stars, ICRS, NaN where there is none.
+    own
+        (n_rows,) True where that direction is the file's own and not the catalogue's.
+    quaternion
+        (n_exposures, 4) attitude given in the file, x y z w, ICRS to the triad; NaN where there is none.
+    time_s
+        (n_frames,) time of each frame, seconds from any epoch; NaN where unknown.
+    """
+
+    frame_start: IntArray
+    row_start: IntArray
+    s: FloatArray
+    G: FloatArray
+    sigma_rad: FloatArray
+    star_id: IntArray
+    given_s: FloatArray
+    own: NDArray[np.bool_]
+    quaternion: FloatArray
+    time_s: FloatArray
+
+    @property
+    def n_exposures(self) -> int:
+        """Number of exposures."""
+        return len(self.row_start) - 1
+
+    def frames(self, chosen: IntArray) -> tuple[Detections, IntArray, IntArray]:
+        """Return some frames as a set of their own, with the places of its rows and exposures in this one."""
+        if len(chosen) == len(self.frame_start) - 1:
+            return self, np.arange(len(self.star_id)), np.arange(self.n_exposures)
+        exposures = _ranges(self.frame_start, chosen)
+        rows = _ranges(self.row_start, exposures)
+        part = Detections(
+            frame_start=np.append(0, np.cumsum(np.diff(self.frame_start)[chosen])),
+            row_start=np.append(0, np.cumsum(np.diff(self.row_start)[exposures])),
+            s=self.s[rows],
+            G=self.G[rows],
+            sigma_rad=self.sigma_rad[rows],
+            star_id=self.star_id[rows],
+            given_s=self.given_s[rows],
+            own=self.own[rows],
+            quaternion=self.quaternion[exposures],
+            time_s=self.time_s[chosen],
+        )
+        return part, rows, exposures
+
+
+def _ranges(start: IntArray, chosen: IntArray) -> IntArray:
+    """All places start[k] to start[k + 1] of the chosen k, one after another."""
+    counts = np.diff(start)[chosen]
+    offsets = np.repeat(start[chosen] - np.append(0, np.cumsum(counts))[:-1], counts)
+    return np.asarray(np.arange(counts.sum()) + offsets, np.int64)
+
 
 #: Gates are this many sigma wide: one true star in 25,000 falls outside by chance.
 GATE = 4.5
@@ -222,17 +294,29 @@ class _Matcher:
         hints, any_own = matrix_of(hint[exposures]), bool(part.own.any())
         years, earth_au, beta = (values[exposures] for values in (motion.years, motion.earth_au, motion.beta))
 
+        guides = loops.Guides(stars.hip, stars.place, stars.motion, stars.parallax_rad, stars.density)
+        rules = loops.Rules(any_own, believe, self._cone, GATE, self._minimum_stars)
+
         def match_block(first: int, last: int) -> None:
             e0, e1 = part.frame_start[first], part.frame_start[last]
             r0, r1 = part.row_start[e0], part.row_start[e1]
             x, r = slice(e0, e1), slice(r0, r1)
+            sigma = part.sigma_rad[r]
+            seen = loops.Seen(
+                part.s[r], part.G[r], sigma, 1.0 / (sigma * sigma), part.star_id[r], part.given_s[r], part.own[r]
+            )
             loops.match_frames(
-                part.frame_start[first : last + 1] - e0, part.row_start[e0 : e1 + 1] - r0, part.s[r], part.G[r],
-                part.sigma_rad[r], part.star_id[r], part.given_s[r], part.own[r], any_own, believe, hints[x], radius[x], kind[x],
-                years[x], earth_au[x], beta[x], stars.hip, stars.place, stars.motion, stars.parallax_rad,
-                stars.density, self._cone, GATE, self._minimum_stars, star_id[r], direction[r], reason[r], tolerance[r], start[x],
-                valid[x], C[x], covariance[x],
-            )  # fmt: skip
+                part.frame_start[first : last + 1] - e0,
+                part.row_start[e0 : e1 + 1] - r0,
+                seen,
+                loops.Observer(years[x], earth_au[x], beta[x]),
+                guides,
+                loops.Hints(hints[x], radius[x], kind[x]),
+                rules,
+                loops.Answer(
+                    star_id[r], direction[r], reason[r], tolerance[r], start[x], valid[x], C[x], covariance[x]
+                ),
+            )
 
         in_blocks(match_block, len(frames), FRAMES)
         before = np.add.reduceat(self.answer.star_id[rows] > 0, part.row_start[:-1], dtype=np.int64)

@@ -16,14 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
+from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS, CameraModel
-from boresight.telemetry.formats import json_of
-from boresight.telemetry.refusals import Faults
-
-FloatArray = NDArray[np.float64]
+from boresight.telemetry.read.checks import Faults
+from boresight.telemetry.read.formats import json_of
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 _OPTIONAL = ("free", "magnitude_limit")
@@ -49,7 +47,7 @@ class Sensor:
     pixel_pitch_m
         Pixel size Delta, metres.
     camera_model
-        A name in `boresight.estimation.cameras.CAMERA_MODELS`.
+        A name in `boresight.cameras.CAMERA_MODELS`.
     parity
         +1 or -1, see the notation page.
     centroid_sigma_px

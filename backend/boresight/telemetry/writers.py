@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import IO, Self
+from typing import IO
 
 import numpy as np
 import orjson
@@ -11,50 +11,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
 import pyarrow.parquet as arrow_parquet
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.telemetry.schema import UNMATCHED, Telemetry
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-#: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.frames`).
+#: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.read.frames`).
 ROW_GROUP = 65_536
 
 
 def write_parquet(telemetry: Telemetry, path: Path) -> None:
     """Write telemetry as Parquet, compressed with zstd; absent values are null."""
     arrow_parquet.write_table(contract_table(telemetry), path, compression="zstd", row_group_size=ROW_GROUP)
-
-
-class ParquetParts:
-    """Parts of one set written into one Parquet file, as `write_parquet` writes a whole one.
-
-    Parameters
-    ----------
-    path
-        Where the file comes to be.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._writer: arrow_parquet.ParquetWriter | None = None
-
-    def __enter__(self) -> Self:
-        """Begin; the file is made with the first part."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the file."""
-        if self._writer is not None:
-            self._writer.close()
-
-    def write(self, part: Telemetry) -> None:
-        """Write the next rows; they have the columns of the first part."""
-        table = contract_table(part)
-        if self._writer is None:
-            self._writer = arrow_parquet.ParquetWriter(self._path, table.schema, compression="zstd")
-        self._writer.write_table(table, row_group_size=ROW_GROUP)
 
 
 def write_csv(telemetry: Telemetry, path: Path) -> None:

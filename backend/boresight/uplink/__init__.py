@@ -2,3 +2,5 @@
 
 Nothing here knows a database, a clock or a request: the same inputs give the same bytes, on every machine, for ever.
 """
+
+from __future__ import annotations

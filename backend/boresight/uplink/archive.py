@@ -1,14 +1,22 @@
 """Files into one ZIP whose bytes follow from theirs alone: sorted by name, dated 1980, stored and not compressed.
 
 Compressed bytes differ between versions of the compressor; these files are small.
+
+How the package's texts are spelt, so that one content has one sequence of bytes.
+
+JSON has its keys sorted, two spaces a level, numbers by Python's `repr` (the shortest text that reads back as the same number),
+no NaN, and a line end at its end. CSV has a header, commas, quotes where needed, and line ends of one character. All is UTF-8.
 """
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import io
+import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 FIRST_DATE = (1980, 1, 1, 0, 0, 0)
 UNIX = 3
@@ -31,3 +39,42 @@ def archive(files: Mapping[str, bytes]) -> bytes:
             entry.external_attr = PLAIN_FILE
             packed.writestr(entry, content)
     return buffer.getvalue()
+
+
+def json_bytes(document: Any) -> bytes:
+    """Write a JSON document.
+
+    Raises
+    ------
+    ValueError
+        When a number is NaN or infinite.
+    """
+    text = json.dumps(document, sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False)
+    return f"{text}\n".encode()
+
+
+def canonical_bytes(document: Any) -> bytes:
+    """Write a JSON document without a space and without a line end: the spelling that its hash is taken of."""
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return text.encode()
+
+
+def csv_bytes(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
+    """Write a table; None becomes an empty cell, a number its shortest text.
+
+    A text that a spreadsheet would take for a formula is led by an apostrophe.
+    """
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([_cell(value) for value in row] for row in rows)
+    return file.getvalue().encode()
+
+
+def _cell(value: Any) -> str:
+    """Write one value."""
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return f"'{value}" if value[:1] in tuple("=+-@\t\r") else value
+    return repr(value)

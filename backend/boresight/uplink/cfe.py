@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.refusals import Faults
+from boresight.telemetry.read.checks import Faults
 from boresight.uplink.definition_entries import Entries
 
 CONTENT_TYPE = b"cFE1"

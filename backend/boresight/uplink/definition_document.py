@@ -23,16 +23,15 @@ from dataclasses import field as attribute
 from pathlib import Path
 from typing import Any
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
-from boresight.telemetry.formats import json_of
-from boresight.telemetry.refusals import Faults
+from boresight.telemetry.read.checks import Faults
+from boresight.telemetry.read.formats import json_of
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink.cfe import CfeHeaders, parse_cfe
 from boresight.uplink.checksum import Checksum
-from boresight.uplink.definition_entries import MOST_BYTES, Entries
+from boresight.uplink.definition_entries import MOST_BYTES, Entries, parse_checksum
 from boresight.uplink.fields import Field
-from boresight.uplink.named_checksum import parse_checksum
 from boresight.uplink.parameter_service import ParameterService, parse_pus
 
 KEYS = (

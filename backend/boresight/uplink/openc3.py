@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from boresight.uplink.archive import csv_bytes
 from boresight.uplink.fields import Field
-from boresight.uplink.spelling import csv_bytes
 from boresight.uplink.table_definition import DecodedField, TableDefinition, decode
 
 REPORT = ("name", "parameter", "bit_offset", "bit_size", "type", "byte_order", "raw", "scale", "offset", "value", "hex")

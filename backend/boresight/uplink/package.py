@@ -20,13 +20,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import Sensor, parse_sensor
-from boresight.uplink.archive import archive, sums
+from boresight.uplink.archive import archive, canonical_bytes, json_bytes, sums
 from boresight.uplink.camera_files import camera_files, why_not
 from boresight.uplink.parameter_files import alignment_json, parameters_csv, parameters_json
-from boresight.uplink.spelling import canonical_bytes, json_bytes
 from boresight.uplink.table_definition import TableDefinition, parse_definition, quantisation_effect, quantised
 from boresight.uplink.table_files import held_by, table_facts, table_files
 from boresight.uplink.verification_sheet import verification_sheet

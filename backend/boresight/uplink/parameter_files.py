@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import Sensor
-from boresight.uplink.equations import EQUATIONS, conventions
-from boresight.uplink.spelling import csv_bytes, json_bytes
+from boresight.uplink.archive import csv_bytes, json_bytes
+from boresight.uplink.camera_files import EQUATIONS, conventions
 from boresight.uplink.table_definition import DecodedField
 
 SCHEMA = "boresight.uplink-parameters/1"

@@ -25,7 +25,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.telemetry.refusals import Faults
+from boresight.telemetry.read.checks import Faults
 from boresight.uplink.definition_entries import Entries
 from boresight.uplink.fields import FORMATS, Field
 

@@ -15,8 +15,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from boresight.cameras import CameraModel
 from boresight.errors import RefusedInputError
-from boresight.estimation.cameras import CameraModel
 from boresight.telemetry.sensors import Sensor
 
 PLACES = 41

@@ -6,13 +6,19 @@ another calibration is a wrong camera, so a calibration goes as one image or not
 
 The CRC is taken of the bytes `over`, from the first to before the second, and stored at `offset_bytes` when the table holds
 its own; cFE Table Services keep it in telemetry instead, taken of the whole image.
+
+A table to begin with: a camera model's parameters in single precision, big-endian, one after the other, with a CRC.
+
+Length and place of everything follow from the model; a mission changes what its flight software has otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.uplink.checksum import CHECKSUMS, Checksum
 from boresight.uplink.definition_document import TableDefinition, parse_definition, read_definition
@@ -180,3 +186,33 @@ def crc_told(definition: TableDefinition, content: bytes) -> tuple[Checksum, int
         return crc, crc_value(crc, content)
     value = table_crc(definition, content)
     return None if definition.crc is None or value is None else (definition.crc, value)
+
+
+BYTES_A_NUMBER = 4
+CRC_BYTES = 2
+
+
+def plain_definition(camera_model: str) -> dict[str, Any]:
+    """Return a table definition that holds a camera model, as `boresight.uplink.definition_document` reads it.
+
+    Raises
+    ------
+    KeyError
+        When there is no such camera model.
+    """
+    names = CAMERA_MODELS[camera_model].parameter_names
+    length = BYTES_A_NUMBER * (len(names) + 1)  # the CRC stands at the end of the last word
+    fields = [
+        {"name": name.upper(), "parameter": name, "offset_bytes": BYTES_A_NUMBER * place, "type": "float32"}
+        for place, name in enumerate(names)
+    ]
+    over = length - CRC_BYTES
+    return {
+        "table_id": "STR_CAM",
+        "flight_software_version": "1.0.0",
+        "byte_order": "big",
+        "length_bytes": length,
+        "fill": 0,
+        "fields": fields,
+        "crc": {"name": "CRC-16/CCITT-FALSE", "offset_bytes": over, "over": [0, over]},
+    }

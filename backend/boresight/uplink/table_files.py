@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from boresight.uplink import cfe, openc3
+from boresight.uplink.archive import csv_bytes
 from boresight.uplink.parameter_service import ATOMICITY, application_data, type_code, value_bytes
-from boresight.uplink.spelling import csv_bytes
 from boresight.uplink.table_definition import DecodedField, TableDefinition, crc_told, decode, encode, table_crc
 
 PUS_COLUMNS = ("order", "parameter_id", "name", "parameter", "type", "ptc", "pfc", "raw_hex", "value", "note")

@@ -43,7 +43,7 @@ def verification_sheet(
         loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
     )
     return (
-        environment.get_template("verification_sheet.html")
+        environment.get_template("uplinks/verification_sheet.html")
         .render(
             subject=subject,
             before=before,

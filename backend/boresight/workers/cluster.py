@@ -4,6 +4,20 @@ By default a scheduler in this process with worker processes of one thread each,
 however it ends, joined by a key that nobody else has; or an external scheduler by address, started by `boresight scheduler` with
 workers by `boresight worker`. Ours allow no failures: the engine counts the workers that a run has cost. A death is no run's fault
 while a large run's pieces were, or had just been, on the same worker: which of them it was nobody knows.
+
+A dask client that leaves nothing behind, however its link ends.
+
+A client computes its side of the link on a thread of its own. Where the scheduler does not answer, or the link was lost, dask's
+leaves that thread for good, one for each attempt; where the link fails otherwise, as between certificates that do not fit, the
+thread ends when the collector finds the client. If that is while the next client starts its thread, both wait for one lock, and
+the next fails too: so a connection ends its thread once, itself, and the collector finds nothing to do.
+
+distributed's scheduler, nanny and worker as Boresight starts them: without the web server that each opens beside its link.
+
+That server would speak plain HTTP to whoever asks, whatever the links require. Nothing of Boresight's own is imported here, because
+a new worker process reads this module before its environment is set.
+
+How distributed is set up wherever Boresight starts it: in the server, as a scheduler, as a worker.
 """
 
 from __future__ import annotations
@@ -19,21 +33,97 @@ from pathlib import Path
 from typing import Any
 
 import dask
-from distributed import Event, KilledWorker, SpecCluster
+import distributed
+from distributed import Client, Event, KilledWorker, SpecCluster
 from distributed.system import MEMORY_LIMIT
 
 import boresight
+from boresight.console.runs.queries import End, Held
 from boresight.settings import Settings
-from boresight.store.runs import Held
-from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE
-from boresight.workers.connection import Connection
-from boresight.workers.fitness import UNFIT_TOPIC, Fitness
-from boresight.workers.link import TOPIC, cancel_event
-from boresight.workers.nodes import Nanny, Scheduler
+from boresight.workers.flight import UNFIT_TOPIC, Fitness
+from boresight.workers.link import TOPIC, Report, cancel_event
 from boresight.workers.security import PROTOCOL, own_security, security_of
 from boresight.workers.spread import LENT_TOPIC
-from boresight.workers.tasks import Outcome, Work, execute_group
+from boresight.workers.tasks import Work, execute_group
 from boresight.workers.warm import WarmUp
+
+#: Of a machine, over its worker processes; the rest is the server's and the system's.
+MEMORY_SHARE = 0.8
+#: Much of what distributed does beside tasks is for its own pages, which nobody opens here; it goes on whether anything is
+#: computed or not, in the server's process for the scheduler and for the nanny of each worker.
+CONFIGURATION = {
+    "distributed.admin.low-level-log-length": 100,  # progress events the scheduler keeps; each may hold a history
+    "distributed.admin.system-monitor.disk": False,  # of the whole machine
+    "distributed.admin.system-monitor.gil.enabled": False,  # a thread that asks for the interpreter every millisecond
+    "distributed.admin.system-monitor.interval": "5s",  # of 0.5 s; memory limits have a look of their own
+    "distributed.admin.tick.interval": "1s",  # of 20 ms: whether the event loop is late, told from 3 s on
+    "distributed.diagnostics.nvml": False,
+    # gives every freed array back to the system at once, and each new one comes in pages that fault: a third of a short run's time
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    "distributed.scheduler.active-memory-manager.start": False,  # drops copies of results; ours are fetched once
+    "distributed.scheduler.work-stealing": False,  # every task names its worker
+    "distributed.worker.memory.monitor-interval": "500ms",  # of 100 ms, by each worker and by its nanny
+    "distributed.worker.profile.enabled": False,  # looks at the computing thread a hundred times a second
+}
+
+
+END_S = 2.0  # a thread that is stuck, as in asking for a name, is left to itself
+
+
+class Connection(Client):  # type: ignore[misc] # dask is not typed
+    """A connection to a scheduler, as `distributed.Client`."""
+
+    _is_over = False
+
+    def start(self, **options: Any) -> None:
+        """Connect, as the constructor does; what fails ends with its thread.
+
+        Raises
+        ------
+        OSError
+            When the scheduler does not answer, or refuses.
+        TypeError
+            When certificates do not fit.
+        """
+        try:
+            super().start(**options)
+        except BaseException:
+            with suppress(Exception):
+                self.close()
+            raise
+
+    def close(self, *arguments: Any, **options: Any) -> None:
+        """Let go of the scheduler, and end the thread, which dask's does only where the link still holds; safe to call twice."""
+        if self._is_over:
+            return
+        self._is_over = True
+        try:
+            super().close(*arguments, **options)
+        finally:
+            with suppress(Exception):
+                self._loop_runner.stop(timeout=END_S)
+
+
+class Scheduler(distributed.Scheduler):  # type: ignore[misc]  # distributed ships no types
+    """A scheduler whose link is its only port."""
+
+    def start_http_server(self, *_arguments: Any, **_options: Any) -> None:
+        """Open no port."""
+
+
+class Worker(distributed.Worker):  # type: ignore[misc]  # distributed ships no types
+    """A worker whose link is its only port."""
+
+    def start_http_server(self, *_arguments: Any, **_options: Any) -> None:
+        """Open no port."""
+
+
+class Nanny(distributed.Nanny):  # type: ignore[misc]  # distributed ships no types
+    """A nanny of such workers; it opens no web server itself."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, worker_class=Worker, **options)
+
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +151,7 @@ class Cluster:
         client.subscribe_topic(UNFIT_TOPIC, lambda event: log.error(event[1]["fault"]))
 
     @classmethod
-    def open(cls, settings: Settings, on_progress: Callable[[dict[str, Any]], None]) -> Cluster:
+    def open(cls, settings: Settings, on_progress: Callable[[Report], None]) -> Cluster:
         """Start our own workers, or connect to the scheduler of the settings.
 
         Raises
@@ -88,7 +178,7 @@ class Cluster:
                 raise
         opened = cls(client, local)
         try:
-            client.subscribe_topic(TOPIC, lambda event: on_progress(event[1]))
+            client.subscribe_topic(TOPIC, lambda event: on_progress(Report(**event[1]["report"])))
             if settings.scheduler:
                 client.register_plugin(Fitness(boresight.__version__, _shared_folder(settings)))
             client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
@@ -114,12 +204,12 @@ class Cluster:
         future.add_done_callback(lambda _: done())
         return future
 
-    def outcome_of(self, future: Any, worker: str) -> list[Outcome] | LostTaskError | None:
-        """Return a task's outcomes, that it was lost, or None when it has not ended or ended for no fault of its own."""
+    def ends_of(self, future: Any, worker: str) -> list[End] | LostTaskError | None:
+        """Return how a task's attempts ended, that it was lost, or None when it has not ended or ended for no fault of its own."""
         if not future.done():
             return None
         try:
-            outcomes: list[Outcome] = future.result(timeout=FETCH_S)
+            ends: list[End] = future.result(timeout=FETCH_S)
         except (TimeoutError, CancelledError):  # its worker died after it had ended and before it was asked
             return None
         except KilledWorker:
@@ -127,7 +217,7 @@ class Cluster:
             return None if lent else LostTaskError(DIED)
         except Exception as error:  # noqa: BLE001 - whatever kept the worker from even beginning
             return LostTaskError(f"its worker could not begin it, {type(error).__name__}: {error}")
-        return outcomes
+        return ends
 
     def _note_loan(self, event: dict[str, Any]) -> None:
         """Note that a worker has, or just had, pieces of another run."""

@@ -20,16 +20,13 @@ from typing import Any
 
 from distributed.comm import CommClosedError
 
+from boresight.console.runs.queries import Claimed, Held
+from boresight.platform.db.sessions import Engine as Database
 from boresight.settings import Settings
-from boresight.store.queued_runs import Claimed
-from boresight.store.runs import Held
-from boresight.store.sessions import Engine as Database
 from boresight.workers.cluster import Cluster, LostTaskError
 from boresight.workers.flight import Flight, Flights
-from boresight.workers.lookout import Lookout
-from boresight.workers.planning import Group
-from boresight.workers.reconcile import Reconciler
-from boresight.workers.reports import Reports
+from boresight.workers.link import Reports
+from boresight.workers.reconcile import Group, Lookout, Reconciler
 from boresight.workers.tasks import CALCULATION, inputs_of
 
 log = logging.getLogger(__name__)
@@ -198,7 +195,7 @@ class Engine:
         if flight.future.cancelled():
             self._rows.put_back(flight.members, "the scheduler dropped it")
             return True
-        answer = self._on_cluster().outcome_of(flight.future, flight.worker)
+        answer = self._on_cluster().ends_of(flight.future, flight.worker)
         if answer is None and alive:
             return False
         if answer is None:  # the news of the end may still be on its way
@@ -213,7 +210,7 @@ class Engine:
         else:
             self._rows.settle(answer)
             self._lookout.note(answer)
-            for sha256 in {outcome.get("corrupt_sha256") for outcome in answer} - {None}:
+            for sha256 in {end.corrupt_sha256 for end in answer} - {None}:
                 self._suspect(str(sha256))
         return True
 

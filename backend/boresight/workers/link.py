@@ -3,35 +3,170 @@
 Progress is an event on a topic of the scheduler, at most four a second, its histories thinned; the wish to stop is a
 `distributed.Event` named after run and attempt, looked at twice a second at most, because a look is a round trip. A
 run that is over within a second tells nothing on its way: nobody could see it.
+
+Progress on its way from the workers to the rows and the listeners: only the newest report of an attempt counts.
+
+A report carries the whole course so far, thinned to a few hundred points. Listeners are told what is new in it: the points
+after the last frame that they were told, so a report that was replaced before anybody looked leaves no gap. The rows get
+the report itself, twice a second at most, and the log a line at every tenth of the way.
 """
 
 from __future__ import annotations
 
+import threading
 import time
-from typing import Any, TypedDict
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from typing import Any
 
 import orjson
 from distributed import Event, get_worker
 
 from boresight.calibration.calibrate import Progress
+from boresight.console.runs.queries import Held
+from boresight.console.runs.run_events import Line
 from boresight.errors import CancelledError
 
-TOPIC = "boresight-progress"
-REPORT_EVERY_S = 0.25
-FIRST_REPORT_S = 1.0
-LOOK_EVERY_S = 0.5
-HISTORY_POINTS = 300
+RECORD_EVERY_S = 0.5
+LINE_EVERY_S = 2.0
+LINES = 20
+POINTS_AN_EVENT = 60
+COLUMNS = ("parameters", "sigma", "tail_rms_rad", "aggregate_rms_rad")
 
 
-class ProgressEvent(TypedDict):
-    """One report on its way; `partial` is a calibration JSON so far, as bytes, or None; `elapsed_s` since it began."""
+@dataclass(frozen=True)
+class Report:
+    """How far an attempt is; `partial` is the calibration JSON so far as bytes, `elapsed_s` the time since it began."""
 
     run_id: int
     attempt: int
     fraction: float
     message: str
     elapsed_s: float
-    partial: bytes | None
+    partial: bytes | None = None
+
+    @cached_property
+    def calibration(self) -> dict[str, Any] | None:
+        """The calibration so far."""
+        return None if self.partial is None else orjson.loads(self.partial)
+
+    def told(self) -> dict[str, Any]:
+        """Return what everybody is told."""
+        return {name: getattr(self, name) for name in ("run_id", "attempt", "fraction", "message", "elapsed_s")}
+
+    def progress(self, at_utc: str) -> dict[str, Any]:
+        """Return what the run's row keeps of a report that came at a time."""
+        said = {"fraction": self.fraction, "message": self.message, "elapsed_s": self.elapsed_s}
+        return said | {"at_utc": at_utc, "partial": self.calibration}
+
+    def line(self) -> Line:
+        """Return its line for the log."""
+        numbers = {"fraction": self.fraction, "elapsed_s": self.elapsed_s}
+        return Line.log(f"{100 * self.fraction:.0f} %: {self.message}", numbers)
+
+
+class Reports:
+    """A letter box that the cluster's thread fills and the engine's thread empties."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._newest: dict[Held, Report] = {}
+        self._recorded_s: dict[Held, float] = {}
+        self._told_frame: dict[Held, int] = {}
+        self._lines: dict[Held, tuple[int, float]] = {}
+
+    def hear(self, report: Report) -> None:
+        """Take a report; it replaces the one before of the same attempt."""
+        with self._lock:
+            self._newest[report.run_id, report.attempt] = report
+
+    def take(self, ours: AbstractSet[Held]) -> dict[Held, Report]:
+        """Return what came since the last time, of our attempts only."""
+        with self._lock:
+            reports, self._newest = self._newest, {}
+        self._told_frame = {held: frame for held, frame in self._told_frame.items() if held in ours}
+        self._lines = {held: line for held, line in self._lines.items() if held in ours}
+        return {held: report for held, report in reports.items() if held in ours}
+
+    def news(self, held: Held, report: Report) -> dict[str, Any]:
+        """Say what a report tells, with the points of the course that were not told before; they are taken as told now."""
+        points = points_after((report.calibration or {}).get("history") or {}, self._told_frame.get(held))
+        if points is not None:
+            self._told_frame[held] = points["frame"][-1]
+        return report.told() | {"history": points}
+
+    def due(self, reports: dict[Held, Report]) -> dict[Held, Report]:
+        """Return those whose rows were not written in the last half second; they are taken as written now."""
+        now_s = time.monotonic()
+        self._recorded_s = {held: at_s for held, at_s in self._recorded_s.items() if now_s - at_s < RECORD_EVERY_S}
+        due = {held: report for held, report in reports.items() if held not in self._recorded_s}
+        self._recorded_s |= dict.fromkeys(due, now_s)
+        return due
+
+    def lines(self, reports: Mapping[Held, Report]) -> dict[Held, Line]:
+        """Return a line for the log of each attempt that came to another twentieth of its way, one in two seconds at most."""
+        now_s = time.monotonic()
+        lines = {}
+        for held, report in reports.items():
+            part = int(LINES * report.fraction)
+            last, at_s = self._lines.get(held, (-1, -LINE_EVERY_S))
+            if part > last and now_s - at_s >= LINE_EVERY_S:
+                self._lines[held] = part, now_s
+                lines[held] = report.line()
+        return lines
+
+
+def points_after(history: Mapping[str, Any], after: int | None) -> dict[str, Any] | None:
+    """Return the points of a course after a frame, or None where there are none.
+
+    Parameters
+    ----------
+    history
+        The `history` of a calibration JSON so far: columns of equal length, frames ascending.
+    after
+        The last frame that was told, None where nothing was. A course that has since begun anew is told from its start.
+
+    Returns
+    -------
+    dict or None
+        `after` as the frame that these follow, `frame`, the columns a live chart draws, and `nis_per_dof`, the mean
+        normalised innovation squared so far; at most `POINTS_AN_EVENT` of each, evenly spread, the last among them.
+    """
+    frames: Sequence[int] = history.get("frame") or ()
+    if after is not None and frames and frames[-1] < after:
+        after = None
+    first = 0 if after is None else bisect_right(frames, after)
+    if first >= len(frames):
+        return None
+    kept = _spread(first, len(frames) - 1)
+    columns = {name: history.get(name) for name in COLUMNS} | {"nis_per_dof": _nis_per_dof(history)}
+    told = {name: [column[k] for k in kept] for name, column in columns.items() if column is not None}
+    return {"after": after, "frame": [frames[k] for k in kept]} | told
+
+
+def _spread(first: int, last: int) -> list[int]:
+    """Choose places from first to last, both among them."""
+    most = min(last - first + 1, POINTS_AN_EVENT)
+    return [last] if most == 1 else [first + round(k * (last - first) / (most - 1)) for k in range(most)]
+
+
+def _nis_per_dof(history: Mapping[str, Any]) -> list[float | None] | None:
+    """Average the normalised innovation squared over the points so far, per degree of freedom."""
+    if history.get("nis") is None:
+        return None
+    nis, dof = (accumulate(value or 0 for value in history.get(name) or ()) for name in ("nis", "nis_dof"))
+    return [total / count if count else None for total, count in zip(nis, dof, strict=False)]
+
+
+TOPIC = "boresight-progress"
+REPORT_EVERY_S = 0.25
+FIRST_REPORT_S = 1.0
+LOOK_EVERY_S = 0.5
+HISTORY_POINTS = 300
 
 
 def cancel_event(run_id: int, attempt: int) -> str:
@@ -57,15 +192,9 @@ class Link:
             return
         self._reported_s = now_s
         partial = None if progress.partial is None else encoded(progress.partial)
-        event = ProgressEvent(
-            run_id=self.run_id,
-            attempt=self.attempt,
-            fraction=float(progress.fraction),
-            message=progress.message,
-            elapsed_s=round(now_s - self._begun_s, 3),
-            partial=partial,
-        )
-        get_worker().log_event(TOPIC, dict(event))
+        elapsed_s = round(now_s - self._begun_s, 3)
+        report = Report(self.run_id, self.attempt, float(progress.fraction), progress.message, elapsed_s, partial)
+        get_worker().log_event(TOPIC, {"report": vars(report)})  # the worker adds its own address beside it
 
     def cancelled(self) -> bool:
         """Say whether this attempt was asked to stop."""

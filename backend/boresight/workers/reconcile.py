@@ -1,29 +1,163 @@
 """Keeping the run rows true: everything the engine writes to the database, one short transaction each.
 
 Leases: what we hold we renew three times a lease; what lapses belonged to a server that is gone and is queued again,
-or ended when it has lost too many attempts. Every write is fenced by attempt and state (see `boresight.store.runs`), so
+or ended when it has lost too many attempts. Every write is fenced by attempt and state (see `boresight.console.runs.queries`), so
 two servers on one database cannot both end a run, and a result that comes too late writes nothing.
+
+How long waiting runs will take: as long as the newest runs of their method and size took.
+
+Time is not in proportion to the number of stars: judging a small run takes longer than fitting it. So runs of about the same
+size are asked first, and all of the method only where there are none. What the newest runs took is read anew every few seconds.
+
+The look at what finished runs found: whether it raises an alarm.
+
+It is no part of writing an end, so no worker waits for it: the runs are noted, and looked at some at a time while others compute.
+What is still noted when a server stops, its upkeep finds when it starts again.
+
+Which waiting runs go to the workers next, and which of them share a task.
+
+To hand over a task, fetch its answer and write it costs tens of milliseconds, so short runs are computed several in one task: two
+seconds' worth where few wait, and of a long queue up to a quarter of what waits for each thread, eight seconds at most, for who
+queued a thousand runs waits for the last and not for the next. A run that takes over two seconds, or that was tried before (its
+neighbours shall not die with it), goes alone. A free thread gets a task; a thread that computes short runs may get a second group
+to go on with, but only while more runs wait than there are threads. So the few runs of a person are spread over the threads and
+really run when they are RUNNING, and other servers that share the database find the rest still QUEUED.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Mapping, Sequence
+import math
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from statistics import median
 
-import orjson
+from boresight.console.alarms.watch import changed_sensors, watch
+from boresight.console.runs import queries as runs
+from boresight.console.runs.dry_runs import Timed, predicted_s, seconds_per_star, timed_runs
+from boresight.console.runs.queries import Claimed, End, Held, Waiting, sensors_of, waiting_runs
+from boresight.console.runs.run_events import Line, write_event
+from boresight.platform.db.marks import Kept, Marks
+from boresight.platform.db.sessions import Engine as Database
+from boresight.platform.db.sessions import Session, reading, utc_now, writing
+from boresight.workers.link import Report
 
-from boresight.store import run_events, runs
-from boresight.store.marks import Kept, Marks
-from boresight.store.queued_runs import Claimed, Waiting, waiting_runs
-from boresight.store.runs import End, Held
-from boresight.store.sessions import Engine as Database
-from boresight.store.sessions import reading, utc_now, writing
-from boresight.workers.paces import Paces
-from boresight.workers.planning import Group, planned
-from boresight.workers.tasks import Outcome
+FRESH_S = 3.0
+ALIKE = 1.5  # times as many stars at most, or as few
+
+
+@dataclass
+class _Pace:
+    """What is known of a method."""
+
+    timed: list[Timed]
+    s_per_star: float
+    read_s: float
+
+
+@dataclass
+class Paces:
+    """What the newest runs of each method took."""
+
+    _known: dict[str, _Pace] = field(default_factory=dict)
+
+    def refresh(self, session: Session, methods: set[str]) -> None:
+        """Read what the newest runs of these methods took, where that was not done just now."""
+        now_s = time.monotonic()
+        for method in methods:
+            if method not in self._known or now_s - self._known[method].read_s > FRESH_S:
+                timed, pace = timed_runs(session, method), seconds_per_star(session, method)
+                self._known[method] = _Pace(timed, pace, now_s)
+
+    def seconds(self, run: Waiting) -> float:
+        """Predict the time of a waiting run, seconds."""
+        pace = self._known[run.method]
+        alike = [one.seconds / one.stars for one in pace.timed if 1 / ALIKE <= run.stars / one.stars <= ALIKE]
+        foreseen_s = predicted_s(run.settings, run.frames, run.stars, pace.s_per_star)
+        waits = run.settings.get("replay_frames_per_s")
+        return foreseen_s if waits or not alike else run.stars * median(alike)
+
+
+GROUP_S = 2.0
+LONG_GROUP_S, QUEUE_SHARE = 8.0, 0.25
+GROUP_RUNS = 64
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that share a task.
+
+    Parameters
+    ----------
+    run_ids
+        Oldest first.
+    seconds
+        Predicted time of all.
+    short
+        Whether they all are short and were never tried before, so that such a group may follow them, or they such a group.
+    """
+
+    run_ids: list[int]
+    seconds: float
+    short: bool
+
+
+def planned(
+    waiting: Sequence[Waiting], free: int, followed: int, threads: int, seconds_of: Callable[[Waiting], float]
+) -> list[Group]:
+    """Divide the oldest waiting runs over the threads.
+
+    Parameters
+    ----------
+    waiting
+        Runs nobody holds, oldest first.
+    free
+        Threads without a task.
+    followed
+        Threads that compute short runs and may be given a group of such to follow.
+    threads
+        All that there are, busy or not.
+    seconds_of
+        The predicted time of a run.
+
+    Returns
+    -------
+    list of Group
+        At most `free + followed`, those beyond `free` short.
+    """
+    slots = free + followed
+    most = min(GROUP_RUNS, math.ceil(len(waiting) / max(1, slots)))
+    share_s = QUEUE_SHARE * sum(map(seconds_of, waiting)) / max(1, threads)
+    longest_s = min(LONG_GROUP_S, max(GROUP_S, share_s))
+    groups: list[Group] = []
+    rest = list(waiting)
+    while rest and len(groups) < slots:
+        group = _first_group(rest, most, longest_s, seconds_of)
+        if len(groups) >= free and not group.short:
+            break
+        groups.append(group)
+        rest = rest[len(group.run_ids) :]
+    return groups
+
+
+def _first_group(
+    waiting: Sequence[Waiting], most: int, longest_s: float, seconds_of: Callable[[Waiting], float]
+) -> Group:
+    """Return the oldest runs that may share a task."""
+    total_s = seconds_of(waiting[0])
+    if waiting[0].attempt or total_s > GROUP_S:
+        return Group([waiting[0].run_id], total_s, short=False)
+    chosen = [waiting[0].run_id]
+    for run in waiting[1:most]:
+        seconds = seconds_of(run)
+        if run.attempt or seconds > GROUP_S or total_s + seconds > longest_s:
+            break
+        chosen.append(run.run_id)
+        total_s += seconds
+    return Group(chosen, total_s, short=True)
+
 
 log = logging.getLogger(__name__)
 
@@ -69,12 +203,12 @@ class Reconciler:
         """Let go of the store."""
         self._marks.close()
 
-    def settle(self, outcomes: Collection[Outcome]) -> None:
+    def settle(self, ends: Sequence[End]) -> None:
         """Write how attempts ended, unless they no longer hold their runs."""
         with writing(self.database) as session:
-            written = runs.finish_all(session, [_end(outcome) for outcome in outcomes])
-        for held in {(outcome["run_id"], outcome["attempt"]) for outcome in outcomes} - written.keys():
-            log.info("Run %d: a late outcome of attempt %d writes nothing", *held)
+            written = runs.finish_all(session, ends)
+        for held in {(end.run_id, end.attempt) for end in ends} - written.keys():
+            log.info("Run %d: a late end of attempt %d writes nothing", *held)
 
     def give_up(self, members: Collection[Held], cause: str, *, begun: bool = True) -> None:
         """Write that a task was lost with its worker.
@@ -128,20 +262,12 @@ class Reconciler:
             states = runs.states_of(session, [run_id for run_id, _ in members])
         return {held for held in members if states.get(held) == "CANCELLING"}
 
-    def record(self, reports: Mapping[Held, Mapping[str, Any]], lines: Mapping[Held, str]) -> None:
+    def record(self, reports: Mapping[Held, Report], lines: Mapping[Held, Line]) -> None:
         """Write how far attempts are and when they said so, with what a live page draws, and lines for their logs."""
         with writing(self.database) as session:
             for held, report in reports.items():
-                partial = report["partial"]
-                progress = {
-                    "fraction": report["fraction"],
-                    "message": report["message"],
-                    "elapsed_s": report["elapsed_s"],
-                    "at_utc": utc_now(),
-                    "partial": None if partial is None else orjson.loads(partial),
-                }
-                if runs.record_progress(session, *held, progress) and held in lines:
-                    run_events.write_event(session, *held, "log", lines[held])
+                if runs.record_progress(session, *held, report.progress(utc_now())) and held in lines:
+                    write_event(session, *held, lines[held])
 
     def waiting(self, limit: int) -> list[Waiting]:
         """Return the oldest runs that wait."""
@@ -166,15 +292,35 @@ class Reconciler:
         return [(group, members) for group, members in kept if members]
 
 
-def _end(outcome: Outcome) -> End:
-    """Say as the store does how an attempt ended."""
-    return End(
-        outcome["run_id"],
-        outcome["attempt"],
-        outcome["state"],
-        outcome["reason"],
-        outcome["result_sha256"],
-        outcome["summary"],
-        outcome["result_bytes"],
-        outcome["log"],
-    )
+RUNS = 16  # looked at together
+
+
+class Lookout:
+    """The runs of one engine that were not looked at yet."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._noted: list[int] = []
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to look at."""
+        return bool(self._noted)
+
+    def note(self, ends: Collection[End]) -> None:
+        """Remember the runs that succeeded."""
+        self._noted += [end.run_id for end in ends if end.state == "SUCCEEDED"]
+
+    def look(self) -> None:
+        """Look at some of them, writing only where an alarm changes; what fails here, the server's upkeep does again."""
+        some, self._noted = self._noted[:RUNS], self._noted[RUNS:]
+        try:
+            if some and (sensor_ids := self._changed(some)):
+                with writing(self._database) as session:
+                    watch(session, sensor_ids)
+        except Exception:
+            log.exception("The watch failed after a run; the server's upkeep looks again")
+
+    def _changed(self, run_ids: Collection[int]) -> list[int]:
+        """Return the sensors of these runs whose alarms are not as they should be."""
+        with reading(self._database) as session:
+            return changed_sensors(session, sensors_of(session, run_ids))

@@ -23,8 +23,7 @@ from distributed.core import rpc
 from distributed.system import MEMORY_LIMIT
 
 from boresight.settings import Settings
-from boresight.workers.configuration import CONFIGURATION, MEMORY_SHARE
-from boresight.workers.nodes import Nanny, Scheduler
+from boresight.workers.cluster import CONFIGURATION, MEMORY_SHARE, Nanny, Scheduler
 from boresight.workers.security import PROTOCOL, refuse_open_link, security_of
 from boresight.workers.warm import WarmUp
 

@@ -2,32 +2,178 @@
 
 The run's own worker takes pieces from the front all the time, in a thread beside; the run's thread hands groups to idle workers and
 gathers. So nothing can wait for ever: with no other worker, or with all of them busy, the run computes everything itself, and
-what is out elsewhere for too long it computes again, for a piece may be computed twice (`boresight.calibration.spread`).
+what is out elsewhere for too long it computes again, for a piece may be computed twice (`boresight.estimation.spread`).
 
 - A worker that computes a run, or has one waiting, is lent nothing: runs go first, and wait for the group under way at most.
 - A piece whose worker died is computed by the run itself. If it is poison it ends the run's own worker, and the engine counts that
   as a lost attempt of this run, as of any other; so two processes an attempt at most pay for it.
 - That a worker was lent is told on a topic, so that the engine charges no run with a death that a piece may have caused.
 - A worker that does not see the scratch folder gives its first group back untouched and is asked no more.
+
+The pieces of one map over a large set: which wait, which are out, which are done.
+
+Whoever computes takes a group of neighbouring pieces at a time. A group is to last about half a second, against the ten
+milliseconds that it costs to hand it over, and never more than its share of half of what is left, so that all end together
+(guided self-scheduling; Polychronopoulos and Kuck, IEEE Trans. Computers C-36, 1987). How long a piece lasts is measured on
+the way. Results are kept by place: who computed a piece, when, and how often is nowhere to be seen in them.
+
+Folders for the working copies of large runs: one an attempt, seen by every worker that sees the data folder.
+
+An attempt that was killed cannot remove its own. The next attempt of the run does, and whatever nobody has touched for a day any
+large run does: a working copy is made within minutes, and an attempt that still used it would be behind its fence by then.
 """
 
 from __future__ import annotations
 
 import contextlib
 import contextvars
+import math
 import secrets
+import shutil
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from distributed import get_client, get_worker
 
-from boresight.calibration.spread import Told
 from boresight.errors import CancelledError
-from boresight.workers.pieces import Broken, Group, Pieces
+from boresight.estimation.spread import Told
+
+GROUP_S = 0.5
+LEAST_S = 0.05
+
+#: Places of the pieces of one group, ascending.
+Group = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Broken:
+    """In the place of a result: what the piece raised."""
+
+    error: Exception
+
+
+class Pieces:
+    """A ledger that several threads write.
+
+    Parameters
+    ----------
+    count
+        How many pieces there are.
+    seconds
+        How long one lasts as far as known; None when none was ever timed.
+    """
+
+    def __init__(self, count: int, seconds: float | None = None) -> None:
+        self.count = count
+        self.seconds = seconds
+        self._lock = threading.Condition()
+        self._news = threading.Event()
+        self._fresh = deque(range(count))
+        self._returned: deque[int] = deque()
+        self._results: dict[int, Any] = {}
+        self._end = count  # behind the first piece that broke nothing is computed
+        self._closed = False
+
+    def take(self, takers: int, *, returned: bool = False) -> Group:
+        """Take the next group; empty when there is none.
+
+        Parameters
+        ----------
+        takers
+            How many share what is left.
+        returned
+            Whether those may be taken, and first, that somebody else has had already.
+        """
+        with self._lock:
+            while returned and self._returned:
+                place = self._returned.popleft()
+                if place < self._end and place not in self._results:
+                    return (place,)
+            left = sum(place < self._end for place in self._fresh) if self._end < self.count else len(self._fresh)
+            size = min(left, self._size(left, takers))
+            return tuple(self._fresh.popleft() for _ in range(size))
+
+    def _size(self, left: int, takers: int) -> int:
+        """How many pieces make a group now."""
+        if not self.seconds:
+            return 1
+        most, least = max(1, int(GROUP_S / self.seconds)), math.ceil(LEAST_S / self.seconds)
+        return max(1, min(most, max(least, math.ceil(left / (2 * takers)))))
+
+    def give_back(self, group: Group) -> None:
+        """Return a group that was lost, or is overdue; it may still be settled by whoever had it."""
+        with self._lock:
+            self._returned.extend(place for place in group if place not in self._results)
+            self._lock.notify_all()
+        self._news.set()
+
+    def settle(self, group: Group, results: Sequence[Any], seconds: float) -> None:
+        """Write the results of a group, up to the first that is `Broken`; the first answer for a piece counts."""
+        with self._lock:
+            for place, result in zip(group, results, strict=False):
+                self._results.setdefault(place, result)
+                if isinstance(result, Broken):
+                    self._end = min(self._end, place)
+            self.seconds = seconds / max(1, len(results))
+        self._news.set()
+
+    def await_news(self, seconds: float) -> None:
+        """Wait until there is news since the last time, so many seconds at most; for one thread, which gathers."""
+        self._news.wait(seconds)
+        self._news.clear()
+
+    def tell_news(self) -> None:
+        """Say that there is something to gather."""
+        self._news.set()
+
+    def rest(self, seconds: float) -> None:
+        """Wait until something is given back or all is over, so many seconds at most."""
+        with self._lock:
+            self._lock.wait(seconds)
+
+    def close(self) -> None:
+        """Let nobody take any more."""
+        with self._lock:
+            self._closed = True
+            self._fresh.clear()
+            self._returned.clear()
+            self._lock.notify_all()
+
+    @property
+    def closed(self) -> bool:
+        """Whether all is over."""
+        return self._closed
+
+    @property
+    def done(self) -> int:
+        """How many pieces have a result."""
+        return len(self._results)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every piece has its result, or every one before the first that broke."""
+        with self._lock:
+            return all(place in self._results for place in range(self._end)) if self.done >= self._end else False
+
+    def results(self) -> list[Any]:
+        """Return the results in order.
+
+        Raises
+        ------
+        Exception
+            What the first broken piece raised.
+        """
+        if self._end < self.count:
+            error: Exception = self._results[self._end].error
+            raise error
+        return [self._results[place] for place in range(self.count)]
+
 
 LENT_TOPIC = "boresight-lent"
 LOOK_EVERY_S = 0.5
@@ -267,3 +413,29 @@ def _tell(pieces: Pieces, done: Told | None) -> int:
     if done is not None:
         done(count, pieces.count)
     return count
+
+
+FORGOTTEN_S = 86_400.0
+
+
+@contextmanager
+def scratch_of(folder: Path, run_id: int, attempt: int) -> Iterator[Path]:
+    """Make an attempt's folder below `folder`; it is gone at the end."""
+    folder.mkdir(exist_ok=True)  # the data folder may have been moved away: it is not made anew
+    for left in folder.glob("run-*-*"):
+        if left.name.startswith(f"run-{run_id}-") or _age_s(left) > FORGOTTEN_S:
+            shutil.rmtree(left, ignore_errors=True)
+    own = folder / f"run-{run_id}-{attempt}"
+    own.mkdir(exist_ok=True)
+    try:
+        yield own
+    finally:
+        shutil.rmtree(own, ignore_errors=True)
+
+
+def _age_s(folder: Path) -> float:
+    """How long ago anything was put into a folder or its folders."""
+    try:
+        return time.time() - max(path.stat().st_mtime for path in (folder, *folder.glob("*")))
+    except OSError:  # it has just been removed
+        return 0.0

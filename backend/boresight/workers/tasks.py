@@ -21,22 +21,23 @@ from typing import Any, TypedDict, cast
 
 import orjson
 
-from boresight.calibration.settings import CalibrationSettings
-from boresight.calibration.source import TelemetryFile
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.source import StoredTable
+from boresight.console.runs.queries import Claimed, End
+from boresight.console.runs.run_events import Line
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.places import BlobPlace
+from boresight.platform.blobs.working_tables import working_table
 from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.store.blob_places import BlobPlace
-from boresight.store.blobs import BlobStore, open_blobs
-from boresight.store.queued_runs import Claimed
-from boresight.telemetry.limits import STORED
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
+from boresight.verdicts.summary import summary_of
 from boresight.workers.link import Link
-from boresight.workers.scratch import scratch_of
-from boresight.workers.spread import ClusterSpread
-from boresight.workers.summary import summary_of
+from boresight.workers.spread import ClusterSpread, scratch_of
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
 TABLES = 2  # kept in a worker process; none is so large that it is spread
@@ -51,20 +52,6 @@ class Inputs(TypedDict):
     validation_sha256: str | None
     sensor_document: dict[str, Any]
     settings: dict[str, Any]
-
-
-class Outcome(TypedDict):
-    """How an attempt ended: the terminal state asked for, why, the result's address, lines for the log, a file found corrupt."""
-
-    run_id: int
-    attempt: int
-    state: str
-    reason: str | None
-    result_sha256: str | None
-    result_bytes: int
-    summary: dict[str, Any] | None
-    log: list[str]
-    corrupt_sha256: str | None
 
 
 Work = tuple[int, int, Inputs]  # run id, attempt, inputs
@@ -83,17 +70,15 @@ def inputs_of(settings: Settings, run: Claimed) -> Inputs:
     )
 
 
-def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[Outcome]:
+def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[End]:
     """Compute several small runs one after the other in one task; each result is synced to the disk while the next computes."""
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="boresight-results") as keeper:
         computed = [execute(*work, calculation, keeper.submit) for work in group]
-        return [_kept(outcome, sha256) for outcome, sha256 in computed]
+        return [_kept(end, sha256) for end, sha256 in computed]
 
 
-def execute(
-    run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep
-) -> tuple[Outcome, Future[str] | None]:
-    """Compute one run; whatever happens, the answer is an outcome, and the address that its result will have.
+def execute(run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep) -> tuple[End, Future[str] | None]:
+    """Compute one run; whatever happens, the answer is its end, and the address that its result will have.
 
     Parameters
     ----------
@@ -111,50 +96,50 @@ def execute(
         link.refuse_if_cancelled()
         return _succeeded(inputs, calculation, link, keep)
     except CancelledError as error:
-        return _ended(run_id, attempt, "CANCELLED", str(error) or "Stopped on request."), None
+        return End(run_id, attempt, "CANCELLED", str(error) or "Stopped on request."), None
     except CorruptFileError as error:
-        return _ended(run_id, attempt, "FAILED", str(error)) | {"corrupt_sha256": error.sha256 or None}, None
+        return End(run_id, attempt, "FAILED", str(error), corrupt_sha256=error.sha256 or None), None
     except BoresightError as error:
-        faults = [str(fault) for fault in getattr(error, "faults", ())]
-        return _ended(run_id, attempt, "FAILED", str(error), faults), None
+        faults = [Line.log(str(fault)) for fault in getattr(error, "faults", ())]
+        return End(run_id, attempt, "FAILED", str(error), log=faults), None
     except Exception as error:  # noqa: BLE001 - any defect of the computation ends its run, not the worker
         of_disk = storage_error(error) if isinstance(error, OSError) else None
         if of_disk is not None:
-            return _ended(run_id, attempt, "FAILED", str(of_disk)), None
+            return End(run_id, attempt, "FAILED", str(of_disk)), None
         reason = f"The computation broke down, {type(error).__name__}: {error}"
-        return _ended(run_id, attempt, "FAILED", reason, [traceback.format_exc()]), None
+        return End(run_id, attempt, "FAILED", reason, log=[_traceback()]), None
 
 
-def _kept(outcome: Outcome, sha256: Future[str] | None) -> Outcome:
-    """Complete an outcome with the address of its result, once that is on the disk."""
+def _kept(end: End, sha256: Future[str] | None) -> End:
+    """Complete an end with the address of its result, once that is on the disk."""
     if sha256 is None:
-        return outcome
+        return end
     try:
-        return outcome | {"result_sha256": sha256.result()}
+        return replace(end, result_sha256=sha256.result())
     except BoresightError as error:  # a full disk, say: the run has no result then
-        return _ended(outcome["run_id"], outcome["attempt"], "FAILED", f"The result could not be kept. {error}")
+        return End(end.run_id, end.attempt, "FAILED", f"The result could not be kept. {error}")
     except Exception as error:  # noqa: BLE001 - a defect ends the run, not the worker
         reason = f"The result could not be kept, {type(error).__name__}: {error}"
-        return _ended(outcome["run_id"], outcome["attempt"], "FAILED", reason, [traceback.format_exc()])
+        return End(end.run_id, end.attempt, "FAILED", reason, log=[_traceback()])
 
 
-def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[Outcome, Future[str] | None]:
+def _traceback() -> Line:
+    """Return the log's line for a defect, while it is caught."""
+    return Line.log(traceback.format_exc(), level="error")
+
+
+def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[End, Future[str] | None]:
     """Calibrate, begin to put the result, and describe it."""
     begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
     blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]), make=False)
     document = _calibrated(blobs, inputs, calculation, link)
-    content = _json(document)
+    content = orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
     seconds, cpu_seconds = time.perf_counter() - begun_s, time.thread_time() - begun_cpu_s
-    figures = orjson.loads(_json(summary_of(document)))  # what is no number becomes null
-    summary = {**figures, "seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
-    told = [f"Computed in {seconds:.2f} s: {summary['status']}."]
-    outcome = _ended(link.run_id, link.attempt, "SUCCEEDED", None, told)
-    return outcome | {"result_bytes": len(content), "summary": summary}, keep(lambda: blobs.put(content))
-
-
-def _json(document: dict[str, Any]) -> bytes:
-    """Write a document."""
-    return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
+    took = {"seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
+    summary = summary_of(document) | took
+    told = Line.log(f"Computed in {seconds:.2f} s: {summary['status']}.", took)
+    end = End(link.run_id, link.attempt, "SUCCEEDED", summary=summary, result_bytes=len(content), log=[told])
+    return end, keep(lambda: blobs.put(content))
 
 
 def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> dict[str, Any]:
@@ -171,11 +156,11 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
             spread = ClusterSpread(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
             folders = {"scratch_folder": folder, "spread": spread}
         return _function(calculation)(
-            source if large else _telemetry(source.path),
+            source if large else _telemetry(source),
             parse_sensor(inputs["sensor_document"]),
             _catalogue(inputs["catalogue_folder"]),
             CalibrationSettings.parse(inputs["settings"]),
-            validation=held_out if held_out is None or held_out.large() else _telemetry(held_out.path),
+            validation=held_out if held_out is None or held_out.large() else _telemetry(held_out),
             report=link.report,
             cancelled=link.cancelled,
             cache_folder=Path(inputs["catalogue_folder"]),
@@ -183,24 +168,9 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
         )
 
 
-def _table(blobs: BlobStore, sha256: str) -> TelemetryFile:
-    """Find a table of telemetry, held against its address."""
-    return TelemetryFile(blobs.path(sha256), sha256=sha256, limits=STORED)
-
-
-def _ended(run_id: int, attempt: int, state: str, reason: str | None, log: list[str] | None = None) -> Outcome:
-    """Describe an end without a result."""
-    return Outcome(
-        run_id=run_id,
-        attempt=attempt,
-        state=state,
-        reason=reason,
-        result_sha256=None,
-        result_bytes=0,
-        summary=None,
-        log=log or [],
-        corrupt_sha256=None,
-    )
+def _table(blobs: BlobStore, sha256: str) -> StoredTable:
+    """Find a table of telemetry; of an object store only this machine sees the file."""
+    return StoredTable(*working_table(blobs, sha256), shared=blobs.kept_at is None)
 
 
 @cache
@@ -217,9 +187,9 @@ def _function(dotted: str) -> Callable[..., dict[str, Any]]:
 
 
 @lru_cache(maxsize=TABLES)
-def _telemetry(path: Path) -> Telemetry:
-    """Read a table; the few newest are kept, for a group often has several runs of one. Its content never changes."""
-    return TelemetryFile(path, limits=STORED).read()
+def _telemetry(table: StoredTable) -> Telemetry:
+    """Map a table; the few newest are kept, for a group often has several runs of one. Its content never changes."""
+    return table.read()
 
 
 @cache

@@ -15,8 +15,8 @@ import numpy as np
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.settings import METHODS, CalibrationSettings
-from boresight.estimation.cameras import CAMERA_MODELS
+from boresight.calibration.options import METHODS, CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.schema import Telemetry

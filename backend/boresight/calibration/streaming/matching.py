@@ -16,27 +16,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.detections import limit_of
-from boresight.calibration.matched import Matched, Under, matched_under
-from boresight.calibration.rematch import Matches, MatchingSky, Rematcher, blend_rad, matching_sky
-from boresight.calibration.settings import CalibrationSettings
-from boresight.calibration.spread import Spread
-from boresight.calibration.streaming.columns import Columns, write_columns
-from boresight.calibration.streaming.ordering import OrderedPiece, read_catalogue, write_ordered
+from boresight.arrays import FloatArray
+from boresight.calibration.matching.detections import limit_of
+from boresight.calibration.matching.flight import flight_tolerance, flight_view
+from boresight.calibration.matching.rematch import Matches, MatchingSky, Rematcher, blend_rad, matching_sky
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import build_problem
 from boresight.calibration.streaming.sample import MatchedRows
-from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece
+from boresight.calibration.streaming.stored_arcs import OrderedPiece, read_catalogue, write_ordered
+from boresight.calibration.streaming.telemetry_pieces import FrameRange, TelemetryPiece
+from boresight.columns import Columns, write_columns
+from boresight.estimation.spread import Spread
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import TimelessError
-from boresight.telemetry.exposures import exposures_of
-from boresight.telemetry.schema import Telemetry, joined, rows_of
+from boresight.telemetry.schema import Telemetry, exposures_of
 from boresight.telemetry.sensors import Sensor
 
 _MATCHES = tuple(item.name for item in fields(Matches))
 
 
 @dataclass(frozen=True)
+class Under:
+    """What a set is matched under: x, SI, its covariance P, SI, and centroid errors so many times the stated ones."""
+
+    x: FloatArray
+    P: FloatArray
+    noise: float = 1.0
+
+
+@dataclass(frozen=True)
 class Matching:
-    """How a set is matched, the same for all its ranges.
+    """How a set in files is matched, the same for all its ranges.
 
     Parameters
     ----------
@@ -57,59 +67,56 @@ class Matching:
 
 
 @dataclass(frozen=True)
-class FrameRange:
-    """The frames first <= k < last of consecutive pieces, whose first row is at `begins` of the set."""
-
-    pieces: tuple[TelemetryPiece, ...]
-    first: int
-    last: int
-
-    def read(self) -> tuple[Telemetry, int]:
-        """Map its rows; returns them and the place of the first in the set."""
-        parts, done, begins = [], 0, -1
-        for piece in self.pieces:
-            telemetry = piece.read()
-            starts = np.append(np.unique(telemetry.frame, return_index=True)[1], len(telemetry))
-            rows = slice(*(int(starts[np.clip(k - done, 0, len(starts) - 1)]) for k in (self.first, self.last)))
-            if rows.start < rows.stop:
-                begins = begins if begins >= 0 else piece.begins + rows.start
-                parts.append(rows_of(telemetry, rows))
-            done += len(starts) - 1
-        return joined(parts), begins
-
-
-@dataclass(frozen=True)
 class MatchedRange:
-    """A range as matched under some state: its arcs, its matches, and its stars after the flight code's check.
+    """A range as matched under some state: its rows with their matches, and where it is in files its arcs.
 
     `unidentified` of its exposures want the lost-in-space extra, which is not installed.
     """
 
-    of: FrameRange
-    ordered: OrderedPiece
-    matches: Columns
-    unidentified: int
+    held: MatchedRows | tuple[FrameRange, Columns]
+    unidentified: int = 0
+    ordered: OrderedPiece | None = None
+
+    def rows(self) -> MatchedRows:
+        """The telemetry, the matches and the kept stars; maps them where they are in files."""
+        if isinstance(self.held, MatchedRows):
+            return self.held
+        of, matches = self.held
+        arrays: dict[str, Any] = matches.read()
+        return MatchedRows(of.read()[0], Matches(**{name: arrays[name] for name in _MATCHES}), arrays["kept"])
 
 
 def match_range(how: Matching, of: FrameRange, under: Under, path: str) -> MatchedRange:
     """Match one range and write what comes out."""
     telemetry, begins = of.read()
-    matched, timeless = matched_range(how, telemetry, under)
-    arrays = {name: getattr(matched.matches, name) for name in _MATCHES} | {"kept": matched.telemetry.star_id}
-    ordered = write_ordered(matched.problem, begins, Path(f"{path}-arcs"), timeless)
-    return MatchedRange(of, ordered, write_columns(Path(f"{path}-matches"), arrays), matched.unidentified)
+    rows, matches, timeless = matched_range(how, telemetry, under)
+    arrays = {name: getattr(matches, name) for name in _MATCHES} | {"kept": rows.kept}
+    problem = build_problem(rows.named(), how.sensor, read_catalogue(how.catalogue), how.settings.minimum_stars)
+    ordered = write_ordered(problem, begins, Path(f"{path}-arcs"), timeless)
+    return MatchedRange((of, write_columns(Path(f"{path}-matches"), arrays)), matches.unidentified, ordered)
 
 
-def matched_range(how: Matching, telemetry: Telemetry, under: Under) -> tuple[Matched, int]:
-    """Match rows in memory; returns how many stars wanted a time where none of these rows has one, too."""
+def matched_range(how: Matching, telemetry: Telemetry, under: Under) -> tuple[MatchedRows, Matches, int]:
+    """Match rows in memory; returns them, their matches, and how many stars wanted a time where none of these rows has one."""
     stars, timeless = read_catalogue(how.catalogue), 0
     sky = _sky(how.catalogue, how.magnitude_limit, blend_rad(how.sensor))
     try:
         matcher = _rematcher(how, telemetry, stars, sky)
     except TimelessError as refusal:
         timeless, matcher = refusal.stars, _rematcher(how, telemetry, stars.brighter_than(-np.inf), sky)
-    frames = slice(0, matcher.n_frames)
-    return matched_under(telemetry, matcher, frames, under, how.sensor, stars, how.settings), timeless
+    matches = matcher(under.x, under.P, noise=under.noise)
+    return matched_rows(telemetry, matches, under.x, how.sensor, how.settings), matches, timeless
+
+
+def matched_rows(
+    telemetry: Telemetry, matches: Matches, x: FloatArray, sensor: Sensor, settings: CalibrationSettings
+) -> MatchedRows:
+    """Keep the matches that the flight code would accept at x, or all where `match_rule` does not ask it."""
+    if settings.match_rule != "flight":
+        return MatchedRows(telemetry, matches, matches.star_id)
+    view = flight_view(telemetry, sensor, matches, x, flight_tolerance(sensor, settings), settings.minimum_stars)
+    taken = view.accepted & np.repeat(view.valid, np.diff(matches.exposure_start))
+    return MatchedRows(telemetry, matches, np.where(taken, matches.star_id, 0))
 
 
 def _rematcher(how: Matching, telemetry: Telemetry, stars: Catalogue, sky: MatchingSky) -> Rematcher:
@@ -152,12 +159,4 @@ def _median(counts: NDArray[np.int64]) -> float:
 
 def changed_in_range(before: MatchedRange, after: MatchedRange) -> int:
     """Count the detections of a range whose star differs."""
-    stars = [matched.matches.read()["kept"] for matched in (before, after)]
-    return int(np.sum(stars[0] != stars[1]))
-
-
-def rows_of_range(part: MatchedRange) -> MatchedRows:
-    """Map the telemetry, the matches and the kept stars of a range."""
-    telemetry, _ = part.of.read()
-    arrays: dict[str, Any] = part.matches.read()
-    return telemetry, Matches(**{name: arrays[name] for name in _MATCHES}), arrays["kept"]
+    return int(np.sum(before.rows().kept != after.rows().kept))

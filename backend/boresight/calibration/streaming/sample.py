@@ -7,15 +7,17 @@ thousand stars tell a residual's mean over a cell of the detector to a hundredth
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.rematch import Matches, joined_matches
-from boresight.estimation.arcs import Arcs
+from boresight.arrays import IntArray
+from boresight.calibration.matching.rematch import Matches, joined_matches, matched_telemetry
+from boresight.calibration.matching.sighting import GivenMatches
 from boresight.estimation.blocks import FRAMES
+from boresight.estimation.stored_arcs import Arcs
 from boresight.telemetry.schema import Telemetry, joined, rows_of
 
 #: Stars up to which a set is judged whole, and of a larger one so many are.
@@ -33,8 +35,22 @@ def spread_blocks(n_blocks: int, most: int) -> NDArray[np.int64]:
 Ends = Sequence[tuple[int, int]]
 #: One stretch from the first frame to the last.
 WHOLE: Ends = ((np.iinfo(np.int64).min, np.iinfo(np.int64).max),)
-#: Rows of a set, their matches, and (n_rows,) the stars that were kept of these.
-MatchedRows = tuple[Telemetry, Matches, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class MatchedRows:
+    """Rows of a set, their matches, and the stars that were kept of these, (n_rows,)."""
+
+    telemetry: Telemetry
+    matches: Matches | GivenMatches
+    kept: IntArray
+
+    def named(self) -> Telemetry:
+        """The rows with the stars that were kept, and their directions."""
+        if isinstance(self.matches, GivenMatches):
+            return self.telemetry
+        s_i = np.where(self.kept[:, None] > 0, self.matches.s_i, np.nan)
+        return matched_telemetry(self.telemetry, replace(self.matches, star_id=self.kept, s_i=s_i))
 
 
 def judged_frames(arcs: Arcs) -> Ends:
@@ -54,12 +70,13 @@ def judged_telemetry(parts: Iterable[Telemetry], ends: Ends) -> Telemetry:
 def judged_matches(parts: Iterable[MatchedRows], ends: Ends) -> MatchedRows:
     """The same with the matches of these rows."""
     found = [
-        (rows_of(telemetry, rows), _matches_of_rows(matches, rows), kept[rows])
-        for telemetry, matches, kept in parts
-        for rows in _rows_of_frames(telemetry, ends)
+        (rows_of(part.telemetry, rows), _matches_of_rows(part.matches, rows), part.kept[rows])
+        for part in parts
+        for rows in _rows_of_frames(part.telemetry, ends)
+        if isinstance(part.matches, Matches)
     ]
     telemetry, matches, kept = zip(*found, strict=True)
-    return joined(telemetry), joined_matches(matches), np.concatenate(kept)
+    return MatchedRows(joined(telemetry), joined_matches(matches), np.concatenate(kept))
 
 
 def _ends(arcs: Arcs, block: int) -> tuple[int, int]:

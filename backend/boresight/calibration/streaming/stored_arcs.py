@@ -1,188 +1,129 @@
-"""The arcs of a set in files, in the place of an `ArcSet`: the same blocks, so the same bits.
+"""From the pieces of a set to the arcs of its problem, piece by piece.
 
-Blocks of `estimation.blocks` are cut over the whole sequence of frames, wherever a piece ends; a block that lies in two pieces is
-put together from both. R is not stored: it is four times as large as what it is made from, and making it anew costs about half of
-the evaluation that it is made for (25 ms beside 36 ms for 19,000 frames), which reading it would cost too. Nothing but the state
-of the weights has to travel, so any machine computes any range of blocks at any time.
+What `calibration.problem` counts of a set adds up over its parts. One refusal does not: that no matched star has a time is true of
+a set only if it is true of every part, so a part without times gives what it can, and the sum decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.spread import Spread
-from boresight.calibration.streaming.columns import Columns, write_columns
-from boresight.estimation.arcs import ArcSet
-from boresight.estimation.blocks import FRAMES, in_blocks
-
-T = TypeVar("T")
-Step = tuple[Callable[..., ArcSet], tuple[Any, ...]]
-
-#: Blocks that one call computes: a tenth of a second, ten times what it costs to send it to another machine.
-BLOCKS_A_RANGE = 16
-_STORED = ("frame", "frame_start", "star_start", "row_px", "col_px", "sigma_px", "s_i", "source_row")
+from boresight.calibration.problem import LeftOut, Problem, added, problem_of
+from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece
+from boresight.columns import Columns, write_columns
+from boresight.estimation.spread import Spread, Told
+from boresight.estimation.stored_arcs import ArcsPiece, StoredArcs, write_arcs
+from boresight.sky.catalogue import Catalogue
+from boresight.sky.directions import TimelessError, star_directions
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
 
 
 @dataclass(frozen=True)
-class ArcsPiece:
-    """Consecutive frames of a set in a file.
+class OrderedPiece:
+    """The arcs of a piece, and what is counted of it; `timeless` stars wanted a time where the whole piece has none."""
 
-    Parameters
-    ----------
-    columns
-        The arrays of an unweighed `ArcSet`, and `time_utc` of each frame where the set has times.
-    model, pitch
-        As in `ArcSet`.
-    n_frames, n_exposures, n_stars
-        How many there are.
+    arcs: ArcsPiece
+    frames_in_set: int
+    left_out: tuple[LeftOut, ...]
+    timeless: int
+
+
+def write_catalogue(catalogue: Catalogue, folder: Path) -> Columns:
+    """Put the stars where every machine can map them."""
+    arrays = {item.name: getattr(catalogue, item.name) for item in fields(Catalogue)}
+    return write_columns(folder / "catalogue", arrays)
+
+
+@lru_cache(maxsize=1)
+def read_catalogue(columns: Columns) -> Catalogue:
+    """Map the stars; those read last are kept."""
+    return Catalogue(**columns.read())
+
+
+def order_set(
+    pieces: Sequence[TelemetryPiece],
+    sensor: Sensor,
+    catalogue: Columns,
+    minimum_stars: int,
+    folder: Path,
+    spread: Spread,
+    done: Told,
+) -> Problem:
+    """Order the stars of every exposure of a set.
+
+    Raises
+    ------
+    RefusedInputError
+        When matched rows can be given no direction at all, see `sky.directions`.
     """
-
-    columns: Columns
-    model: int
-    pitch: float
-    n_frames: int
-    n_exposures: int
-    n_stars: int
-
-    def read(self) -> ArcSet:
-        """Map it."""
-        arrays: dict[str, Any] = self.columns.read()
-        return ArcSet(
-            **{name: arrays[name] for name in _STORED},
-            model=self.model, pitch=self.pitch, phi=np.empty(0), band=np.empty((0, 5)),
-        )  # fmt: skip
-
-    def column(self, name: str) -> NDArray[Any]:
-        """Map one array of it."""
-        return self.columns.read()[name]
-
-    def has(self, name: str) -> bool:
-        """Whether there is such an array."""
-        return any(column.name == name for column in self.columns.layout)
+    work = [
+        (piece, sensor, catalogue, minimum_stars, str(folder / f"arcs-{number:06d}"))
+        for number, piece in enumerate(pieces)
+    ]
+    parts: list[OrderedPiece] = spread.map(order_piece, work, done=done)
+    refuse_timeless(pieces, sum(part.timeless for part in parts), catalogue, spread)
+    return problem_of_parts(parts, sensor, spread)
 
 
-def write_arcs(path: Path, arcs: ArcSet, time_utc: NDArray[np.datetime64] | None) -> ArcsPiece:
-    """Write unweighed arcs and the times of their frames."""
-    arrays = {name: getattr(arcs, name) for name in _STORED}
-    if time_utc is not None:
-        arrays["time_utc"] = time_utc
-    columns = write_columns(path, arrays)
-    return ArcsPiece(columns, arcs.model, arcs.pitch, arcs.n_frames, arcs.n_exposures, arcs.n_stars)
-
-
-@dataclass(frozen=True)
-class StoredArcs:
-    """The arcs of a set in pieces; `estimation.arcs.Arcs` says what its methods do.
-
-    Parameters
-    ----------
-    pieces
-        In the order of their frames.
-    spread
-        What computes ranges of blocks.
-    steps
-        What `each` has been asked to do to every part, in order.
-    """
-
-    pieces: tuple[ArcsPiece, ...]
-    spread: Spread
-    steps: tuple[Step, ...] = ()
-
-    @property
-    def n_frames(self) -> int:
-        """Number of frames."""
-        return sum(piece.n_frames for piece in self.pieces)
-
-    @property
-    def n_exposures(self) -> int:
-        """Number of exposures."""
-        return sum(piece.n_exposures for piece in self.pieces)
-
-    @property
-    def n_stars(self) -> int:
-        """Number of star sightings."""
-        return sum(piece.n_stars for piece in self.pieces)
-
-    @property
-    def n_arcs(self) -> int:
-        """Number of arcs."""
-        return 2 * self.n_stars - 3 * self.n_exposures
-
-    def frames(self, first: int, last: int) -> ArcSet:
-        """Return the frames first <= k < last as a set in memory."""
-        pieces, k0, k1 = self.part(first, last)
-        return taken([piece.read() for piece in pieces], k0, k1, self.steps)
-
-    def each(self, function: Callable[..., ArcSet], *arguments: Any) -> StoredArcs:
-        """Remember to do this to every part that is taken."""
-        return replace(self, steps=(*self.steps, (function, arguments)))
-
-    def over_blocks(self, function: Callable[..., T], *arguments: Any) -> list[T]:
-        """Call `function(block, *arguments)` for each block, a range of blocks at a time, wherever the spread computes it."""
-        edges = range(0, self.n_frames, FRAMES * BLOCKS_A_RANGE)
-        ranges = [self.part(first, min(first + edges.step, self.n_frames)) for first in edges]
-        work = [(*part, self.steps, function, arguments) for part in ranges]
-        return [result for results in self.spread.map(over_range, work) for result in results]
-
-    def part(self, first: int, last: int) -> tuple[tuple[ArcsPiece, ...], int, int]:
-        """The pieces that the frames first <= k < last lie in, and these places counted from the first of them."""
-        ends = np.cumsum([piece.n_frames for piece in self.pieces], dtype=np.int64)
-        begin, end = int(np.searchsorted(ends, first, side="right")), int(np.searchsorted(ends, last))
-        before = int(ends[begin - 1]) if begin else 0
-        return self.pieces[begin : end + 1], first - before, last - before
-
-
-def over_range(
-    pieces: Sequence[ArcsPiece],
-    first: int,
-    last: int,
-    steps: Sequence[Step],
-    function: Callable[..., T],
-    arguments: tuple[Any, ...],
-) -> list[T]:
-    """Call `function(block, *arguments)` for each block of the frames first <= k < last of some pieces."""
-    mapped = [piece.read() for piece in pieces]
-    return in_blocks(lambda k0, k1: function(taken(mapped, first + k0, first + k1, steps), *arguments), last - first)
-
-
-def taken(sets: Sequence[ArcSet], first: int, last: int, steps: Sequence[Step] = ()) -> ArcSet:
-    """Put together the frames first <= k < last of consecutive sets, and do the steps to them."""
-    parts, begins = [], 0
-    for arcs in sets:
-        k0, k1 = max(first - begins, 0), min(last - begins, arcs.n_frames)
-        if k0 < k1:
-            parts.append(arcs.frames(k0, k1))
-        begins += arcs.n_frames
-    arcs = joined(parts)
-    for function, arguments in steps:
-        arcs = function(arcs, *arguments)
-    return arcs
-
-
-def joined(parts: Sequence[ArcSet]) -> ArcSet:
-    """Join consecutive unweighed sets, at least one."""
-    if len(parts) == 1:
-        return parts[0]
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in _STORED if "start" not in name
-    }
-    exposures = np.cumsum([0, *(part.n_exposures for part in parts)])
-    stars = np.cumsum([0, *(part.n_stars for part in parts)])
-    return replace(
-        parts[0],
-        **arrays,
-        frame_start=_starts([part.frame_start for part in parts], exposures),
-        star_start=_starts([part.star_start for part in parts], stars),
+def problem_of_parts(parts: Sequence[OrderedPiece], sensor: Sensor, spread: Spread) -> Problem:
+    """Make one problem of the parts of a set; a part may have no frame."""
+    pieces = tuple(part.arcs for part in parts if part.arcs.n_frames)
+    timed = bool(pieces) and all(piece.has("time_utc") for piece in pieces)
+    return Problem(
+        sensor=sensor,
+        arcs=StoredArcs(pieces, spread),
+        time_utc=np.concatenate([piece.column("time_utc") for piece in pieces]) if timed else None,
+        frames_in_set=sum(part.frames_in_set for part in parts),
+        left_out=added(item for part in parts for item in part.left_out),
     )
 
 
-def _starts(parts: Sequence[NDArray[np.int64]], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Join lists of first places, each of which ends with its end."""
-    moved = [part[:-1] + offset for part, offset in zip(parts, offsets[:-1], strict=True)]
-    return np.concatenate([*moved, offsets[-1:]])
+def order_piece(
+    piece: TelemetryPiece, sensor: Sensor, catalogue: Columns, minimum_stars: int, path: str
+) -> OrderedPiece:
+    """Order the stars of one piece and write its arcs."""
+    telemetry, stars = piece.read(), read_catalogue(catalogue)
+    timeless = 0
+    try:
+        s_i = _directions(telemetry, stars)
+    except TimelessError as refusal:
+        timeless, s_i = refusal.stars, _directions(telemetry, stars.brighter_than(-np.inf))
+    return write_ordered(problem_of(telemetry, sensor, s_i, minimum_stars), piece.begins, Path(path), timeless)
+
+
+def write_ordered(problem: Problem, begins: int, path: Path, timeless: int = 0) -> OrderedPiece:
+    """Write the arcs of a piece whose rows begin at this place of the set."""
+    arcs = problem.arcs.whole()
+    arcs.source_row[:] += begins
+    return OrderedPiece(write_arcs(path, arcs, problem.time_utc), problem.frames_in_set, problem.left_out, timeless)
+
+
+def _directions(telemetry: Telemetry, catalogue: Catalogue) -> NDArray[np.float64]:
+    """Apparent direction of every row, (n_rows, 3)."""
+    return star_directions(
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
+    )
+
+
+def refuse_timeless(pieces: Sequence[TelemetryPiece], timeless: int, catalogue: Columns, spread: Spread) -> None:
+    """Refuse a set in which no star that needs a time has one; `timeless` are those of parts that have none at all."""
+    if timeless and not any(spread.map(has_timed_star, [(piece, catalogue) for piece in pieces])):
+        raise TimelessError(timeless)
+
+
+def has_timed_star(piece: TelemetryPiece, catalogue: Columns) -> bool:
+    """Whether a star of this piece takes its direction from the catalogue at a known time."""
+    telemetry = piece.read()
+    if telemetry.star_id is None or telemetry.time_utc is None:
+        return False
+    wanted = (telemetry.star_id > 0) & ~np.isnat(telemetry.time_utc)
+    if telemetry.ra_rad is not None:
+        wanted &= np.isnan(telemetry.ra_rad)
+    return bool((read_catalogue(catalogue).index_of(telemetry.star_id[wanted]) >= 0).any())

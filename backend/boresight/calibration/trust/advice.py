@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from boresight.calibration.trust.residuals import OTHER_PARITY
+
 #: The claimed sigmas over the bound below which they are too small to be honest.
 TOO_SMALL = 0.97
 #: Chance of halves so far apart below which a person should hear of it; one set in forty is beyond its 95 % bound.
@@ -25,7 +27,7 @@ def trust_advice(trust: Mapping[str, Any]) -> list[str]:
 def _of_geometry(trust: Mapping[str, Any]) -> Iterator[str]:
     """A mirrored detector is graver than anything else."""
     sentence = trust["unavailable"].get("residuals", "")
-    if "parity" in sentence:
+    if sentence in OTHER_PARITY.values():
         yield sentence
 
 

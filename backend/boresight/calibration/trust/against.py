@@ -15,13 +15,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from boresight.arrays import FloatArray
 from boresight.calibration.trust.ground import Ground, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, Sightings
-
-FloatArray = NDArray[np.float64]
 
 MOST_BINS = 12
 FEWEST_IN_A_BIN = 20

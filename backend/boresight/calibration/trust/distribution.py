@@ -15,14 +15,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrc, ndtr
 
+from boresight.arrays import FloatArray
 from boresight.calibration.trust.field import before
 from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, Sightings
-
-FloatArray = NDArray[np.float64]
 
 EDGES = np.linspace(-6.0, 6.0, 49)
 DEVIATES = np.linspace(-4.0, 4.0, 81)

@@ -16,15 +16,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from boresight.arrays import FloatArray
 from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.ground import Ground, Unavailable
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
-
-FloatArray = NDArray[np.float64]
 
 MOST_FRAMES = 200
 MOST_ITERATIONS = 30

@@ -1,7 +1,7 @@
 """Whether the claimed sigmas are the smallest that these centroids allow.
 
-The bound is `estimation.cramer_rao`'s: centroids with attitude as nuisance, no arcs. A filter knows its start besides, with
-covariance s^2 I, so its bound is (information + I / s^2)^-1. Beyond `MOST_FRAMES` the bound is taken on frames spaced evenly:
+The bound is `estimation.statistics.cramer_rao`'s: centroids with attitude as nuisance, no arcs. A filter knows its start besides,
+with covariance s^2 I, so its bound is (information + I / s^2)^-1. Beyond `MOST_FRAMES` the bound is taken on frames spaced evenly:
 with the arcs' information of those frames A_t = L_t L_t^T and of all A = L L^T, the information of all is L (L_t^-1 I_t L_t^-T)
 L^T.
 
@@ -10,6 +10,13 @@ honest estimator: such sigmas are too small. Over all directions together the ra
 
 A robust fit takes the size of the noise from the residuals, and so does its bound here: their median square over that of a unit
 normal.
+
+How well an arc is known about the detector, from the parameters' covariance alone.
+
+`estimation.statistics.uncertainty.arc_sigma` derives it. The length is 5 degrees, or a quarter of the shorter side where the field
+is narrower
+than 10: long enough that focal length and distortion show, short enough that most places have arcs on all sides. Centroid noise is
+not in it: this is what the calibration itself adds to every arc that the sensor will measure at that place.
 """
 
 from __future__ import annotations
@@ -17,14 +24,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from boresight.calibration.trust.ground import Ground, Unavailable, nested
+from boresight.arrays import FloatArray
+from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable, grid, nested
+from boresight.cameras import CAMERA_MODELS
 from boresight.estimation import batch
-from boresight.estimation.arcs import ArcSet
-from boresight.estimation.cramer_rao import centroid_rows
-
-FloatArray = NDArray[np.float64]
+from boresight.estimation.arcs import ArcSet, arclength
+from boresight.estimation.statistics.cramer_rao import centroid_rows
+from boresight.estimation.statistics.uncertainty import arc_sigma
+from boresight.telemetry.sensors import Sensor
 
 MOST_FRAMES = 400
 #: Ratios within this share of one are one: the isotropic error of an arc's ends is that near to a round pixel error.
@@ -87,3 +95,62 @@ def _sentence(overall: float, ratio: FloatArray, ground: Ground, frames_used: in
     if overall > 1 + NEAR:
         return f"The claimed sigmas are {numbers}{of}: these centroids hold more than the method took from them."
     return f"The claimed sigmas are {numbers}{of}: these centroids hold no more."
+
+
+ARC_DEG = 5.0
+ROWS, COLUMNS = 13, 17
+
+
+def arc_length_rad(sensor: Sensor, x: FloatArray) -> float:
+    """Length of the map's arcs on a sensor with parameters x (n_parameters,)."""
+    middle_row, middle_col = (sensor.rows - 1) / 2, (sensor.columns - 1) / 2
+    row = np.array([0.0, sensor.rows - 1.0, middle_row, middle_row])
+    col = np.array([middle_col, middle_col, 0.0, sensor.columns - 1.0])
+    s = CAMERA_MODELS[sensor.camera_model].directions(x, row, col, sensor.pixel_pitch_m)
+    shorter = float(arclength(s[[0, 2]], s[[1, 3]]).min())
+    return float(np.radians(ARC_DEG) if shorter >= 2 * np.radians(ARC_DEG) else shorter / 4)
+
+
+def field_arc_sigma(sensor: Sensor, x: FloatArray, P: FloatArray) -> tuple[FloatArray, float]:
+    """Error of arcs over the detector.
+
+    Parameters
+    ----------
+    x, P
+        (n_parameters,) and (n_parameters, n_parameters), SI; zero rows for fixed parameters.
+
+    Returns
+    -------
+    (ROWS, COLUMNS) sigma of arcs that begin at places spread over the detector, rad; and the arcs' length, rad.
+    """
+    row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
+    places = (np.repeat(row, COLUMNS), np.tile(col, ROWS))
+    length = arc_length_rad(sensor, x)
+    detector = (sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+    sigma = arc_sigma(CAMERA_MODELS[sensor.camera_model], x, P, places, length, detector)
+    return sigma.reshape(ROWS, COLUMNS), length
+
+
+def arc_sigma_map(ground: Ground) -> dict[str, Any]:
+    """The map, with the length of its arcs and a sentence."""
+    if not ground.determined:
+        raise Unavailable(
+            "The data leave a direction of the parameters open, so arcs have no bounded error: hold it fixed."
+        )
+    sensor = ground.problem.sensor
+    row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
+    sigma, length = field_arc_sigma(sensor, ground.estimate.x, ground.full_covariance(ground.estimate.P))
+    if not np.isfinite(sigma).any():
+        raise Unavailable("At these parameters no arc of the detector has a bounded error: look at sensor and matches.")
+    sigma_arcsec = ARCSEC * sigma
+    best, worst, degrees = np.nanmin(sigma_arcsec), np.nanmax(sigma_arcsec), np.degrees(length)
+    return {
+        "row_px": nested(row),
+        "col_px": nested(col),
+        "sigma_arcsec": nested(sigma_arcsec),
+        "arc_deg": float(degrees),
+        "sentence": (
+            f"From the parameters alone an arc of {degrees:.2g}° is known to {best:.2g} arcsec at the best place of the "
+            f"detector and to {worst:.2g} arcsec at the worst (1 sigma)."
+        ),
+    }

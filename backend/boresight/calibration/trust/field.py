@@ -16,15 +16,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from boresight.calibration.pixel_residuals import Freedom, pixel_residuals
+from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.evaluation.pixel_residuals import Freedom, pixel_residuals
 from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, Sightings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Cells along the longer side.
 FEWEST_CELLS, MOST_CELLS = 4, 16

@@ -20,18 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.estimate import Estimate, Parameters, covariance
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.settings import CalibrationSettings
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import in_blocks
 from boresight.kernels.frame_sums import frame_sums
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MOST_ITERATIONS = 20
 ARCSEC = float(np.degrees(1.0) * 3600)
@@ -123,11 +121,7 @@ class Ground:
 
     def full_covariance(self, P: FloatArray) -> FloatArray:
         """P (n_free, n_free) in typical sigmas as (n_parameters, n_parameters) in SI, zero for fixed parameters."""
-        full = np.zeros((len(self.estimate.x),) * 2)
-        full[np.ix_(self.parameters.free, self.parameters.free)] = P * np.outer(
-            self.parameters.scale, self.parameters.scale
-        )
-        return full
+        return self.parameters.full_covariance(P, n=len(self.estimate.x))
 
     @cached_property
     def sums(self) -> FrameSums:
@@ -191,13 +185,13 @@ def _best_fit(
     problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
 ) -> tuple[FloatArray, ArcSet]:
     """State and arcs weighed there; the estimate itself where it is the best fit, or a robust one."""
-    arcs = problem.weighed(estimate.x)
+    arcs = problem.weighed(estimate.x).whole()
     if not settings.sequential and settings.error == "arclength":
         return estimate.x, arcs
     fitted = batch.fit(arcs, estimate.x, parameters.free, parameters.scale, max_iterations=MOST_ITERATIONS)
     if fitted.status == "diverged":
         return estimate.x, arcs
-    return fitted.x, problem.weighed(fitted.x)
+    return fitted.x, problem.weighed(fitted.x).whole()
 
 
 def chosen(arcs: ArcSet, frames: BoolArray) -> ArcSet:

@@ -1,6 +1,7 @@
 """What more data would buy: predicted sigma against further frames of the same kind.
 
-How it follows is told in `estimation.prediction`. "Of the same kind" means as many stars, as well spread, seen as sharply: the
+How it follows is told in `estimation.statistics.observability`. "Of the same kind" means as many stars, as well spread, seen as
+sharply: the
 mean information of the frames that are there. Where a set is short or covers little sky, further frames bring other stars and
 the prediction is only as good as the sample. How unlike its parts are tells how good: the set is cut into `BLOCKS` runs of
 frames, each is left out in turn, and the jackknife gives the relative uncertainty of the sigma that many further frames would
@@ -8,7 +9,7 @@ leave,
 
     s^2 = (B - 1) / B  sum_b (ln sigma_b - mean ln sigma)^2,        sigma_b^2 = diag((A - A_b) / (n - n_b))^-1.
 
-`benchmarks/more_data.py` checks the prediction by running the frames.
+`python -m benchmarks.monte_carlo more-data` checks the prediction by running the frames.
 """
 
 from __future__ import annotations
@@ -16,13 +17,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
 from boresight.estimation import batch
-from boresight.estimation.prediction import further_covariance
-
-FloatArray = NDArray[np.float64]
+from boresight.estimation.statistics.observability import further_covariance
 
 #: Share of a sigma that twenty times the data must lower it by, to be worth speaking of.
 LITTLE = 0.3

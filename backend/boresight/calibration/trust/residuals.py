@@ -1,4 +1,4 @@
-"""Residuals of a set in pixels (`calibration.pixel_residuals` derives them), for everything that trust says of single stars.
+"""Residuals of a set in pixels, for everything that trust says of single stars; `pixel_residuals` derives them.
 
 Beyond `MOST_FRAMES` only frames spaced evenly over the set are looked at.
 """
@@ -11,18 +11,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.estimate import covariance
-from boresight.calibration.pixel_residuals import Freedom, pixel_residuals
+from boresight.calibration.evaluation.pixel_residuals import Freedom, pixel_residuals
 from boresight.calibration.trust.ground import Ground, Unavailable, nested
 from boresight.estimation.arcs import ArcSet
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MOST_FRAMES = 1500
 MOST_SHOWN = 2000
 #: Residuals so many times what the arcs foresee mean that no rotation takes the sky to the detector: the wrong parity.
 MIRRORED = 10.0
+#: What is said then, by the parity to try.
+OTHER_PARITY = {
+    parity: "The arcs fit, yet no rotation takes the catalogue to the detector: the sensor's parity is probably wrong; "
+    f"try {parity:+d}."
+    for parity in (-1, 1)
+}
 #: Least share of its own error that a star's residual is taken to hold; below, the exposure is the star's own.
 LEAST_SHARE = 1e-6
 
@@ -94,10 +98,7 @@ def _check_parity(ground: Ground, found: Sightings) -> None:
     """Refuse residuals that no rotation can make small though the arcs fit."""
     per_arc = float(np.sqrt(np.median(ground.e**2)) / 0.67449)
     if not found.known.any() or found.spread > MIRRORED * max(per_arc, 1.0):
-        raise Unavailable(
-            "The arcs fit, yet no rotation takes the catalogue to the detector: the sensor's parity is probably wrong; "
-            f"try {-ground.problem.sensor.parity:+d}."
-        )
+        raise Unavailable(OTHER_PARITY[-ground.problem.sensor.parity])
 
 
 def residuals(ground: Ground, found: Sightings) -> dict[str, Any]:

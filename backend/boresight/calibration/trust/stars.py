@@ -19,16 +19,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable
 from boresight.calibration.trust.residuals import Sightings, sightings
 from boresight.sky.catalogue import Catalogue
-from boresight.sky.doubles import phrases, star_flags
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from boresight.sky.guide_stars import phrases, star_flags
 
 MOST_SHOWN = 200
 MOST_ROUNDS = 6

@@ -19,13 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from boresight.arrays import FloatArray
 from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable, chosen, grid, nested, probability
 from boresight.estimation import batch
-from boresight.estimation.consistency import chi_square
-from boresight.estimation.uncertainty import difference_over_detector, expected_difference
-
-FloatArray = NDArray[np.float64]
+from boresight.estimation.statistics.consistency import chi_square
+from boresight.estimation.statistics.uncertainty import difference_over_detector, expected_difference
 
 BLOCKS = 40
 ROWS, COLUMNS = 13, 17

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
-from boresight.estimation.consistency import ljung_box
+from boresight.estimation.statistics.consistency import ljung_box
 
 FEWEST_FRAMES = 20
 MOST_LAGS = 20

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from boresight.estimation.filters.angular import angular_filter
 from boresight.estimation.filters.extended import extended_filter
-from boresight.estimation.filters.history import GAIN_FORMS, FilterHistory, FilterState, Tuning
+from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
 from boresight.estimation.filters.singular import singular_filter
 from boresight.estimation.filters.square_root import square_root_filter
 from boresight.estimation.filters.unscented import unscented_filter
@@ -21,7 +21,4 @@ FILTERS: dict[str, Filter] = {
     "angular": angular_filter,
 }
 
-#: Those that W prints with another update, see `information`, and the words for the two.
-IN_EITHER_FORM = ("svd", "angular")
-
-__all__ = ["FILTERS", "GAIN_FORMS", "IN_EITHER_FORM", "Filter", "FilterHistory", "FilterState", "Tuning"]
+__all__ = ["FILTERS", "Filter", "FilterHistory", "FilterState", "Tuning"]

@@ -17,16 +17,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.angular import all_pairs
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
 from boresight.estimation.filters.information import Measurement, information_filter
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Pairs of an exposure, those of 63 stars, beyond which no m by m matrix is made: there its inverse takes a second each time that a
 #: frame is linearised, and grows with m^3; 150 stars would take three minutes and several matrices of 1 GB.

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
-
-FloatArray = NDArray[np.float64]
 
 #: How often a step that raises its frame's cost is halved.
 HALVINGS = 6

@@ -11,15 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.singular_values import CHOSEN, Selection
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-#: How an update is computed where it can be in two ways, see `information`.
-GAIN_FORMS = ("information", "gain")
 #: Largest departure of a whitened residual from its linear prediction at which a frame is not linearised again.
 REST = 1e-3
 

@@ -26,14 +26,12 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 #: Residuals (m,), scaled Jacobian (m, n_free) and invertible covariance (m, m) of one exposure.
 Measurement = tuple[FloatArray, FloatArray, FloatArray]
 

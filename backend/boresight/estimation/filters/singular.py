@@ -7,16 +7,13 @@ exposure are left out before the update, in both forms: those that are kept have
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
 from boresight.estimation.filters.information import Measurement, information_filter
 from boresight.estimation.singular_values import APART, DETERMINED, Selection
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class SingularValues:

@@ -28,10 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
-
-FloatArray = NDArray[np.float64]
 
 
 def square_root_filter(

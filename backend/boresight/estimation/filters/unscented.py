@@ -39,12 +39,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight import kernels
+from boresight.arrays import FloatArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
 from boresight.estimation.filters.information import upper_factor
 from boresight.estimation.filters.square_root import padded
-
-FloatArray = NDArray[np.float64]
 
 #: Move of the posterior, in its own sigmas, at which a frame rests: a fiftieth changes NEES by less than a thousandth.
 REST_SIGMA = 0.02

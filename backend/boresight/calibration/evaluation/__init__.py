@@ -1,0 +1,1 @@
+"""What a calibration is worth: held-out scores, comparisons, forecasts, alignment."""

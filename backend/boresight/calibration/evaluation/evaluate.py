@@ -1,0 +1,176 @@
+"""How two parameter sets do on a telemetry set: availability, matched stars and RMS on common pairs (E section III).
+
+The set is seen under each state (`calibration.matching.sighting`): stars are matched anew, and the flight code's check says what
+it would accept. With N(x) the accepted matches of all valid exposures,
+
+    availability(x)     = frames with a valid exposure / frames
+    matched star ratio  = N(x_final) / N(x_initial)                                  (E Eq 30)
+    RMS(x)              = sqrt(sum dphi(x)^2 / N_phi), unweighted                    (E Eq 20, erratum: no 1/2, no weights)
+
+where both RMS are taken over the very same arcs, those of the larger of the two accepted sets: "we must evaluate dphi using a
+common set of star pairs ... we used the largest set of star pairs available" (E section II-B). Every score has a 95 % interval from
+resampling frames in blocks, `calibration.evaluation.bootstrap`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from boresight.arrays import FloatArray
+from boresight.calibration.evaluation import bootstrap
+from boresight.calibration.matching.flight import FLIGHT_REASONS
+from boresight.calibration.matching.rematch import Matches
+from boresight.calibration.matching.sighting import Sighting, common_arcs, sightings
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import weighed
+from boresight.cameras import CAMERA_MODELS, CameraModel
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.metrics import arc_errors
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+SCHEMA = "boresight.evaluation/1"
+#: Every score is a ratio of two columns of `_columns`, or its root: numerator, denominator, whether the root is taken.
+SCORES = {
+    "availability_initial": (1, 0, False),
+    "availability_final": (2, 0, False),
+    "matched_star_ratio": (4, 3, False),
+    "rms_arc_rad_initial": (5, 7, True),
+    "rms_arc_rad_final": (6, 7, True),
+    "rms_ratio": (6, 5, True),
+}
+
+
+def evaluate_parameters(  # noqa: PLR0913 - two states, each a vector and its covariance
+    telemetry: Telemetry,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    x_initial: FloatArray,
+    x_final: FloatArray,
+    settings: CalibrationSettings,
+    P_initial: FloatArray | None = None,
+    P_final: FloatArray | None = None,
+    *,
+    rng: np.random.Generator | None = None,
+) -> dict[str, Any]:
+    """Compare two states on a set.
+
+    Parameters
+    ----------
+    telemetry, sensor, catalogue
+        The set, whose it is, and where directions come from that it does not give.
+    x_initial, x_final
+        (n_parameters,) states, SI.
+    settings
+        `match`, `minimum_stars`, `flight_tolerance_urad`, and what matching looks at.
+    P_initial, P_final
+        (n_parameters, n_parameters) covariance of each, SI, from which the tolerance of a re-match follows; None is a ground
+        calibration's.
+    rng
+        Source of the resampling; without it every interval is null.
+
+    Returns
+    -------
+    The evaluation JSON, `boresight.evaluation/1`.
+
+    Raises
+    ------
+    RefusedInputError
+        When rows that name stars can be given no direction at all.
+    """
+    states = [(x_initial, P_initial), (x_final, P_final)]
+    initial, final = sightings(telemetry, sensor, catalogue, states, settings)
+    return evaluate_sightings(telemetry, sensor, initial, final, settings, rng)
+
+
+def evaluate_sightings(
+    telemetry: Telemetry,
+    sensor: Sensor,
+    initial: Sighting,
+    final: Sighting,
+    settings: CalibrationSettings,
+    rng: np.random.Generator | None,
+    ordered: ArcSet | None = None,
+) -> dict[str, Any]:
+    """Compare two sightings of one set, as `evaluate_parameters` does; `ordered`, arcs of the set, saves ordering them again."""
+    larger = initial if initial.view.matched_stars > final.view.matched_stars else final
+    common = common_arcs(telemetry, sensor, larger, settings.minimum_stars, ordered)
+    columns = _columns(initial, final, common, CAMERA_MODELS[sensor.camera_model])
+    scores = {name: _score(columns, *SCORES[name], rng) for name in SCORES}
+    value, interval = ({name: score[k] for name, score in scores.items()} for k in (0, 1))
+    return {
+        "schema": SCHEMA,
+        "frames": len(columns),
+        "availability": _sides(value, "availability"),
+        "matched_stars": {"initial": initial.view.matched_stars, "final": final.view.matched_stars},
+        "matched_star_ratio": value["matched_star_ratio"],
+        "rms_arc_rad": _sides(value, "rms_arc_rad"),
+        "rms_ratio": value["rms_ratio"],
+        "common_pairs": int(columns[:, 7].sum()),
+        "stars": sum(arcs.n_stars for arcs in common),
+        "match": "rematch" if isinstance(final.matches, Matches) else "given",
+        "flight_tolerance_rad": final.tolerance_rad,
+        "intervals": {
+            "availability": _sides(interval, "availability"),
+            "matched_star_ratio": interval["matched_star_ratio"],
+            "rms_arc_rad": _sides(interval, "rms_arc_rad"),
+            "rms_ratio": interval["rms_ratio"],
+        },
+        "reasons": {"initial": _counted(initial), "final": _counted(final)},
+    }
+
+
+def _sides(scores: dict[str, Any], name: str) -> dict[str, Any]:
+    """The initial and the final of two scores."""
+    return {side: scores[f"{name}_{side}"] for side in ("initial", "final")}
+
+
+def _columns(initial: Sighting, final: Sighting, common: list[ArcSet], camera: CameraModel) -> FloatArray:
+    """What the scores are made of, a row a frame: 1, available, stars, sums of squares of both, and common arcs, (n_frames, 8)."""
+    frames = initial.view.frames
+    squares = np.zeros((len(frames), 3))
+    for arcs in common:
+        squares[np.searchsorted(frames, arcs.frame)] += _squares(arcs, camera, initial.x, final.x)
+    seen = (
+        initial.view.valid_frames,
+        final.view.valid_frames,
+        initial.view.matched_in_frame,
+        final.view.matched_in_frame,
+    )
+    return np.column_stack([np.ones(len(frames)), *seen, squares]).astype(np.float64)
+
+
+def _squares(arcs: ArcSet, camera: CameraModel, x_initial: FloatArray, x_final: FloatArray) -> FloatArray:
+    """Sums of squared arc errors under both states and the number of arcs, a row a frame, (n, 3)."""
+    arcs = arcs if arcs.n_arcs else weighed(arcs, camera, x_final)
+    squares = [np.add.reduceat(arc_errors(arcs, x) ** 2, arcs.frame_arcs[:-1]) for x in (x_initial, x_final)]
+    return np.column_stack([*squares, np.diff(arcs.frame_arcs)])
+
+
+def _score(
+    columns: FloatArray, over: int, under: int, root: bool, rng: np.random.Generator | None
+) -> tuple[float | None, list[float | None]]:
+    """A score and its interval, null where it is nothing divided by nothing."""
+    pair = columns[:, [over, under]]
+    total = pair.sum(axis=0)
+    if total[1] == 0:
+        return None, [None, None]
+    ratio = float(total[0] / total[1])
+    score = float(np.sqrt(ratio)) if root else ratio
+    if rng is None:
+        return score, [None, None]
+    length = bootstrap.block_length(pair[:, 0] - ratio * pair[:, 1])
+    sums = bootstrap.resampled_sums(pair, length, rng)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = sums[:, 0] / sums[:, 1]
+    interval = bootstrap.interval if under else bootstrap.share_interval
+    return score, interval(score, np.sqrt(ratios) if root else ratios, len(columns) / length)
+
+
+def _counted(seen: Sighting) -> dict[str, int]:
+    """How many frames are not available, by reason."""
+    return dict(Counter(reason for reason in seen.frame_reasons if reason != FLIGHT_REASONS[0]))

@@ -1,0 +1,186 @@
+"""What a calibration will know, before it is made: predicted sigmas and weak directions from a sample of its own stars.
+
+The information of a set is the sum over its frames, so that of n frames taken evenly from N foretells the whole,
+
+    A_N = (N / n) A_n,          sigma = sqrt(diag(A_N^-1)) for a batch,
+
+and a filter's covariance follows from its start by `estimation.statistics.observability`, forgetting and process noise included. A
+is that of the
+measurement the method makes: arclengths under their full covariance, with Huber's loss or the cosine error where these are chosen,
+or the singular values and all pairs of W through `estimation.statistics.references`.
+
+Where A is taken matters. At b2 = b4 = a1 = a2 = 0, where most sensors start, (m0, a2) and (n0, a1) are pure rotations (erratum to
+E II-C), and A taken there foretells sigmas up to four times too wide. So the sample is fitted first, which costs some tens of
+milliseconds, and A is taken where it ends; only where that fit does not come to rest the present parameters stand. Against
+runs over 2,000 simulated frames the sigmas foretold from 150 and 300 of them were within 5 %.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from boresight.arrays import FloatArray
+from boresight.calibration.advice import remedies, too_few
+from boresight.calibration.calibrate import matchable, parameters_of
+from boresight.calibration.estimate import Estimate, Parameters, covariance, run_batch
+from boresight.calibration.matching.match_report import identification_advice
+from boresight.calibration.matching.matched import Dataset
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem
+from boresight.calibration.result import numbers
+from boresight.estimation.batch import normal_equations, sigma_in_scale
+from boresight.estimation.singular_values import Selection
+from boresight.estimation.statistics.observability import Observability, further_covariance, observability
+from boresight.estimation.statistics.references import View, whitened_information
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.read.frames import Sample
+from boresight.telemetry.sensors import Sensor
+
+#: Frames and stars that a forecast looks at, at most: enough for sigmas within 5 %, and less than a tenth of a second.
+MOST_FRAMES = 200
+MOST_STARS = 8000
+#: Of the sample's fit; from ten typical sigmas off it takes about eight.
+MOST_ITERATIONS = 25
+
+
+@dataclass(frozen=True)
+class _Foreseen:
+    """Information of the whole set and covariance at the method's end, (n_free, n_free) in typical sigmas, and where taken."""
+
+    A: FloatArray
+    P: FloatArray
+    at: str
+
+
+def forecast(
+    sample: Sample,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    settings: CalibrationSettings,
+    cache_folder: Path | None = None,
+) -> dict[str, Any]:
+    """Foretell what a calibration of the whole set will know.
+
+    Parameters
+    ----------
+    sample
+        Some of its frames.
+    sensor, catalogue, settings, cache_folder
+        As for `calibrate`.
+
+    Returns
+    -------
+    `sentence`; `free`; `sigma` {name: SI or null}; `typical_sigma`; `weak`, the number of weak directions, and `weak_directions`,
+    a sentence each; `help`, what would make them known; `observability` as in the calibration JSON; `frames_sampled`, `frames`;
+    `at`: `fitted`, `present`, or null where nothing can be foretold.
+
+    Raises
+    ------
+    RefusedInputError
+        When the free parameters are not the sensor's, or directions cannot be had.
+    """
+    parameters = parameters_of(sensor, settings)
+    sets = Dataset(sample.telemetry, sensor, catalogue, parameters, matchable(sample.telemetry, settings), cache_folder)
+    start = sets.at_start()
+    problem = start.problem
+    names = [problem.camera.parameter_names[p] for p in parameters.free]
+    known = {
+        "free": names,
+        "typical_sigma": dict(zip(names, numbers(parameters.scale), strict=True)),
+        "frames_sampled": sample.frames,
+        "frames": sample.frames_in_set,
+    }
+    if problem.arcs.n_exposures == 0:
+        why = [*identification_advice(start.unidentified), *too_few(problem, settings.minimum_stars)]
+        return {**known, **_nothing(names, why[0])}
+    foreseen = _foreseen(sample, problem, parameters, settings)
+    if not np.isfinite(foreseen.A).all():
+        sentence = "The camera model cannot be evaluated at the present parameters: check the sensor's initial values."
+        return {**known, **_nothing(names, sentence)}
+    observed = observability(foreseen.A, tuple(names), tuple(problem.camera.symbols[p] for p in parameters.free))
+    helpful = remedies(foreseen.A, observed, problem, sample.frames_in_set, settings)
+    return {**known, **_told(foreseen, parameters, observed, helpful)}
+
+
+def _nothing(names: list[str], sentence: str) -> dict[str, Any]:
+    """Say that nothing can be foretold, and why."""
+    return {
+        "sentence": sentence,
+        "sigma": dict.fromkeys(names),
+        "weak": None,
+        "weak_directions": [],
+        "help": [],
+        "observability": None,
+        "at": None,
+    }
+
+
+def _foreseen(sample: Sample, problem: Problem, parameters: Parameters, settings: CalibrationSettings) -> _Foreseen:
+    """Fit the sample, take the information there, and scale it to the whole."""
+    x, at, A = _fitted(problem, parameters, settings)
+    if settings.method in ("svd", "angular"):
+        view = View(problem.camera, x, parameters.free, parameters.scale)
+        selection = Selection(settings.star_model, settings.singular_values) if settings.method == "svd" else None
+        A = whitened_information(view, problem.weighed(x).whole(), selection)
+    whole = A * (sample.frames_in_set / sample.frames)
+    if not settings.sequential or not np.isfinite(A).all():
+        return _Foreseen(whole, covariance(whole), at)
+    start = np.eye(len(A)) * settings.initial_sigma_scale**2
+    frames = max(1, round(problem.arcs.n_frames * sample.frames_in_set / sample.frames))
+    P = further_covariance(start, whole / frames, frames, settings.process_noise, settings.forgetting_factor)
+    return _Foreseen(whole, P, at)
+
+
+def _fitted(
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings
+) -> tuple[FloatArray, str, FloatArray]:
+    """State, where it is, and the information of the sample's arcs there."""
+    fitting = replace(settings, method="batch", max_iterations=min(settings.max_iterations, MOST_ITERATIONS))
+    estimate = run_batch(problem, parameters, fitting, _unheard, _never)
+    low, high = np.array(problem.camera.plausible).T
+    rests = estimate.status in ("converged", "rank_deficient") and bool(
+        np.all((low <= estimate.x) & (estimate.x <= high))
+    )
+    if rests:
+        return estimate.x, "fitted", estimate.A
+    x = problem.sensor.initial
+    return x, "present", normal_equations(problem.weighed(x), x, parameters.free, parameters.scale).A
+
+
+def _unheard(estimate: Estimate, fraction: float, message: str) -> None:
+    """Nobody listens: the sample's fit takes no time worth telling of."""
+
+
+def _never() -> bool:
+    """Nobody cancels."""
+    return False
+
+
+def _told(foreseen: _Foreseen, parameters: Parameters, observed: Observability, helpful: list[str]) -> dict[str, Any]:
+    """Put a forecast into numbers and words."""
+    weak = observed.weak()
+    n = len(observed.names)
+    weakly = f"{len(weak)} weakly observable with this coverage" if weak else "all observable with this coverage"
+    known = np.isfinite(sigma_in_scale(foreseen.A))
+    sigma = np.where(known, parameters.scale * np.sqrt(np.diag(foreseen.P)), np.nan)
+    weakest = n - 1
+    return {
+        "sentence": f"{n} parameter{'s' * (n > 1)}, {weakly}.",
+        "sigma": dict(zip(observed.names, numbers(sigma), strict=True)),
+        "weak": len(weak),
+        "weak_directions": [observed.sentence(i) for i in weak],
+        "help": helpful,
+        "observability": {
+            "parameter_names": list(observed.names),
+            "singular_values": numbers(observed.singular_values),
+            "condition_number": observed.condition_number,
+            "right_singular_vectors": numbers(observed.V.T),
+            "sigma_of_direction": numbers(observed.sigma_of_direction),
+            "weakest": {"direction": observed.direction(weakest), "sentence": observed.sentence(weakest)},
+        },
+        "at": foreseen.at,
+    }

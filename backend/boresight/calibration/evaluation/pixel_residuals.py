@@ -1,0 +1,127 @@
+"""Residuals in pixels: each centroid minus the projection of its catalogue direction under the best attitude of its exposure.
+
+The attitude comes from directions (`estimation.attitude`); one Gauss-Newton step on the pixels makes it the best one there,
+
+    w = N sum K^T r / sigma         r <- r - sigma K w         (letters of estimation.cramer_rao)
+
+The stars of an exposure decide its attitude and, a little, the parameters, so a residual is smaller than the error it came
+from: its covariance is sigma^2 M with M = I - K N K^T - J' P J'^T, and z = r / (sigma sqrt(M)) has variance one. At eleven
+stars that is 7 %.
+
+A star may be left out (`kept`), as one whose catalogue place is wrong: then no attitude rests on it, the residuals of its
+neighbours are freed from it, and its own holds the errors of attitude and parameters beside its own: both signs in M turn.
+
+w turns about the axes of D, and N is its covariance there. With parity -1 those axes are left-handed: with the mirror
+F = diag(1, -1, 1) the same turn about the axes of the triad is -F w, its covariance F N F. The step takes w from the attitude: it
+becomes C(-w) C.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.cameras import CameraModel
+from boresight.estimation.arcs import ArcSet, angular_sigma
+from boresight.estimation.attitude import attitudes, matrix_of, quaternion_of_vector, triad
+from boresight.estimation.statistics.cramer_rao import CentroidRows, centroid_rows, each, sums
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What the parameters may still be: places and typical sigmas of the free ones (n_free,), covariance P in these units."""
+
+    free: IntArray
+    scale: FloatArray
+    P: FloatArray
+
+
+@dataclass(frozen=True)
+class PixelResiduals:
+    """Residuals of the stars of some exposures.
+
+    Parameters
+    ----------
+    r
+        (n_stars, 2) residual, row and column, pixels; NaN where an exposure has no attitude.
+    M
+        (n_stars, 2, 2) share of a star's own error in its residual; of a star left out, its error with those of the others.
+    from_sky
+        (n_stars, 2, 2) pixels a radian by which a star would move if its place went east and north.
+    inverse
+        (n_stars, 2, 3) pixels a radian by which a star moves with its direction in D.
+    C
+        (n_exposures, 3, 3) attitude, ICRS to the triad.
+    attitude_covariance
+        (n_exposures, 3, 3) of it about the axes of the triad, rad^2, from centroid noise at known parameters.
+    """
+
+    r: FloatArray
+    M: FloatArray
+    from_sky: FloatArray
+    inverse: FloatArray
+    C: FloatArray
+    attitude_covariance: FloatArray
+
+
+def pixel_residuals(
+    camera: CameraModel, x: FloatArray, arcs: ArcSet, parity: int, freedom: Freedom, kept: BoolArray | None = None
+) -> PixelResiduals:
+    """Residuals at a state.
+
+    Parameters
+    ----------
+    camera, parity
+        Of the sensor.
+    x
+        (n_parameters,) SI.
+    arcs
+        Stars by exposures, directions included; each exposure keeps two stars or more.
+    freedom
+        What the stars decided of the parameters; a covariance of zero takes x as known.
+    kept
+        (n_stars,) stars that attitudes rest on; all when None.
+    """
+    kept = np.ones(arcs.n_stars, np.bool_) if kept is None else kept
+    rows = centroid_rows(camera, x, arcs, freedom.free, freedom.scale, kept)
+    sigma = np.where(kept, angular_sigma(camera, x, arcs), np.inf)
+    C = attitudes(arcs.star_start, rows.s_d, arcs.s_i, sigma, parity).C
+    C_of = each(C, arcs.star_start)
+    row, col = camera.project(x, triad(np.einsum("nij,nj->ni", C_of, arcs.s_i), parity), arcs.pitch)
+    r, w = _settled(np.stack([arcs.row_px - row, arcs.col_px - col], axis=-1), rows, arcs, kept)
+    toward = triad((C_of @ _east_and_north(arcs.s_i)).transpose(0, 2, 1), parity)
+    mirror = np.diag([1.0, float(parity), 1.0])
+    return PixelResiduals(
+        r=r,
+        M=_own_share(rows, arcs, freedom.P, kept),
+        from_sky=rows.inverse @ toward.transpose(0, 2, 1),
+        inverse=rows.inverse,
+        C=matrix_of(quaternion_of_vector(-parity * w @ mirror)) @ C,
+        attitude_covariance=mirror @ rows.N @ mirror,
+    )
+
+
+def _settled(r: FloatArray, rows: CentroidRows, arcs: ArcSet, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Residuals (n_stars, 2) under each exposure's best attitude for the pixels, and the steps w (n_exposures, 3) to it."""
+    whitened = r / arcs.sigma_px[:, None]
+    score = np.einsum("nki,nk->ni", rows.K, np.where(kept[:, None] & np.isfinite(whitened), whitened, 0.0))
+    w = np.einsum("eij,ej->ei", rows.N, sums(score, arcs.star_start))
+    return r - arcs.sigma_px[:, None] * np.einsum("nki,ni->nk", rows.K, each(w, arcs.star_start)), w
+
+
+def _own_share(rows: CentroidRows, arcs: ArcSet, P: FloatArray, kept: BoolArray) -> FloatArray:
+    """M of each star, (n_stars, 2, 2)."""
+    of_attitude = rows.K @ each(rows.N, arcs.star_start) @ rows.K.transpose(0, 2, 1)
+    sign = np.where(kept, -1.0, 1.0)[:, None, None]
+    return np.asarray(np.eye(2) + sign * (of_attitude + (rows.J @ P) @ rows.J.transpose(0, 2, 1)))
+
+
+def _east_and_north(s_i: FloatArray) -> FloatArray:
+    """Unit tangents to the east and to the north at directions (n, 3), as columns (n, 3, 2)."""
+    reach = np.hypot(s_i[:, 0], s_i[:, 1])
+    safe = np.where(reach > 0, reach, 1.0)
+    cos_ra, sin_ra = np.where(reach > 0, s_i[:, 0] / safe, 1.0), s_i[:, 1] / safe
+    east = np.stack([-sin_ra, cos_ra, np.zeros_like(reach)], axis=-1)
+    return np.stack([east, np.cross(s_i, east)], axis=-1)

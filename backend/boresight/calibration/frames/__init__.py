@@ -1,0 +1,1 @@
+"""Single frames of a run: every detection, its star, its residual."""

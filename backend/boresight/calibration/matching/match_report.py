@@ -1,0 +1,203 @@
+"""What matching a telemetry set again changed: given stars kept, changed, added, removed, and why; exposures valid or not, and why.
+
+Of the rows that the file names a star for, a match is *kept* when the number is the same, *changed* when it is another, *removed*
+when there is none any more; of the others it is *added* when there is one now.
+
+The `matching` object of the calibration JSON: what was given, what was kept, what was found, and why the rest was not.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.arrays import BoolArray, IntArray
+from boresight.calibration.matching.cycles import Ended, cycles_view
+from boresight.calibration.matching.detections import pixel_rad
+from boresight.calibration.matching.rematch import Matches
+from boresight.calibration.matching.sighting import Sighting
+from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
+from boresight.sky.identification import HOW_TO_INSTALL
+from boresight.sky.matching import EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor
+
+#: Given identities below which their share says nothing.
+FEWEST_NAMES = 20
+
+SCHEMA = "boresight.matching/1"
+#: Reason of a row that matching found a star for and the flight code would not accept.
+NOT_ACCEPTED = "not accepted by the flight code"
+
+
+def matched_stars(matches: Matches, seen: Sighting | None) -> tuple[IntArray, list[str]]:
+    """Star number of every row, 0 = unmatched, and why it has none, (n_rows,) each; `seen` to keep what the flight code accepts."""
+    reasons = [ROW_REASONS[place] for place in matches.row_reason]
+    if seen is None:
+        return matches.star_id, reasons
+    taken = seen.taken()
+    rejected = (matches.star_id > 0) & ~taken
+    return np.where(taken, matches.star_id, 0), [
+        NOT_ACCEPTED if no else reason for no, reason in zip(rejected, reasons, strict=True)
+    ]
+
+
+def match_report(
+    telemetry: Telemetry, sensor: Sensor, matches: Matches, seen: Sighting | None = None
+) -> dict[str, Any]:
+    """Count what changed, and list every exposure with its attitude.
+
+    Parameters
+    ----------
+    telemetry, sensor
+        The set as given, and whose it is.
+    matches
+        The set as matched again.
+    seen
+        The same under the flight code's check, to count only what it accepts; None counts all.
+    """
+    star_id, why = matched_stars(matches, seen)
+    given = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else telemetry.star_id
+    removed = (given > 0) & (star_id == 0)
+    valid = matches.valid if seen is None else seen.view.valid
+    counts = np.add.reduceat(star_id > 0, matches.exposure_start[:-1], dtype=np.int64)
+    exposures = [_exposure(matches, seen, counts, k) for k in range(len(matches.frame))]
+    frames, first = np.unique(matches.frame, return_index=True)
+    available = np.logical_or.reduceat(valid, first)
+    return {
+        "schema": SCHEMA,
+        "sensor": sensor.name,
+        "rows": len(telemetry),
+        "given": int(np.sum(given > 0)),
+        "kept": int(np.sum((given > 0) & (star_id == given))),
+        "changed": int(np.sum((given > 0) & (star_id > 0) & (star_id != given))),
+        "added": int(np.sum((given == 0) & (star_id > 0))),
+        "advice": [
+            *names_advice(int(np.sum(given > 0)), int(np.sum((given > 0) & (star_id == given)))),
+            *identification_advice(matches.unidentified),
+        ],
+        "removed": int(removed.sum()),
+        "matched": int(np.sum(star_id > 0)),
+        "removed_reasons": _counted(why, removed),
+        "unmatched_reasons": _counted(why, star_id == 0),
+        "frames": len(frames),
+        "valid_frames": int(available.sum()),
+        "frame_reasons": dict(Counter(_frame_reason(exposures, first, k) for k in np.flatnonzero(~available).tolist())),
+        "starts": dict(Counter(exposure["start"] for exposure in exposures)),
+        "flight_tolerance_rad": None if seen is None else seen.tolerance_rad,
+        "exposures": exposures,
+    }
+
+
+def names_advice(given: int, kept: int) -> list[str]:
+    """What to think of a set of which most given names do not agree with the sensor."""
+    if given < FEWEST_NAMES or 2 * kept >= given:
+        return []
+    sentence = (
+        f"Only {kept:,} of {given:,} given identities agree with this sensor: the sensor file, its parity or its parameters are "
+        "probably not those of this telemetry; attitudes and matches found in spite of that deserve no trust."
+    )
+    return [sentence]
+
+
+def identification_advice(unidentified: int) -> list[str]:
+    """What to do about exposures that only lost-in-space identification could tell the attitude of, where it is not installed."""
+    return [f"{unidentified:,} exposures: {HOW_TO_INSTALL}"] if unidentified else []
+
+
+def _counted(why: list[str], rows: BoolArray) -> dict[str, int]:
+    """How many of some rows have each reason, most first."""
+    return dict(Counter(why[row] for row in np.flatnonzero(rows)).most_common())
+
+
+def _exposure(matches: Matches, seen: Sighting | None, counts: IntArray, k: int) -> dict[str, Any]:
+    """What matching says of exposure k: valid or not with the reason, stars, and the attitude with its covariance."""
+    valid = bool(matches.valid[k] if seen is None else seen.view.valid[k])
+    known = bool(np.isfinite(matches.quaternion[k]).all())
+    return {
+        "frame": int(matches.frame[k]),
+        "exposure": int(matches.exposure[k]),
+        "valid": valid,
+        "reason": None if valid else _reason(matches, seen, k),
+        "matched": int(counts[k]),
+        "start": STARTS[matches.start[k]],
+        "quaternion": matches.quaternion[k].tolist() if known else None,
+        "attitude_covariance_rad2": matches.attitude_covariance[k].tolist() if known else None,
+    }
+
+
+def _reason(matches: Matches, seen: Sighting | None, k: int) -> str:
+    """Why an exposure is not valid."""
+    return EXPOSURE_REASONS[matches.reason[k]] if seen is None else seen.exposure_reason(k)
+
+
+def _frame_reason(exposures: list[dict[str, Any]], first: IntArray, k: int) -> str:
+    """Why a frame is not valid: the reason of its exposure with the most stars."""
+    last = first[k + 1] if k + 1 < len(first) else len(exposures)
+    reason: str = max(exposures[first[k] : last], key=lambda exposure: exposure["matched"])["reason"]
+    return reason
+
+
+def matching_view(
+    telemetry: Telemetry, sensor: Sensor, ended: Ended, evaluation: dict[str, Any]
+) -> dict[str, Any] | None:
+    """Describe the matches that an estimate stands on; None where the given ones stood.
+
+    Parameters
+    ----------
+    telemetry
+        The set as it came.
+    ended
+        Where the cycles ended.
+    evaluation
+        Of the set, initial against final: what the flight code would accept.
+    """
+    matches = ended.matched.matches
+    if not isinstance(matches, Matches):
+        return None
+    given = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else np.maximum(telemetry.star_id, 0)
+    named, found = given > 0, matches.star_id > 0
+    kept = named & (matches.star_id == given)
+    return {
+        "given": int(named.sum()),
+        "kept": int(kept.sum()),
+        "added": int((found & ~named).sum()),
+        "removed": int((named & ~kept).sum()),
+        "renamed": int((named & found & ~kept).sum()),
+        "matched": int(found.sum()),
+        "cycles": cycles_view(ended),
+        "rested": ended.rested,
+        "tolerance_px": _spread(matches.tolerance_rad[found] / pixel_rad(sensor, ended.estimate.x)),
+        "row_reasons": counted(matches.row_reason[~found], ROW_REASONS),
+        "removed_reasons": counted(matches.row_reason[named & ~found], ROW_REASONS),
+        "exposure_reasons": counted(matches.reason, EXPOSURE_REASONS),
+        "starts": counted(matches.start, STARTS),
+        "flagged": {
+            "doubles": int((matches.flags & DOUBLE > 0).sum()),
+            "unreliable": int((matches.flags & UNRELIABLE > 0).sum()),
+            "left_out": int((matches.row_reason == LEFT_OUT).sum()),
+        },
+        "flight": {
+            "tolerance_rad": evaluation["flight_tolerance_rad"],
+            "availability": evaluation["availability"],
+            "matched_stars": evaluation["matched_stars"],
+        },
+    }
+
+
+def counted(places: NDArray[np.int8], phrases: Sequence[str]) -> dict[str, int]:
+    """How often each phrase is meant, the most frequent first."""
+    return {phrases[place]: count for place, count in Counter(places.tolist()).most_common()}
+
+
+def _spread(values: NDArray[np.float64]) -> dict[str, float | None]:
+    """Median and 95th percentile; nulls of nothing."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return {"median": None, "p95": None}
+    median, p95 = np.percentile(values, [50, 95])
+    return {"median": float(median), "p95": float(p95)}

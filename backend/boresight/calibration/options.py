@@ -1,0 +1,473 @@
+"""Every choice of a calibration, declared once: command line, form, REST schema, run summary and the README's list come from here.
+
+A field of `CalibrationSettings` is an `Option`: its name, default, kind of value, bounds or words, unit, title, sentence, and the
+methods that have it. A method is a row of `METHODS`. Nothing here loads an estimator, so that a command's help stays quick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal
+
+from boresight.errors import RefusedInputError
+from boresight.estimation import MINIMUM_STARS
+
+Kind = Literal["word", "whole", "number", "yes or no", "names", "wholes"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method: its name, title, when to use it, and whether it takes the frames one after the other."""
+
+    name: str
+    title: str
+    when: str
+    sequential: bool = True
+
+
+METHODS = {
+    method.name: method
+    for method in (
+        Method(
+            "batch",
+            "Batch",
+            "All frames at once by least squares: the reference answer, and the first run to make on a new set.",
+            sequential=False,
+        ),
+        Method(
+            "sqrf",
+            "Square-root filter",
+            "Frame by frame with a square-root covariance, as it would run on board: use it to see how fast the parameters"
+            " settle and whether they drift.",
+        ),
+        Method(
+            "ekf",
+            "Extended Kalman filter",
+            "The same filter with a full covariance: use it to check the square-root filter, not instead of it.",
+        ),
+        Method(
+            "ukf",
+            "Unscented filter",
+            "Slopes from points spread as wide as the parameters are uncertain, not from derivatives: use it as an independent"
+            " check of the square-root filter; it takes longer and is not more accurate.",
+        ),
+        Method(
+            "svd",
+            "Singular values",
+            "Singular values of star combinations in place of arcs: use it to reproduce or compare with the method of Wu et al.;"
+            " with honest weights it holds a little less than the arcs do, and costs more.",
+        ),
+        Method(
+            "angular",
+            "All angular distances",
+            "Every pair of stars, the baseline that singular values are usually measured against: use it beside them; it says"
+            " exactly what the arcs of the square-root filter say, at a higher price.",
+        ),
+    )
+}
+ALL, BATCH = tuple(METHODS), ("batch",)
+FILTERS = tuple(method.name for method in METHODS.values() if method.sequential)
+EITHER_FORM = ("svd", "angular")
+#: Headings of the choices, with the methods that have those of each.
+GROUPS = {
+    "Method": ALL,
+    "Matching": ALL,
+    "Of the batch": BATCH,
+    "Of the filters": FILTERS,
+    "Of svd and angular": EITHER_FORM,
+}
+
+
+@dataclass(frozen=True)
+class Option:
+    """One choice of a calibration.
+
+    `methods` have it; `title` and `unit` are what a person chooses by; `sentence` says what it is or does; `words` may be chosen,
+    each with its meaning; `lowest` and `highest` bound a number; `hint` stands beneath a form's field; `flag` is its name on the
+    command line, where it has one; `elsewhere` refuses any but the default under another method, which without one has no effect;
+    a form shows what is `usual` at once, and the others among more options.
+    """
+
+    name: str
+    default: Any
+    kind: Kind
+    group: str
+    methods: tuple[str, ...]
+    title: str
+    sentence: str
+    unit: str = ""
+    words: Mapping[str, str] = field(default_factory=dict)
+    lowest: float = 0.0
+    highest: float = 0.0
+    hint: str = ""
+    flag: str | None = None
+    elsewhere: str = ""
+    usual: bool = False
+
+    @property
+    def label(self) -> str:
+        """Title and unit."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+    @property
+    def range(self) -> str:
+        """What may be given, in words."""
+        if self.kind == "word":
+            return ", ".join(self.words)
+        shown = "g" if self.kind == "number" else ""
+        ends = f"{self.lowest:{shown}} to {self.highest:{shown}}" if self.highest else ""
+        return ends or {"yes or no": "yes or no", "names": "parameter names", "wholes": "some of 1, 2, 3"}[self.kind]
+
+    def check(self, value: Any) -> None:
+        """Refuse a value of another kind or outside the bounds, NaN included."""
+        if (value is None and self.default is None) or self._allows(value):
+            return
+        if self.kind == "names":
+            raise RefusedInputError(
+                f"Setting {self.name!r} must be a list of at least one parameter name, or left out."
+            )
+        give = {
+            "word": f"choose from {self.range}",
+            "whole": f"give a whole number from {self.range}",
+            "number": f"give a number from {self.range}",
+            "yes or no": "give true or false",
+            "wholes": "give some of 1, 2, 3, as [2, 3]",
+        }
+        raise RefusedInputError(f"Setting {self.name!r} is {value!r}; {give[self.kind]}.")
+
+    def _allows(self, value: Any) -> bool:
+        if self.kind == "word":
+            return value in self.words
+        if self.kind == "yes or no" or isinstance(value, bool):
+            return self.kind == "yes or no" and isinstance(value, bool)
+        if self.kind in ("whole", "number"):
+            return (
+                isinstance(value, int if self.kind == "whole" else int | float) and self.lowest <= value <= self.highest
+            )
+        if not isinstance(value, list | tuple) or not value:
+            return False
+        if self.kind == "names":
+            return all(isinstance(name, str) for name in value)
+        return all(type(k) is int and 1 <= k <= 3 for k in value) and len(set(value)) == len(value)
+
+    def read(self, text: str) -> Any:
+        """Read what was typed into a form; a comma stands for a point, as many keyboards have it.
+
+        Raises
+        ------
+        RefusedInputError
+            When a number cannot be read; says which.
+        """
+        text = text.strip()
+        if self.kind == "yes or no":
+            return bool(text)
+        if self.kind == "wholes":
+            return [self._whole(part) for part in text.split(",")]
+        if self.kind == "whole":
+            return self._whole(text)
+        if self.kind == "number":
+            return None if self.default is None and not text else self._number(text)
+        return text
+
+    def schema(self) -> dict[str, Any]:
+        """Describe it as JSON Schema."""
+        said: dict[str, Any] = {"description": self.sentence}
+        if self.kind == "word":
+            said |= {"type": "string", "enum": list(self.words)}
+        elif self.kind in ("whole", "number"):
+            said |= {
+                "type": "integer" if self.kind == "whole" else "number",
+                "minimum": self.lowest,
+                "maximum": self.highest,
+            }
+        elif self.kind == "yes or no":
+            said |= {"type": "boolean"}
+        else:
+            item = {"type": "string"} if self.kind == "names" else {"type": "integer", "minimum": 1, "maximum": 3}
+            said |= {"type": "array", "items": item, "minItems": 1}
+        if self.default is None:
+            said["type"] = [said["type"], "null"]
+        return said | {"default": list(self.default) if isinstance(self.default, tuple) else self.default}
+
+    def _whole(self, text: str) -> int:
+        text = text.strip()
+        if not text.isdecimal() or len(text.lstrip("0")) > MOST_DIGITS:
+            raise RefusedInputError(
+                f"{self.title}: {text[:20]!r} is not a whole number; type one, such as {text_of(self.default) or 6}."
+            )
+        return int(text)
+
+    def _number(self, text: str) -> float:
+        try:
+            return float(text.replace(",", ".") or "0")
+        except ValueError as error:
+            raise RefusedInputError(
+                f"{self.title}: {text[:20]!r} is not a number; type one, such as {text_of(self.default) or 0.02}."
+            ) from error
+
+
+#: A whole number of more is none of ours.
+MOST_DIGITS = 9
+
+
+def option(group: str, title: str, sentence: str, *, methods: tuple[str, ...] = (), **said: Any) -> Any:
+    """Declare a choice: a field of the settings with its `Option`, whose name and default are the field's."""
+    default, words = said["default"], said.get("words")
+    kinds = {bool: "yes or no", int: "whole", float: "number", str: "word"}
+    said.setdefault("kind", "word" if words and isinstance(default, str) else kinds.get(type(default), "names"))
+    declared = {"group": group, "title": title, "sentence": sentence, "methods": methods or GROUPS[group], **said}
+    return field(default=default, metadata=declared)
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """What to estimate and how; each field's meaning is its option's sentence."""
+
+    method: str = option(
+        "Method", "Method", "Estimator.", default="batch", flag="--method", usual=True,
+        words={method.name: method.title for method in METHODS.values()},
+    )  # fmt: skip
+    variant: str = option(
+        "Method", "Process noise", "Of a filter: no-q holds still, q follows drift, no-refit is q on old matches.",
+        default="no-q", flag="--variant", methods=FILTERS, usual=True,
+        words={
+            "no-q": "No-Q: parameters are constant",
+            "q": "Q: parameters may drift",
+            "no-refit": "No-Refit: Q, with the matches of the baseline only",
+        },
+    )  # fmt: skip
+    free: tuple[str, ...] | None = option(
+        "Method", "Free parameters", "Parameters to estimate, as f_m,b2_per_m2; the sensor's own list if left out.",
+        default=None, kind="names", flag="--free", usual=True,
+    )  # fmt: skip
+    match: str = option(
+        "Matching", "Star identities", "Star identities: those in the file, or made again as parameters improve.",
+        default="rematch", flag="--match", usual=True,
+        words={"given": "As given in the file", "rematch": "Made again as parameters improve"},
+    )  # fmt: skip
+    match_parameters: str = option(
+        "Matching", "Parameters matched with", "Which parameters a filter matches each frame with.",
+        default="latest", flag="--match-parameters", methods=FILTERS,
+        words={"latest": "The latest, frame by frame", "baseline": "The baseline it started from"},
+    )  # fmt: skip
+    match_rule: str = option(
+        "Matching", "Tolerance of a match", "Tolerance of a match: from its own noise, or that of the flight code.",
+        default="statistical", flag="--match-rule",
+        words={
+            "statistical": "Statistical: from centroid noise and parameter uncertainty",
+            "flight": "Flight: the fixed tolerance of the flight code",
+        },
+    )  # fmt: skip
+    flight_tolerance_urad: float | None = option(
+        "Matching", "Flight tolerance",
+        "Largest disagreement of an arc that the flight code accepts; five sigmas of an arc if left out.",
+        default=None, kind="number", lowest=0.1, highest=1e5, unit="µrad", flag="--flight-tolerance-urad",
+        hint="Empty is five sigmas of an arc.",
+    )  # fmt: skip
+    leave_out_doubles: bool = option(
+        "Matching", "Leave out doubles and unreliable stars",
+        "Leave out double stars and stars with unreliable astrometry.", default=False, flag="--leave-out-doubles",
+    )  # fmt: skip
+    minimum_stars: int = option(
+        "Method", "Fewest stars of an exposure", "Exposures with fewer stars take no part.",
+        default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
+    )  # fmt: skip
+    max_iterations: int = option(
+        "Of the batch", "Most iterations", "Most iterations of a fit.",
+        default=50, lowest=1, highest=10_000, flag="--max-iterations",
+    )  # fmt: skip
+    error: str = option(
+        "Of the batch", "Error minimised", "What is minimised; cosine is worse, for comparison.",
+        default="arclength", flag="--error",
+        words={
+            "arclength": "Arclength, with its full covariance",
+            "cosine": "Cosine of the arc, unweighted: worse, for comparison",
+        },
+        elsewhere="The cosine error is the batch's: choose method 'batch', or error 'arclength'.",
+    )  # fmt: skip
+    robust: str = option(
+        "Of the batch", "Loss", "Loss that bounds what a false star may say.", default="none", flag="--robust",
+        words={"none": "Least squares", "huber": "Huber: bounds what a false star may say"},
+        elsewhere="Robust loss is the batch's: choose method 'batch', or set 'robust' to 'none'.",
+    )  # fmt: skip
+    huber_threshold: float = option(
+        "Of the batch", "Huber threshold", "Of huber, in whitened sigmas.",
+        default=1.345, lowest=0.1, highest=10.0, unit="whitened σ", flag="--huber-threshold",
+        hint="1.345 keeps 95 % of the efficiency under Gaussian noise.",
+    )  # fmt: skip
+    linearisations: int = option(
+        "Of the filters", "Linearisations a frame", "Most a frame; 1 is the filter as printed.",
+        default=6, lowest=1, highest=100, flag="--linearisations", usual=True,
+        hint="1 is the filter as printed; more let the state come to rest within the frame.",
+    )  # fmt: skip
+    process_noise_sigma: float = option(
+        "Of the filters", "Drift a frame", "Of q and no-refit: drift a frame, in typical sigmas.",
+        default=0.02, lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise", usual=True,
+        hint="Not of No-Q.",
+    )  # fmt: skip
+    forgetting_factor: float = option(
+        "Of the filters", "Forgetting factor", "Share of the information kept from frame to frame.",
+        default=1.0, lowest=0.5, highest=1.0, flag="--forgetting-factor",
+        hint="Share of the information kept from frame to frame; 1 forgets nothing.",
+        elsewhere=(
+            f"A forgetting factor is a filter's: choose from {', '.join(FILTERS)}, or leave 'forgetting_factor' at 1."
+        ),
+    )  # fmt: skip
+    initial_sigma_scale: float = option(
+        "Of the filters", "Sigma of the start", "Sigma of the start, in typical sigmas.",
+        default=10.0, lowest=1e-3, highest=1e4, unit="typical σ", flag="--initial-sigma-scale",
+    )  # fmt: skip
+    star_model: int = option(
+        "Of svd and angular", "Star combinations", "Of svd: star combinations, 1 to 4; 4 is the paper's choice.",
+        default=4, lowest=1, highest=4, methods=("svd",), flag="--star-model", usual=True,
+        words={
+            "1": "1: three neighbours at a time",
+            "2": "2: half of the stars at a time",
+            "3": "3: all stars but one at a time",
+            "4": "4: the first three, four, five … all stars",
+        },
+        elsewhere="Star model and singular values are of method 'svd': choose it, or leave them out.",
+    )  # fmt: skip
+    singular_values: tuple[int, ...] = option(
+        "Of svd and angular", "Singular values",
+        "Of svd: some of 1,2,3; the first adds nothing to the others, for their squares add up to the number of stars.",
+        default=(2, 3), kind="wholes", methods=("svd",), flag="--singular-values", usual=True,
+        words={
+            "2,3": "σ2 and σ3: all that a combination says",
+            "1,2,3": "σ1, σ2 and σ3: the same, for σ1 follows from the others",
+            "1,2": "σ1 and σ2: the same by another name",
+            "1,3": "σ1 and σ3: the same by another name",
+            "1": "σ1 alone",
+            "2": "σ2 alone",
+            "3": "σ3 alone",
+        },
+        hint=(
+            "σ1 adds nothing to the other two: the squares of the three add up to the number of stars, whatever the camera."
+        ),
+        elsewhere="Star model and singular values are of method 'svd': choose it, or leave them out.",
+    )  # fmt: skip
+    gain_form: str = option(
+        "Of svd and angular", "Update", "How the update is computed; gain is as printed, slower, the same result.",
+        default="information", flag="--gain-form",
+        words={"information": "Information form", "gain": "Gain form, as printed: slower, the same result"},
+        elsewhere=f"The gain form is of methods {' and '.join(EITHER_FORM)}: choose one, or leave 'gain_form' out.",
+    )  # fmt: skip
+    replay_frames_per_s: float = option(
+        "Of the filters", "Replay pace", "Pace at which a filter takes frames in; 0 is as fast as the machine can.",
+        default=0.0, lowest=0.0, highest=1e6, unit="frames a second", usual=True,
+        hint="As a downlink would deliver them; 0 is as fast as possible.",
+    )  # fmt: skip
+
+    @property
+    def sequential(self) -> bool:
+        """Whether a filter runs."""
+        return self.method in FILTERS
+
+    @property
+    def matched_with(self) -> str:
+        """Which parameters a filter matches each frame with: the variant `no-refit` allows none but the baseline."""
+        return "baseline" if self.variant == "no-refit" else self.match_parameters
+
+    @property
+    def process_noise(self) -> float:
+        """Standard deviation that a filter adds a frame, in typical sigmas; 0 where the parameters are constant."""
+        return 0.0 if self.variant == "no-q" else self.process_noise_sigma
+
+    @classmethod
+    def parse(cls, document: Mapping[str, Any]) -> CalibrationSettings:
+        """Read settings from a JSON document, absent keys taking their defaults.
+
+        Raises
+        ------
+        RefusedInputError
+            For an unknown key or a value outside its range; names it and says what is allowed.
+        """
+        for key in document:
+            if key not in OPTIONS:
+                raise RefusedInputError(f"Setting {key!r} is unknown; choose from {', '.join(sorted(OPTIONS))}.")
+        for name, value in document.items():
+            OPTIONS[name].check(value)
+        settings = cls(**{name: _kept(OPTIONS[name], value) for name, value in document.items()})
+        settings.check()
+        return settings
+
+    def check(self) -> None:
+        """Refuse values outside their range and choices that exclude one another, one sentence each."""
+        for name, declared in OPTIONS.items():
+            declared.check(getattr(self, name))
+        for name, declared in OPTIONS.items():
+            if declared.elsewhere and self.method not in declared.methods and getattr(self, name) != declared.default:
+                raise RefusedInputError(declared.elsewhere)
+        if self.error == "cosine" and self.robust != "none":
+            raise RefusedInputError("The cosine error has no weights to be robust by: set 'robust' to 'none'.")
+
+    def document(self) -> dict[str, Any]:
+        """Return the settings as JSON values, every key present."""
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
+
+def _kept(declared: Option, value: Any) -> Any:
+    """Keep a list as a tuple, numbers in ascending order."""
+    if not isinstance(value, list | tuple):
+        return value
+    return tuple(sorted(value) if declared.kind == "wholes" else value)
+
+
+#: Every choice by its name, in the order of a settings document.
+OPTIONS = {item.name: Option(name=item.name, **item.metadata) for item in fields(CalibrationSettings)}
+
+
+def text_of(value: Any) -> str:
+    """Write a value as a form or a command shows it."""
+    if isinstance(value, bool):
+        return "on" if value else ""
+    if isinstance(value, list | tuple):
+        return ",".join(map(str, value))
+    return f"{value:.15g}" if isinstance(value, int | float) else str(value or "")
+
+
+def said(name: str, value: Any) -> str:
+    """Say what a value means, for a person."""
+    declared = OPTIONS[name]
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None:
+        return "the sensor's own" if name == "free" else "as usual"
+    text = text_of(value)
+    return declared.words.get(text, text.replace(",", ", ") if isinstance(value, list | tuple) else text)
+
+
+def title_of(method: str) -> str:
+    """Return a method's title; a name without one stands for itself."""
+    return METHODS[method].title if method in METHODS else method
+
+
+def is_sequential(method: str) -> bool:
+    """Tell whether a method takes the frames one after the other."""
+    return method in FILTERS
+
+
+def schema() -> dict[str, Any]:
+    """Describe a settings document as JSON Schema."""
+    properties = {name: declared.schema() for name, declared in OPTIONS.items()}
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def listed(groups: Sequence[str] = tuple(GROUPS)) -> str:
+    """Write every option of the command line as a Markdown table, by group."""
+    chosen = [declared for group in groups for declared in OPTIONS.values() if declared.group == group]
+    methods = {ALL: "all", FILTERS: "filters"}
+    cells = [
+        (
+            f"`{item.flag}`",
+            item.range,
+            text_of(item.default) or "none",
+            methods.get(item.methods) or ", ".join(item.methods),
+            item.sentence,
+        )
+        for item in chosen
+        if item.flag
+    ]
+    rows = [f"| {' | '.join(row)} |" for row in cells]
+    return "\n".join(["| Option | Values | Default | Methods | What |", "| --- | --- | --- | --- | --- |", *rows])

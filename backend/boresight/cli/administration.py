@@ -1,0 +1,187 @@
+"""`boresight user`: people, for whom nobody is logged in yet to make them.
+
+`boresight webhook`: the key that encrypts the secrets of webhooks.
+
+`boresight certificates`: what server, scheduler and workers prove themselves with, where they are services of their own.
+
+`boresight migrate`: the database's schema, forwards and back.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from boresight.errors import ConflictError, RefusedInputError
+from boresight.settings import read_settings
+
+
+@click.group()
+def user() -> None:
+    """Manage people who may log in."""
+
+
+@user.command()
+@click.argument("name")
+@click.option("--role", "roles", multiple=True, required=True, help="analyst, approver, ...; repeat it for several.")
+@click.option("--printed-name", required=True, help="As signatures show it.")
+@click.option("--password-stdin", is_flag=True, help="Read the password from standard input instead of asking.")
+def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin: bool) -> None:
+    """Add the person with the log-in NAME.
+
+    Roles: viewer, analyst (uploads, launches, submits), operator (promotes, records uplinks), approver (signs),
+    administrator (people and keys; cannot sign).
+    """
+    password = _password(from_stdin=password_stdin)
+    from boresight.console.access import users
+    from boresight.console.access.passwords import prepare
+    from boresight.platform.actors import COMMAND_LINE
+    from boresight.platform.db.sessions import opened, writing
+
+    prepared = prepare(password, name, printed_name)
+    with opened(read_settings().database_url) as engine, writing(engine) as session:
+        made = users.create_user(
+            session, COMMAND_LINE, name=name, printed_name=printed_name, password=prepared, roles=roles
+        )
+        click.echo(f"Added {made.name} ({made.printed_name}): {', '.join(made.roles)}")
+
+
+def _password(*, from_stdin: bool) -> str:
+    if not from_stdin:
+        return str(click.prompt("Password", hide_input=True, confirmation_prompt=True, err=True))
+    password = sys.stdin.readline().rstrip("\r\n")
+    if not password:
+        raise RefusedInputError("Standard input holds no password: pipe one line to --password-stdin.")
+    return password
+
+
+@click.group()
+def webhook() -> None:
+    """Look after webhooks."""
+
+
+@webhook.command(name="rotate-key")
+@click.option("--forget-old", is_flag=True, help="Then remove the keys of before; older backups need them.")
+def rotate_key(*, forget_old: bool) -> None:
+    """Make a new key and encrypt every webhook's secret with it; servers that share the file go on.
+
+    Secrets that no key here decrypts stay as they are.
+    """
+    from boresight.console.webhooks.secrets import encrypt_all, encrypt_anew
+    from boresight.platform.db.sessions import opened, writing
+
+    settings = read_settings()
+    box = settings.secret_box
+    with opened(settings.database_url) as engine:
+        kept = encrypt_all(engine, box)
+        box.add_key()
+        with writing(engine) as session:
+            count = encrypt_anew(session, box)
+    forgotten = box.forget_old_keys() if forget_old else 0
+    click.echo(f"{box.file}: a new key encrypts the secrets of {count} webhooks; {forgotten} older keys were removed.")
+    if kept.sentence is not None:
+        click.echo(kept.sentence, err=True)
+
+
+AUTHORITY, CERTIFICATE = "authority.pem", "boresight.pem"
+CLOCKS_DIFFER = timedelta(days=1)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
+@click.option("--days", type=click.IntRange(1, 36_500), default=3650, show_default=True, help="Valid for so long.")
+def certificates(folder: Path, days: int) -> None:
+    """Make a certificate for tls:// links, and the authority that signed it, in FOLDER.
+
+    The authority's key is forgotten, so this is the only certificate it will ever sign: copy both files to every machine of the
+    cluster, and to nobody else, for whoever has boresight.pem can run programs on all of them.
+    """
+    from boresight.workers.security import issue
+
+    now = datetime.now(UTC)
+    made = issue(now - CLOCKS_DIFFER, now + timedelta(days=days))
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _write(folder / AUTHORITY, made.authority)
+        _write(folder / CERTIFICATE, made.certificate + made.key)
+    except FileExistsError as error:
+        raise RefusedInputError(
+            f"{error.filename} is there already, and links that use it would break: name another folder, or remove it first."
+        ) from error
+    except OSError as error:
+        raise RefusedInputError(
+            f"{folder} cannot be written ({error.strerror or error}): name another folder."
+        ) from error
+    click.echo(f"BORESIGHT_TLS_AUTHORITY={folder / AUTHORITY}")
+    click.echo(f"BORESIGHT_TLS_CERTIFICATE={folder / CERTIFICATE}")
+    click.echo(f"Valid until {now + timedelta(days=days):%Y-%m-%d}.", err=True)
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a new file that only this user can read."""
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(text)
+
+
+if TYPE_CHECKING:
+    from boresight.platform.db.sessions import Engine
+
+
+@click.command()
+@click.option("--down", "revision", metavar="REV", help="Go back to this revision; base removes every table.")
+@click.option("--yes", is_flag=True, help="Go back although rows are removed by it; needs --backup.")
+@click.option("--backup", metavar="FILE", help="A backup that was made after the last change.")
+def migrate(revision: str | None, backup: str | None, *, yes: bool) -> None:
+    """Bring the database's schema up to date, or back to a revision.
+
+    The way back says what it would remove. Where that is anything, it wants --yes, and a backup of the database as it is now.
+    """
+    from boresight.console.webhooks.secrets import encrypt_all
+    from boresight.platform.db import sessions
+
+    settings = read_settings()
+    engine = sessions.open_engine(settings.database_url)
+    try:
+        before = sessions.current_revision(engine)
+        if revision is None:
+            sessions.migrate(engine)
+            encrypt_all(engine, settings.secret_box)
+        else:
+            _refuse_loss(engine, revision, backup, yes=yes)
+            sessions.downgrade(engine, revision)
+        after = sessions.current_revision(engine)
+    finally:
+        engine.dispose()
+    click.echo(f"schema {before or 'empty'} -> {after or 'empty'}")
+
+
+def _refuse_loss(engine: Engine, revision: str, backup: str | None, *, yes: bool) -> None:
+    """Say what the way back removes, and refuse it unless that was agreed to and there is a backup of just now.
+
+    Raises
+    ------
+    ConflictError
+        When `--yes` or the backup is missing, or the backup is not of the database as it is.
+    """
+    from boresight.platform.db import backup as backups
+    from boresight.platform.db import sessions
+
+    lost = sessions.losses(engine, revision)
+    for loss in lost:
+        click.echo(f"removes {loss}")
+    if not lost:
+        return
+    if not yes or backup is None:
+        raise ConflictError(
+            f"Nothing was changed: going back to {revision} removes the above. Make a backup with `boresight backup --out FILE`, "
+            "and agree with --yes --backup FILE."
+        )
+    if not backups.is_of_now(Path(backup), engine):
+        raise ConflictError(
+            f"Nothing was changed: {backup} is older than the last change of the database, or of another one; make a new backup."
+        )

@@ -1,0 +1,1 @@
+"""People, their log-ins, passwords and API keys."""

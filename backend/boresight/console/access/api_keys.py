@@ -1,0 +1,147 @@
+"""API keys: how programs act for a person, within the scopes that the person gave.
+
+A secret is `bs_<prefix>_<random>`. It is shown once and kept as SHA-256, which is enough for 256 random bits: a slow
+hash protects what can be guessed. A key never has more roles than its owner has now, and never signs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+from collections.abc import Collection, Mapping, Sequence
+
+from boresight.console.access import queries as rows
+from boresight.console.access.tables import ApiKey, User
+from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
+from boresight.platform.actors import SCOPES, Actor, refuse_key, require_person
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.web.words import refuse_control_characters
+
+SECONDS_PER_DAY = 86400.0
+LONGEST_DAYS = 3650
+
+
+def create_key(
+    session: Session, actor: Actor, *, label: str, scopes: Collection[str] = (), expires_days: int | None = 90
+) -> tuple[ApiKey, str]:
+    """Make a key for the person who asks; without scopes it can only read.
+
+    Returns
+    -------
+    tuple of ApiKey and str
+        The row, and the secret, which is not kept and cannot be shown again.
+
+    Raises
+    ------
+    ForbiddenError
+        When a key asks for another key.
+    RefusedInputError
+        When a scope does not exist, the label is empty, or the time is not in 1 to 3650 days.
+    """
+    user_id = require_person(actor, "make an API key")
+    if unknown := sorted(set(scopes) - set(SCOPES)):
+        raise RefusedInputError(f"There is no scope {', '.join(unknown)}; the scopes are {', '.join(SCOPES)}.")
+    refuse_control_characters(label=label)
+    if not label.strip():
+        raise RefusedInputError("The key needs a label that says what uses it.")
+    if expires_days is not None and not 1 <= expires_days <= LONGEST_DAYS:
+        raise RefusedInputError(f"A key lasts 1 to {LONGEST_DAYS} days, not {expires_days}.")
+    prefix, random = secrets.token_hex(4), secrets.token_urlsafe(32)
+    secret = f"bs_{prefix}_{random}"
+    key = ApiKey(
+        user_id=user_id,
+        label=label.strip(),
+        prefix=prefix,
+        key_hash=_hash(secret),
+        scopes=sorted(set(scopes)),
+        created_utc=utc_now(),
+        expires_utc=None if expires_days is None else utc_after(expires_days * SECONDS_PER_DAY),
+    )
+    session.add(key)
+    session.flush()
+    audit.append(session, actor, "created", _subject(key), None, {"label": key.label, "scopes": key.scopes})
+    return key, secret
+
+
+def _hash(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
+def actor_of_key(session: Session, secret: str, request_id: str | None = None) -> Actor:
+    """Return whom a secret lets act; a reading transaction is enough.
+
+    Raises
+    ------
+    UnauthenticatedError
+        When the key is unknown, revoked or expired, or its owner disabled.
+    """
+    parts = secret.split("_", 2)
+    key = rows.key_with_prefix(session, parts[1]) if len(parts) == 3 else None
+    if key is None or not hmac.compare_digest(key.key_hash, _hash(secret)):
+        raise UnauthenticatedError("This API key is not known; check that it was copied whole.")
+    if key.revoked_utc is not None:
+        raise UnauthenticatedError(f"The API key {key.label!r} was revoked; make another one.")
+    if key.expires_utc is not None and key.expires_utc <= utc_now():
+        raise UnauthenticatedError(f"The API key {key.label!r} expired at {key.expires_utc}; make another one.")
+    user = session.get(User, key.user_id)
+    if user is None or user.disabled_utc is not None:
+        raise UnauthenticatedError(f"The owner of the API key {key.label!r} is disabled; ask an administrator.")
+    roles, scopes = frozenset(user.roles), frozenset(key.scopes)
+    credential = f"key:{key.prefix}"
+    return Actor(user.id, user.name, user.printed_name, roles, credential, scopes, request_id, key.expires_utc)
+
+
+def list_keys(session: Session, user_id: int | None = None) -> Sequence[ApiKey]:
+    """Return a person's keys, or everyone's, newest first."""
+    return rows.keys(session, user_id)
+
+
+def get_key(session: Session, key_id: int) -> ApiKey:
+    """Return a key.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    key = session.get(ApiKey, key_id)
+    if key is None:
+        raise NotFoundError(f"There is no API key {key_id}.")
+    return key
+
+
+def record_uses(session: Session, used_utc: Mapping[str, str]) -> None:
+    """Write when keys were last used, by prefix; not a change that anybody made, so not in the audit log."""
+    for prefix, at_utc in used_utc.items():
+        key = rows.key_with_prefix(session, prefix)
+        if key is not None and at_utc > (key.last_used_utc or ""):
+            key.last_used_utc = at_utc
+
+
+def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
+    """End a key: one's own, or as an administrator anyone's.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such key.
+    ForbiddenError
+        When it is another's, or a key asks.
+    """
+    refuse_key(actor, "revoke a key")
+    key = get_key(session, key_id)
+    if key.user_id != actor.user_id and "administrator" not in actor.roles:
+        raise ForbiddenError("Only its owner or an administrator may revoke this API key.")
+    if key.revoked_utc is None:
+        key.revoked_utc = utc_now()
+        audit.append(
+            session, actor, "revoked", _subject(key), {"revoked": False}, {"revoked": True, "label": key.label}
+        )
+    return key
+
+
+def _subject(key: ApiKey) -> str:
+    """Name a key as the audit log does."""
+    return f"api-keys/{key.id}"

@@ -1,0 +1,273 @@
+"""What every endpoint asks for: who acts, a transaction, proof that the request was meant.
+
+One request is one transaction. It ends before the answer is sent (`scope="function"`), so an answer that says "done"
+tells of something that is committed. Writers of this process queue on a lock of the event loop and not in the thread
+pool: were they to wait for the database inside it, they could take every thread from the one who holds the database.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import Depends, Header, Query
+from fastapi.concurrency import contextmanager_in_threadpool
+from pydantic import BaseModel, SecretStr
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.console.access import sessions, users
+from boresight.console.access.credentials import bearer, who_acts
+from boresight.console.access.password_checks import Passwords
+from boresight.console.access.passwords import NO_PROOF, PasswordProof
+from boresight.console.access.sessions import Client
+from boresight.console.runs.dry_runs import Sight
+from boresight.console.schemas import Row
+from boresight.errors import (
+    ForbiddenError,
+    PreconditionRequiredError,
+    RefusedInputError,
+    StaleError,
+    UnauthenticatedError,
+)
+from boresight.platform.actors import Actor, Policy, require_person
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, only_try, reading, writing
+from boresight.platform.web.drawn import Drawn
+from boresight.platform.web.openapi import refuses
+from boresight.platform.web.origins import SAFE_METHODS
+from boresight.platform.web.paging import register, row_number
+from boresight.settings import Settings
+from boresight.sky.catalogue import Catalogue
+
+register()  # what a parameter in a path may be, before the first route is made: every module of routes or pages imports this one
+
+FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
+CSRF_HEADER = "X-CSRF-Token"
+CSRF_FIELD = "csrf_token"
+DRY = "Check everything, change nothing: 200 with what would be, and `X-Validate-Only: true`."
+
+
+async def read_session(request: Request) -> AsyncIterator[Session]:
+    """Open the request's transaction for reading: one state of the database, from its first query on."""
+    engine = request.app.state.engine
+    if engine.dialect.name == "sqlite":  # neither beginning nor ending to read waits for anything there
+        with reading(engine) as session:
+            yield session
+        return
+    async with contextmanager_in_threadpool(reading(engine)) as session:
+        yield session
+
+
+async def write_session(request: Request) -> AsyncIterator[Session]:
+    """Open the request's transaction for writing; commits when the endpoint returns, before the answer is sent.
+
+    Whoever follows the store is then told to look at once: the event feed, and the engine that waits for runs.
+    """
+    state = request.app.state
+    async with state.write_lock, contextmanager_in_threadpool(writing(state.engine)) as session:
+        yield session
+    state.broadcast.nudge()
+    state.deliveries.nudge()
+    state.workers.notify()
+
+
+async def only_asked(validate_only: Annotated[bool, Query(description=DRY)] = False) -> bool:
+    """Whether the request only asks what would come of it."""
+    return validate_only
+
+
+OnlyAsked = Annotated[bool, Depends(only_asked)]
+
+
+async def never_tried(request: Request) -> None:
+    """Refuse `validate_only` where there is nothing to try.
+
+    Raises
+    ------
+    RefusedInputError
+        When it was given.
+    """
+    if "validate_only" in request.query_params:
+        raise RefusedInputError("Logging in and out cannot be tried with validate_only; leave it out.")
+
+
+async def write_or_try(request: Request, asked: OnlyAsked) -> AsyncIterator[Session]:
+    """Open the request's transaction for writing, or with `validate_only` for a trial that is rolled back at its end.
+
+    A trial holds the same lock and makes the same checks; files that it stored stay, referred to by nothing.
+    """
+    state = request.app.state
+    if not asked:
+        async with asynccontextmanager(write_session)(request) as session:
+            yield session
+        return
+    async with state.write_lock, contextmanager_in_threadpool(writing(state.engine)) as session:
+        only_try(session)
+        yield session
+
+
+async def csrf(request: Request) -> None:
+    """Refuse an unsafe request that a cookie authenticates unless it repeats the log-in's CSRF token.
+
+    The token comes as the header `X-CSRF-Token` or, from a plain form of a page, as the field `csrf_token`. Requests
+    with an API key need none: no other site can make a browser send that header.
+
+    Raises
+    ------
+    ForbiddenError
+        When the token is missing or another.
+    """
+    if request.method in SAFE_METHODS or bearer(request.headers) is not None:
+        return
+    if request.app.state.log_in_cookie.name not in request.cookies:
+        return  # nothing to abuse; whoever needs an actor refuses it
+    try:
+        await who_acts(request)
+    except UnauthenticatedError:
+        return  # neither is there with a log-in that has ended; it must not keep anybody from logging in anew
+    given = request.headers.get(CSRF_HEADER) or await _form_token(request)
+    if not hmac.compare_digest(given.encode(), request.state.csrf_token.encode()):
+        raise ForbiddenError(f"The {CSRF_HEADER} of this log-in is missing or another's; reload the page, do it again.")
+
+
+async def _form_token(request: Request) -> str:
+    """Return the token of a page's plain form; empty where there is none. The API reads its uploads itself."""
+    if request.url.path.startswith("/api/") or not request.headers.get("content-type", "").startswith(FORM_TYPES):
+        return ""
+    value = (await request.form()).get(CSRF_FIELD, "")
+    return value if isinstance(value, str) else ""
+
+
+def strong(given: str) -> str:
+    """Return the row's tag that a client read, weak or not: it names the row's state, and says nothing of bytes."""
+    return given.strip().removeprefix("W/")
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What of a row was seen by who asks: its tag; none where a transition may be asked without having looked."""
+
+    tag: str | None
+
+    def require(self, shape: type[Row], row: Any, name: str = "It") -> None:
+        """Refuse a transition by someone who did not see the row as it is.
+
+        Raises
+        ------
+        StaleError
+            When it changed since.
+        """
+        if self.tag is not None and self.tag != shape.etag(row):
+            raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
+
+
+@refuses(412, 428)
+async def seen(
+    if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read.")] = None,
+) -> Seen:
+    """Return the tag in `If-Match`, which every transition must state.
+
+    Raises
+    ------
+    PreconditionRequiredError
+        When the header is absent.
+    """
+    if if_match is None:
+        raise PreconditionRequiredError('Say which version you saw: send its ETag in If-Match, as in If-Match: "v3".')
+    return Seen(strong(if_match))
+
+
+@refuses(412)
+async def maybe_seen(
+    if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read, if you did.")] = None,
+) -> Seen:
+    """Return the tag in `If-Match`, if there is one."""
+    return Seen(None if if_match is None else strong(if_match))
+
+
+async def seen_version(given: Annotated[Seen, Depends(seen)]) -> int:
+    """Return the version that the tag in `If-Match` names.
+
+    Raises
+    ------
+    StaleError
+        When it cannot be the tag of any version.
+    """
+    tag = given.tag or ""
+    digits = tag.removeprefix('"v').removesuffix('"')
+    version = row_number(digits)
+    if tag != f'"v{digits}"' or version is None:
+        raise StaleError(f"No version has the tag {tag[:40]}; read it again and send its ETag in If-Match.")
+    return version
+
+
+def of_server(name: str) -> Any:
+    """Return a dependency on a part of the server, by its name in the state of the application."""
+
+    async def part(request: Request) -> Any:
+        return getattr(request.app.state, name)
+
+    return Depends(part)
+
+
+def log_in_person(request: Request, response: Response, session: Session, proof: PasswordProof) -> tuple[Actor, str]:
+    """Give the browser of who proved to be a person a log-in; returns the person and the CSRF token.
+
+    Raises
+    ------
+    UnauthenticatedError
+        When name and password do not belong together.
+    """
+    actor = users.authenticate(session, proof, request.state.request_id)
+    _, token = sessions.begin(session, require_person(actor, "log in"), client_of(request))
+    return actor, request.app.state.log_in_cookie.write(response, token)
+
+
+def client_of(request: Request) -> Client:
+    """Return where a request comes from; behind a proxy that uvicorn trusts, whom the proxy names."""
+    address = None if request.client is None else request.client.host
+    return Client.of(address, request.headers.get("user-agent"))
+
+
+def clear_cookie(request: Request, response: Response) -> None:
+    """Take the cookie of a log-in that has ended away from the browser."""
+    request.app.state.log_in_cookie.clear(response)
+
+
+async def check_own(request: Request, actor: Actor, password: str) -> PasswordProof:
+    """Check the password of who acts, before any transaction begins."""
+    checks: Passwords = request.app.state.passwords
+    return await checks.check_own(actor, password, client_of(request))
+
+
+def own_password(body: type[BaseModel]) -> Any:
+    """Return a dependency that checks the password in a body, of who acts; none where the body may leave it out."""
+
+    @refuses(429)
+    async def proven(signed: Any, actor: Who, request: Request) -> PasswordProof:
+        given: SecretStr | None = signed.password
+        return NO_PROOF if given is None else await check_own(request, actor, given.get_secret_value())
+
+    proven.__annotations__["signed"] = body  # the same parameter as its endpoint's, so the body is one
+    return Depends(proven)
+
+
+Who = Annotated[Actor, Depends(who_acts)]
+Reading = Annotated[Session, Depends(read_session, scope="function")]
+Writing = Annotated[Session, Depends(write_or_try, scope="function")]
+LoggingIn = Annotated[Session, Depends(write_session, scope="function")]
+SeenVersion = Annotated[int, Depends(seen_version)]
+SeenTag = Annotated[Seen, Depends(seen)]
+MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
+Blobs = Annotated[BlobStore, of_server("blobs")]
+Database = Annotated[Engine, of_server("engine")]
+Drawings = Annotated[Drawn, of_server("drawn")]
+Held = Annotated[Policy, of_server("policy")]
+PasswordChecks = Annotated[Passwords, of_server("passwords")]
+ServerSettings = Annotated[Settings, of_server("settings")]
+Sighted = Annotated[Sight, of_server("sight")]
+Stars = Annotated[Callable[[], Catalogue], of_server("catalogue")]

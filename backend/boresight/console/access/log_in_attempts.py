@@ -1,0 +1,223 @@
+"""How fast passwords may be tried: after some failures each further attempt waits, longer each time.
+
+With f failures counted under a key and n of them free, an attempt begins no earlier than::
+
+    d(f) = 0 for f < n,  min(2^(f - n), longest) [s] for f >= n
+
+after the one before; attempts that come at once are counted as if they had failed. A short wait is waited out, of a longer one
+the person is told. An attempt is counted under each of these keys:
+
+- its name at its place (an address, or the session of somebody who signs with their own password);
+- its name at the console of one person, where it is typed at somebody else's console;
+- unless the place is one that the name logged in from before: its name at all such places together, and its place (or the person
+  at the console), whatever the names.
+
+So strangers share some 50 tries an hour at an account, wherever they come from, and a place that the person logged in from has
+some 50 of its own: together under 100 (OWASP ASVS 4.0, 2.2.1). What strangers do keeps nobody waiting where they logged in
+before. Counts are each server's own and are forgotten `FORGET_S` after the last failure.
+
+Wrong passwords in the audit log: one record for each name and address a minute, however many there were, and few records in all.
+
+Whoever knows no password must not be able to make the log grow: what is more than `MOST_RECORDS` names and addresses in a minute
+is told in one record, by its numbers. The name stands as it was typed, cut and cleaned of what cannot be seen.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+from boresight.console.access import queries as rows
+from boresight.errors import TooManyAttemptsError
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.web.words import comparison_key
+
+LONGEST_OF_NAME_S, LONGEST_OF_ACCOUNT_S, LONGEST_OF_PLACE_S = 100.0, 120.0, 10.0
+PLACES_A_NAME = 3  # times as many failures are free to strangers together at a name as to one of them
+NAMES_A_PLACE = 6  # times as many failures are free to a place as to a name at it
+HELD_S = 4.0  # a wait up to so long is waited out
+FORGET_S = 3600.0
+MOST_COUNTS = 20_000
+
+
+def place_of_address(address: str) -> str:
+    """Return the place that an address stands for: of IPv6 the network of 64 bits, which one customer has whole."""
+    try:
+        parsed = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    if parsed.version == 4:
+        return address
+    mapped = parsed.ipv4_mapped
+    return str(mapped) if mapped else str(ipaddress.ip_network((parsed, 64), strict=False))
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What is tried: a name from a place.
+
+    Parameters
+    ----------
+    known
+        The name logged in from this place before, or the place is the session of who signs.
+    console
+        The person at whose console the name is typed; None at one's own.
+    """
+
+    name: str
+    place: str
+    known: bool = False
+    console: str | None = None
+
+
+@dataclass
+class _Count:
+    """The failures under one key."""
+
+    free: float
+    longest_s: float
+    failures: int = 0
+    pending: int = 0
+    began_s: float = -math.inf
+    touched_s: float = 0.0
+
+    def begins_s(self, now_s: float) -> float:
+        """Return when the next attempt may begin."""
+        over = self.failures + self.pending - self.free
+        return now_s if over < 0 else max(now_s, self.began_s + min(2.0 ** min(over, 30), self.longest_s))
+
+
+class LoginLimiter:
+    """The counts of one server.
+
+    Parameters
+    ----------
+    free
+        Failures of a name at a place before attempts wait.
+    now_s
+        The clock.
+    """
+
+    def __init__(self, free: int, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._free = free
+        self._now_s = now_s
+        self._counts: OrderedDict[Hashable, _Count] = OrderedDict()
+
+    def admit(self, tried: Tried) -> float:
+        """Let an attempt in; returns after how many seconds it may begin. `ended` must be told how it went.
+
+        Raises
+        ------
+        TooManyAttemptsError
+            When that is more than `HELD_S`; the attempt is not counted.
+        """
+        now_s = self._now_s()
+        limits = self._limits(tried)
+        begins_s = max(self._begins_s(key, now_s) for key in limits)
+        if begins_s - now_s > HELD_S:
+            wait_s = math.ceil(begins_s - now_s)
+            raise TooManyAttemptsError(f"Too many wrong passwords were tried; wait {wait_s} s and try again.", wait_s)
+        for key, (free, longest_s) in limits.items():
+            count = self._counts.setdefault(key, _Count(free, longest_s))
+            self._counts.move_to_end(key)
+            count.began_s = count.touched_s = begins_s
+            count.pending += 1
+        while len(self._counts) > MOST_COUNTS:
+            self._counts.popitem(last=False)
+        return begins_s - now_s
+
+    def ended(self, tried: Tried, *, failed: bool | None) -> None:
+        """Note how an attempt went; None where it was not made. A right password makes up for the wrong ones of its name there.
+
+        What counts no failure is not kept: only passwords that were really checked can push out older counts.
+        """
+        for key in self._limits(tried):
+            count = self._counts.get(key)
+            if count is None:
+                continue
+            count.pending = max(count.pending - 1, 0)
+            count.failures += failed is True
+            if failed is False and key in {(tried.name, tried.place), ("console", tried.name, tried.console)}:
+                count.failures = 0
+            if not count.pending and not count.failures:
+                del self._counts[key]
+
+    def _limits(self, tried: Tried) -> dict[Hashable, tuple[float, float]]:
+        """Return under which keys an attempt is counted, each with what is free there and the longest wait."""
+        of_name = (self._free, LONGEST_OF_NAME_S)
+        limits: dict[Hashable, tuple[float, float]] = {(tried.name, tried.place): of_name}
+        if tried.console is not None:
+            limits["console", tried.name, tried.console] = of_name
+        if not tried.known:
+            limits["name", tried.name, None] = (self._free * PLACES_A_NAME, LONGEST_OF_ACCOUNT_S)
+            limits["place", tried.console or tried.place, None] = (self._free * NAMES_A_PLACE, LONGEST_OF_PLACE_S)
+        return limits
+
+    def _begins_s(self, key: Hashable, now_s: float) -> float:
+        """Return when the next attempt under a key may begin, forgetting what is long ago."""
+        count = self._counts.get(key)
+        if count is not None and not count.pending and now_s - count.touched_s > FORGET_S:
+            del self._counts[key]
+            count = None
+        return now_s if count is None else count.begins_s(now_s)
+
+
+MOST_RECORDS = 10
+LONGEST_NAME = 64
+REFUSED = "refused wrong passwords of"
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A name as it was typed, the address it came from, and the log-in under which it was typed, if any."""
+
+    name: str
+    address: str
+    session_id: int | None = None
+
+    @classmethod
+    def of(cls, name: str, address: str, session_id: int | None = None) -> Attempt:
+        """Take what came, cut and cleaned."""
+        return cls("".join(letter for letter in name[:LONGEST_NAME] if letter.isprintable()), address, session_id)
+
+
+@dataclass
+class Failures:
+    """How often an attempt failed, since when and until when."""
+
+    count: int = 0
+    since_utc: str = ""
+    until_utc: str = ""
+
+    def add(self) -> None:
+        """Count one more."""
+        self.until_utc = utc_now()
+        self.since_utc = self.since_utc or self.until_utc
+        self.count += 1
+
+
+def record(session: Session, failed: Mapping[Attempt, Failures]) -> None:
+    """Put failed attempts into the audit log, the most frequent each by itself, the rest together."""
+    ranked = sorted(failed.items(), key=lambda pair: -pair[1].count)
+    for attempt, failures in ranked[:MOST_RECORDS]:
+        user = rows.user_named(session, attempt.name.strip(), comparison_key(attempt.name))
+        told = {"name": attempt.name, "address": attempt.address, "log_in": attempt.session_id}
+        subject = "sessions" if user is None else f"users/{user.id}"
+        audit.append(session, SYSTEM, REFUSED, subject, None, told | _times([failures]))
+    if rest := ranked[MOST_RECORDS:]:
+        told = {"names": len({one.name for one, _ in rest}), "addresses": len({one.address for one, _ in rest})}
+        audit.append(session, SYSTEM, REFUSED, "sessions", None, told | _times([failures for _, failures in rest]))
+
+
+def _times(found: Sequence[Failures]) -> dict[str, int | str]:
+    return {
+        "count": sum(one.count for one in found),
+        "since_utc": min(one.since_utc for one in found),
+        "until_utc": max(one.until_utc for one in found),
+    }

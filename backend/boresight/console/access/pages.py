@@ -1,0 +1,398 @@
+"""People, API keys and log-ins: administrators manage people; everyone manages their own keys, log-ins and password.
+
+Logging in and out. The way back (`?next=`) is followed only inside this server.
+
+Setting one's own password: what a person must do first to whom somebody else gave one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.console.access import api_keys, sessions, users
+from boresight.console.access.credentials import current_actor
+from boresight.console.access.dependencies import Reading, Who, clear_cookie, client_of, csrf, log_in_person
+from boresight.console.access.password_checks import Passwords
+from boresight.console.access.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
+from boresight.console.access.tables import User
+from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.errors import RefusedInputError, SessionEndedError, UnauthenticatedError
+from boresight.platform.actors import SCOPES, Actor, require_person, require_role
+from boresight.platform.db.sessions import Session, reading, utc_now
+from boresight.platform.web.paging import row_number
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+SESSIONS_SHOWN = 200
+WHY_ENDED = {
+    "logged_out": "logged out",
+    "ended": "ended by the person",
+    "ended_by_administrator": "ended by an administrator",
+    "password_changed": "the password was changed",
+    "roles_changed": "the roles were changed",
+    "disabled": "the person was disabled",
+    "idle": "not used for too long",
+    "expired": "reached its greatest age",
+}
+WHAT_A_ROLE_MAY = {
+    "viewer": "look at everything",
+    "analyst": "upload telemetry, launch runs, submit parameter sets",
+    "operator": "promote approved sets, record what is on board",
+    "approver": "sign requests for approval",
+    "administrator": "manage people and keys; cannot sign",
+}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a form left behind on the page: its refusal, what was typed, a key's secret that is shown once."""
+
+    form: str = ""
+    refusal: Refusal | None = None
+    typed: Mapping[str, Any] = field(default_factory=dict)
+    secret: str = ""
+
+
+def _page(request: Request, actor: Actor, session: Session, shown: Shown) -> HTMLResponse:
+    """Render people and keys."""
+    administrator = "administrator" in actor.roles
+    people = users.list_users(session)
+    return render(
+        request,
+        "access/users.html",
+        refused=shown.refusal,
+        people=people if administrator else [],
+        names={person.id: person.printed_name for person in people},
+        administrators=users.administrators(session),
+        keys=api_keys.list_keys(session, None if administrator else actor.user_id),
+        roles=WHAT_A_ROLE_MAY,
+        scopes=SCOPES,
+        minimum_length=MINIMUM_PASSWORD_LENGTH,
+        administrator=administrator,
+        now=utc_now(),
+        shown=shown,
+    )
+
+
+def _again(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
+    """Render the page after a form was refused, or with a secret."""
+    with reading(request.app.state.engine) as session:
+        return _page(request, actor, session, shown)
+
+
+@router.get("/users", response_class=HTMLResponse)
+def users_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show people and keys."""
+    return _page(request, actor, session, Shown())
+
+
+@router.post("/users", response_class=HTMLResponse)
+async def create(
+    request: Request,
+    actor: Who,
+    name: Annotated[str, Form()] = "",
+    printed_name: Annotated[str, Form()] = "",
+    password: Annotated[str, Form()] = "",
+    roles: Annotated[list[str] | None, Form()] = None,
+    own_password: Annotated[str, Form()] = "",
+) -> Response:
+    """Add a person."""
+    chosen = roles or []
+    checks: Passwords = request.app.state.passwords
+
+    async def prepare() -> tuple[NewPassword]:
+        require_role(actor, "administrator")  # before a password is hashed for nothing; the service asks again
+        return (await checks.prepare(password, name, printed_name),)
+
+    def change(session: Session, prepared: NewPassword) -> User:
+        return users.create_user(
+            session,
+            actor,
+            name=name,
+            printed_name=printed_name,
+            password=prepared,
+            roles=chosen,
+            must_change_password=bool(own_password),
+        )
+
+    outcome = await attempt(request, change, prepare)
+    if outcome.value is not None:
+        return redirect("/users", flash=f"{outcome.value.printed_name} may log in as {outcome.value.name}.")
+    typed = {"name": name, "printed_name": printed_name, "roles": chosen}
+    return await run_in_threadpool(_again, request, actor, Shown("person", outcome.refusal, typed))
+
+
+@router.post("/users/{user_id}/roles", response_class=HTMLResponse)
+async def change_roles(
+    request: Request, actor: Who, user_id: int, roles: Annotated[list[str] | None, Form()] = None
+) -> Response:
+    """Give a person other roles."""
+    change = partial(users.change_roles, actor=actor, user_id=user_id, roles=roles or [])
+    outcome = await attempt(request, change)
+    if outcome.value is not None:
+        held = ", ".join(outcome.value.roles) or "no role"
+        return redirect("/users", flash=f"{outcome.value.printed_name} now has: {held}.")
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+@router.post("/users/{user_id}/disable", response_class=HTMLResponse)
+async def disable(request: Request, actor: Who, user_id: int) -> Response:
+    """Keep a person out."""
+    outcome = await attempt(request, partial(users.disable_user, actor=actor, user_id=user_id))
+    if outcome.value is not None:
+        return redirect("/users", flash=f"{outcome.value.printed_name} can no longer log in.")
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+@router.post("/users/{user_id}/enable", response_class=HTMLResponse)
+async def enable(request: Request, actor: Who, user_id: int) -> Response:
+    """Let a disabled person in again."""
+    outcome = await attempt(request, partial(users.enable_user, actor=actor, user_id=user_id))
+    if outcome.value is not None:
+        return redirect("/users", flash=f"{outcome.value.printed_name} can log in again.")
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+@router.post("/users/{user_id}/password", response_class=HTMLResponse)
+async def reset_password(request: Request, actor: Who, user_id: int, password: Annotated[str, Form()] = "") -> Response:
+    """Give a person a password that they must change at their next log-in."""
+    if user_id == actor.user_id:
+        return redirect("/password")
+    checks: Passwords = request.app.state.passwords
+
+    async def prepare() -> tuple[NewPassword, PasswordProof]:
+        return await checks.prepare_change(actor, user_id, password, "", client_of(request))
+
+    def change(session: Session, prepared: NewPassword, current: PasswordProof) -> User:
+        return users.change_password(session, actor, user_id, prepared, current)
+
+    outcome = await attempt(request, change, prepare)
+    if outcome.value is not None:
+        return redirect(
+            "/users",
+            flash=f"{outcome.value.printed_name} is logged out and must set a password of their own at the next log-in.",
+        )
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+@router.post("/users/{user_id}/end-sessions", response_class=HTMLResponse)
+async def end_sessions(request: Request, actor: Who, user_id: int) -> Response:
+    """End every log-in of a person."""
+    outcome = await attempt(request, partial(_end_sessions, actor, user_id))
+    if outcome.value is not None:
+        return redirect("/users", flash=f"{outcome.value} is logged out everywhere.")
+    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+
+
+def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
+    """End every log-in of a person and return the name."""
+    users.end_sessions(session, actor, user_id)
+    return users.get_user(session, user_id).printed_name
+
+
+@router.get("/sessions", response_class=HTMLResponse)
+def sessions_page(request: Request, session: Reading, actor: Who, user: int | None = None) -> HTMLResponse:
+    """Show one's log-ins, or as an administrator another person's."""
+    return _sessions_page(request, actor, session, user, None)
+
+
+def _sessions_page(
+    request: Request, actor: Actor, session: Session, user_id: int | None, refusal: Refusal | None
+) -> HTMLResponse:
+    """Render the log-ins of a person, those that are open first."""
+    limits = request.app.state.settings.session_limits
+    opened = sessions.list_sessions(session, actor, user_id, is_open=True)
+    ended = sessions.list_sessions(session, actor, user_id, is_open=False, limit=SESSIONS_SHOWN)
+    person = users.get_user(session, user_id or require_person(actor, "see log-ins"))
+    return render(
+        request,
+        "access/sessions.html",
+        refused=refusal,
+        person=person,
+        own=person.id == actor.user_id,
+        opened=[(row, limits.ends_utc(row.created_utc)) for row in opened if not limits.is_idle(row.last_used_utc)],
+        ended=ended,
+        most=SESSIONS_SHOWN,
+        current=actor.session_id,
+        idle_minutes=limits.idle_s / 60,
+        why=WHY_ENDED,
+        kept_days=round(sessions.KEPT_FOR_S / 86400),
+        refusal=refusal,
+    )
+
+
+@router.post("/sessions/{session_id:int}/end", response_class=HTMLResponse)
+async def end_session(request: Request, actor: Who, session_id: int) -> Response:
+    """End one log-in."""
+    outcome = await attempt(request, partial(sessions.end_session, actor=actor, session_id=session_id))
+    if outcome.value is None:
+        return await run_in_threadpool(_sessions_again, request, actor, outcome.refusal)
+    own = outcome.value.user_id == actor.user_id
+    return redirect("/sessions" if own else f"/sessions?user={outcome.value.user_id}", flash="The log-in is ended.")
+
+
+@router.post("/sessions/end-others", response_class=HTMLResponse)
+async def end_other_sessions(request: Request, actor: Who) -> Response:
+    """End every log-in of one's own but this one."""
+    outcome = await attempt(request, partial(sessions.end_other_sessions, actor=actor))
+    if outcome.value is None:
+        return await run_in_threadpool(_sessions_again, request, actor, outcome.refusal)
+    count = outcome.value
+    return redirect("/sessions", flash=f"{count} other log-in{'s are' if count != 1 else ' is'} ended.")
+
+
+def _sessions_again(request: Request, actor: Actor, refusal: Refusal | None) -> HTMLResponse:
+    """Render one's log-ins after a refusal."""
+    with reading(request.app.state.engine) as session:
+        return _sessions_page(request, actor, session, None, refusal)
+
+
+@router.post("/users/keys", response_class=HTMLResponse)
+async def create_key(
+    request: Request,
+    actor: Who,
+    label: Annotated[str, Form()] = "",
+    days: Annotated[str, Form()] = "90",
+    scopes: Annotated[list[str] | None, Form()] = None,
+) -> Response:
+    """Make a key and show its secret, this once."""
+    outcome = await attempt(request, partial(_make_key, actor, label, days, scopes or []))
+    if outcome.value is not None:
+        return await run_in_threadpool(_again, request, actor, Shown("key", secret=outcome.value))
+    typed = {"label": label, "days": days, "scopes": scopes or []}
+    return await run_in_threadpool(_again, request, actor, Shown("key", outcome.refusal, typed))
+
+
+def _make_key(actor: Actor, label: str, days: str, scopes: list[str], session: Session) -> str:
+    """Return the secret of a new key."""
+    expires_days = row_number(days)
+    if expires_days is None:
+        raise RefusedInputError(f"{days.strip()[:20]!r} is not a number of days; type one, such as 90.")
+    _, secret = api_keys.create_key(session, actor, label=label, scopes=scopes, expires_days=expires_days)
+    return secret
+
+
+@router.post("/users/keys/{key_id}/revoke", response_class=HTMLResponse)
+async def revoke_key(request: Request, actor: Who, key_id: int) -> Response:
+    """End a key."""
+    outcome = await attempt(request, partial(api_keys.revoke_key, actor=actor, key_id=key_id))
+    if outcome.value is not None:
+        return redirect("/users", flash=f"The key {outcome.value.label!r} is revoked.")
+    return await run_in_threadpool(_again, request, actor, Shown("keys", outcome.refusal))
+
+
+login_router = APIRouter()
+
+
+def local_path(address: str) -> str:
+    """Return an address of this server as it is, and the start page for any other."""
+    inside = address.startswith("/") and not address.startswith(("//", "/\\"))
+    return address if inside and address.isprintable() else "/"
+
+
+@login_router.get("/login", response_class=HTMLResponse)
+def login_page(request: Request, next: str = "/", ended: str = "") -> Response:  # noqa: A002 - the name in the address
+    """Show the form, and why the log-in of before has ended; who is logged in already goes on."""
+    try:
+        current_actor(request)
+    except UnauthenticatedError:
+        said = SessionEndedError.SENTENCES.get(ended)
+        return render(request, "access/login.html", next=local_path(next), name="", refusal=None, ended=said)
+    return redirect(local_path(next))
+
+
+@login_router.post("/login", response_class=HTMLResponse)
+async def log_in(
+    request: Request,
+    name: Annotated[str, Form()] = "",
+    password: Annotated[str, Form()] = "",
+    next: Annotated[str, Form()] = "/",  # noqa: A002 - the name in the form
+) -> Response:
+    """Check name and password; the answer to a wrong one does not tell which of the two it was."""
+    response = redirect(local_path(next))
+    checks: Passwords = request.app.state.passwords
+
+    async def prove() -> tuple[PasswordProof]:
+        return (await checks.check_log_in(name, password, client_of(request)),)
+
+    refusal = (await attempt(request, partial(log_in_person, request, response), prove)).refusal
+    if refusal is None:
+        return response
+    return render(
+        request,
+        "access/login.html",
+        refused=refusal,
+        next=local_path(next),
+        name=name,
+        refusal=refusal.sentence,
+        ended=None,
+    )
+
+
+@login_router.post("/logout", dependencies=[Depends(csrf)])
+async def log_out(request: Request) -> Response:
+    """End this log-in, wherever its cookie was copied to."""
+    response = redirect("/login", flash="You are logged out.")
+    clear_cookie(request, response)
+    try:
+        actor = await run_in_threadpool(current_actor, request)
+    except UnauthenticatedError:
+        return response  # it has ended already
+    outcome = await attempt(request, partial(sessions.log_out, actor=actor))
+    if outcome.refusal is not None and outcome.refusal.is_ours:
+        raise outcome.refusal.error  # a copied cookie would still be let in
+    return response
+
+
+password_router = APIRouter(prefix="/password", dependencies=[Depends(csrf)])
+
+
+@password_router.get("", response_class=HTMLResponse)
+def password_page(request: Request, actor: Who) -> HTMLResponse:  # noqa: ARG001 - who is not logged in has none to set
+    """Show the form."""
+    return _password_page(request, None)
+
+
+def _password_page(request: Request, refusal: Refusal | None) -> HTMLResponse:
+    """Render the form, with why it was refused."""
+    sentence = refusal.sentence if refusal else ""
+    return render(
+        request, "access/password.html", refused=refusal, refusal=sentence, minimum_length=MINIMUM_PASSWORD_LENGTH
+    )
+
+
+@password_router.post("", response_class=HTMLResponse)
+async def change_password(
+    request: Request,
+    actor: Who,
+    current: Annotated[str, Form()] = "",
+    password: Annotated[str, Form()] = "",
+    repeated: Annotated[str, Form()] = "",
+) -> Response:
+    """Set one's own password; every log-in then ends, this one too."""
+    checks: Passwords = request.app.state.passwords
+    user_id = require_person(actor, "set a password")
+
+    async def prepare() -> tuple[NewPassword, PasswordProof]:
+        if password != repeated:
+            raise RefusedInputError("The two new passwords differ; type the same one twice.")
+        return await checks.prepare_change(actor, user_id, password, current, client_of(request))
+
+    outcome = await attempt(request, partial(set_password, actor, user_id), prepare)
+    if outcome.refusal is not None:
+        return await run_in_threadpool(_password_page, request, outcome.refusal)
+    response = redirect("/login", flash="Your password is changed; log in with the new one.")
+    clear_cookie(request, response)
+    return response
+
+
+def set_password(actor: Actor, user_id: int, session: Session, password: NewPassword, current: PasswordProof) -> None:
+    """Change the password of who acts."""
+    users.change_password(session, actor, user_id, password, current)

@@ -1,0 +1,247 @@
+"""Checking and hashing passwords for requests: outside every transaction and lock, in threads of their own, in bounded queues.
+
+An argon2 hash takes 64 MiB and all cores for a moment. Those for people who are logged in, those for names that logged in from the
+same place before and those for anybody have a thread each, so that a flood of log-ins holds up neither a signature nor a return;
+the thread of anybody's yields the processors to the rest of the server. A wait that the limiter orders is an `asyncio.sleep`: it
+holds no thread, no lock and no connection to the store, and few may wait at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
+from typing import TypeVar
+
+from fastapi.concurrency import run_in_threadpool
+
+from boresight.console.access import log_in_attempts as failed_log_ins
+from boresight.console.access import passwords, sessions, users
+from boresight.console.access.log_in_attempts import Attempt, Failures, LoginLimiter, Tried, place_of_address
+from boresight.console.access.passwords import NO_PROOF, NewPassword, PasswordProof, StoredPassword
+from boresight.console.access.sessions import Client
+from boresight.errors import BoresightError, OverloadedError
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.jobs.rounds import Rounds
+from boresight.platform.web.words import comparison_key
+
+MOST_QUEUED = 16  # hashes; at less than 0.2 s each the last waits some seconds
+MOST_HELD = 64  # attempts that wait because others failed
+TELL_EVERY_S = 60.0
+PROMPT = 10  # first failures that are told at once, in `TELL_EVERY_S`
+NICE = 10
+
+T = TypeVar("T")
+
+
+class _Lane:
+    """One thread for slow work, and a queue before it that is never long."""
+
+    def __init__(self, name: str, *, yields: bool) -> None:
+        self._queued = 0
+        self._threads = ThreadPoolExecutor(1, f"boresight-{name}", _yield_processors if yields else None)
+
+    async def run(self, work: Callable[[], T]) -> T:
+        """Work when it is one's turn.
+
+        Raises
+        ------
+        OverloadedError
+            When too many wait.
+        """
+        if self._queued >= MOST_QUEUED:
+            raise OverloadedError("Too many passwords are being checked at once; try again in 2 s.", 2)
+        self._queued += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._threads, work)
+        finally:
+            self._queued -= 1
+
+    def close(self) -> None:
+        """Stop after what is under way."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+
+def _yield_processors() -> None:
+    """Let this thread, and those that argon2 starts from it, run after others; where the system has no such thing, not."""
+    with suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+
+
+class Passwords:
+    """The passwords of one server's requests.
+
+    Parameters
+    ----------
+    database
+        The store.
+    free
+        Failures of a name at a place before attempts wait.
+    """
+
+    def __init__(self, database: Engine, free: int) -> None:
+        self._database = database
+        self._limiter = LoginLimiter(free)
+        self._known, self._returning = _Lane("passwords", yields=False), _Lane("returns", yields=False)
+        self._anybody = _Lane("log-ins", yields=True)
+        self._held = 0
+        self._guard = threading.Lock()
+        self._failed: dict[Attempt, Failures] = {}
+        self._prompt: set[Attempt] = set()
+        self._told: set[Attempt] = set()
+        self._told_s = time.monotonic()
+        self._rounds = Rounds("record of wrong passwords", [self.record_failures], self._rest_s)
+
+    def start(self) -> None:
+        """Begin to tell the audit log of failures."""
+        self._rounds.start()
+
+    def close(self) -> None:
+        """Stop, and tell what was not told yet; safe to call twice."""
+        self._rounds.close()
+        self._rounds.take(partial(self.record_failures, whole=True))
+        self._known.close()
+        self._returning.close()
+        self._anybody.close()
+
+    async def check_log_in(self, name: str, password: str, client: Client) -> PasswordProof:
+        """Check name and password of somebody who is not known yet."""
+        place = place_of_address(client.address)
+        stored, known = await self._read(partial(_stored_at, name=name, place=place))
+        tried = Tried(comparison_key(name), place, known)
+        lane = self._returning if known else self._anybody
+        return await self._check(Attempt.of(name, client.address), tried, lane, stored, password)
+
+    async def check_own(self, actor: Actor, password: str, client: Client) -> PasswordProof:
+        """Check the password of who acts; only what failed under the same log-in makes it wait."""
+        if actor.is_key:
+            return NO_PROOF  # whatever it says: a key never signs
+        attempt = Attempt.of(actor.name, client.address, actor.session_id)
+        stored = await self._read(partial(passwords.stored_of, user_id=actor.user_id))
+        tried = Tried(comparison_key(actor.name), f"session {actor.session_id}", known=True)
+        return await self._check(attempt, tried, self._known, stored, password)
+
+    async def check_beside(
+        self, actor: Actor, name: str, password: str, client: Client, refuse: Callable[[Session], None]
+    ) -> PasswordProof:
+        """Check name and password of a second person at the console of who acts.
+
+        Parameters
+        ----------
+        refuse
+            Raises what the service refuses whatever the password; then none is tried.
+        """
+        place = place_of_address(client.address)
+
+        def read(session: Session) -> tuple[StoredPassword, bool] | None:
+            try:
+                refuse(session)
+            except BoresightError:
+                return None  # the service says it again, in its transaction
+            return _stored_at(session, name, place)
+
+        found = await self._read(read)
+        if found is None:
+            return NO_PROOF
+        stored, known = found
+        tried = Tried(comparison_key(name), place, known, console=f"person {actor.user_id}")
+        attempt = Attempt.of(name, client.address, actor.session_id)
+        return await self._check(attempt, tried, self._known, stored, password)
+
+    async def prepare(self, password: str, *names: str) -> NewPassword:
+        """Hash a password that is to be stored."""
+        return await self._known.run(partial(passwords.prepare, password, *names))
+
+    async def prepare_change(
+        self, actor: Actor, user_id: int, password: str, current: str, client: Client
+    ) -> tuple[NewPassword, PasswordProof]:
+        """Hash a password that is to follow another, and check the current one where it is one's own."""
+        own = actor.user_id == user_id
+        if actor.is_key or not (own or "administrator" in actor.roles):
+            return NewPassword(refusal="Only an administrator sets another's password."), NO_PROOF
+        names = await self._read(partial(users.names_of, user_id=user_id))
+        if not own:
+            return await self.prepare(password, *names), NO_PROOF
+        proof = await self.check_own(actor, current, client)
+        if proof.fits and password == current:
+            return NewPassword(refusal="The new password is the current one; use another."), proof
+        return (await self.prepare(password, *names) if proof.fits else NewPassword()), proof
+
+    async def _read(self, read: Callable[[Session], T]) -> T:
+        """Read something in a transaction of its own, which is over before any work begins."""
+
+        def in_transaction() -> T:
+            with reading(self._database) as session:
+                return read(session)
+
+        return await run_in_threadpool(in_transaction)
+
+    async def _check(
+        self, attempt: Attempt, tried: Tried, lane: _Lane, stored: StoredPassword, password: str
+    ) -> PasswordProof:
+        """Check a password when the limiter lets it, and note how that went."""
+        wait_s = self._limiter.admit(tried)
+        failed = None
+        try:
+            await self._wait(wait_s)
+            proof = await lane.run(partial(passwords.check, stored, password))
+            failed = not proof.fits
+        finally:
+            self._limiter.ended(tried, failed=failed)
+        if failed:
+            self._note(attempt)
+        return proof
+
+    async def _wait(self, wait_s: float) -> None:
+        """Wait, if not too many do."""
+        if wait_s <= 0.0:
+            return
+        if self._held >= MOST_HELD:
+            retry_s = math.ceil(wait_s)
+            raise OverloadedError(f"Too many attempts wait already; try again in {retry_s} s.", retry_s)
+        self._held += 1
+        try:
+            await asyncio.sleep(wait_s)
+        finally:
+            self._held -= 1
+
+    def _note(self, attempt: Attempt) -> None:
+        """Count a failure; the first of a name and an address is told soon."""
+        with self._guard:
+            self._failed.setdefault(attempt, Failures()).add()
+            prompt = attempt not in self._told and len(self._told) < PROMPT
+            if prompt:
+                self._told.add(attempt)
+                self._prompt.add(attempt)
+        if prompt:
+            self._rounds.nudge()
+
+    def _rest_s(self) -> float:
+        """Return how long until everything is told."""
+        return max(0.05, self._told_s + TELL_EVERY_S - time.monotonic())
+
+    def record_failures(self, *, whole: bool = False) -> None:
+        """Write what is to be told at once, and once a minute everything."""
+        with self._guard:
+            if whole or time.monotonic() - self._told_s >= TELL_EVERY_S:
+                failed, self._failed = self._failed, {}
+                self._told_s, self._told = time.monotonic(), set()
+            else:
+                failed = {one: self._failed.pop(one) for one in self._prompt if one in self._failed}
+            self._prompt = set()
+        if failed:
+            with writing(self._database) as session:
+                failed_log_ins.record(session, failed)
+
+
+def _stored_at(session: Session, name: str, place: str) -> tuple[StoredPassword, bool]:
+    """Read what is stored under a log-in name, and whether the person logged in from a place before."""
+    stored = passwords.stored_under(session, name)
+    return stored, sessions.logged_in_from(session, stored.user_id, place)

@@ -1,0 +1,159 @@
+"""Queries on people.
+
+Queries on API keys.
+
+Queries on log-ins.
+
+The rows that a credential follows from, so that one who was identified is known again for the price of one look at them.
+
+Identifying somebody makes objects of rows and rules on them: some milliseconds. While the rows say what they said, so does that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from boresight.console.access.tables import ApiKey, LoginSession, User
+from boresight.platform.db.marks import Marks
+from boresight.platform.db.sessions import Session
+
+
+def user_named(session: Session, name: str, key: str) -> User | None:
+    """Return the person with exactly this log-in name, else the one whose name has this key."""
+    found = session.scalar(sa.select(User).where(User.name == name))
+    return found or session.scalar(sa.select(User).where(User.name_key == key))
+
+
+def user_printed(session: Session, printed_name: str, key: str) -> User | None:
+    """Return a person whose printed name is this one, or has this key."""
+    alike = (User.printed_name == printed_name) | (User.printed_key == key)
+    return session.scalar(sa.select(User).where(alike).limit(1))
+
+
+def users(session: Session) -> Sequence[User]:
+    """Return everyone, by log-in name."""
+    return session.scalars(sa.select(User).order_by(User.name)).all()
+
+
+def key_with_prefix(session: Session, prefix: str) -> ApiKey | None:
+    """Return the key whose secret begins so."""
+    return session.scalar(sa.select(ApiKey).where(ApiKey.prefix == prefix))
+
+
+def keys(session: Session, user_id: int | None) -> Sequence[ApiKey]:
+    """Return a person's keys, or everyone's, newest first."""
+    query = sa.select(ApiKey).order_by(ApiKey.id.desc())
+    if user_id is not None:
+        query = query.where(ApiKey.user_id == user_id)
+    return session.scalars(query).all()
+
+
+def with_token(session: Session, token_hash: str) -> LoginSession | None:
+    """Return the log-in whose secret has this hash."""
+    return session.scalar(sa.select(LoginSession).where(LoginSession.token_hash == token_hash))
+
+
+def addresses(session: Session, user_id: int) -> Sequence[str]:
+    """Return the addresses that a person's log-ins were made from, as far back as log-ins are kept."""
+    return session.scalars(sa.select(LoginSession.address).where(LoginSession.user_id == user_id).distinct()).all()
+
+
+def end_open(session: Session, user_id: int, ended_utc: str, because: str, *, spare_id: int | None = None) -> int:
+    """End the open log-ins of a person, but for one; returns how many there were."""
+    change = sa.update(LoginSession).where(LoginSession.user_id == user_id, LoginSession.ended_utc.is_(None))
+    if spare_id is not None:
+        change = change.where(LoginSession.id != spare_id)
+    ended = session.execute(change.values(ended_utc=ended_utc, ended_because=because))
+    return int(ended.rowcount)  # type: ignore[attr-defined]  # an UPDATE's result has it
+
+
+def write_uses(session: Session, used_utc: Mapping[int, str]) -> None:
+    """Write when open log-ins were last used, by id; another server may have written a later time."""
+    for session_id, at_utc in used_utc.items():
+        session.execute(
+            sa.update(LoginSession)
+            .where(LoginSession.id == session_id, LoginSession.last_used_utc < at_utc, LoginSession.ended_utc.is_(None))
+            .values(last_used_utc=at_utc)
+        )
+
+
+def _lapsed(created_before_utc: str, used_before_utc: str) -> sa.ColumnElement[bool]:
+    too_old = LoginSession.created_utc < created_before_utc
+    return LoginSession.ended_utc.is_(None) & (too_old | (LoginSession.last_used_utc < used_before_utc))
+
+
+def has_lapsed(session: Session, *, created_before_utc: str, used_before_utc: str) -> bool:
+    """Whether a log-in is open that was made or used too long ago."""
+    query = sa.select(LoginSession.id).where(_lapsed(created_before_utc, used_before_utc)).limit(1)
+    return session.scalar(query) is not None
+
+
+def end_lapsed(session: Session, ended_utc: str, *, created_before_utc: str, used_before_utc: str) -> None:
+    """Write the end of the log-ins that were made or used too long ago."""
+    because = sa.case((LoginSession.created_utc < created_before_utc, "expired"), else_="idle")
+    change = sa.update(LoginSession).where(_lapsed(created_before_utc, used_before_utc))
+    session.execute(change.values(ended_utc=ended_utc, ended_because=because))
+
+
+def has_ended_before(session: Session, before_utc: str) -> bool:
+    """Whether a log-in ended before a time."""
+    query = sa.select(LoginSession.id).where(LoginSession.ended_utc < before_utc).limit(1)
+    return session.scalar(query) is not None
+
+
+def forget_ended(session: Session, before_utc: str) -> None:
+    """Remove the log-ins that ended before a time."""
+    session.execute(sa.delete(LoginSession).where(LoginSession.ended_utc < before_utc))
+
+
+def ended_since(session: Session, since_utc: str) -> dict[int, str]:
+    """Return the ends of the log-ins that ended after a time, by id."""
+    query = sa.select(LoginSession.id, LoginSession.ended_utc).where(LoginSession.ended_utc > since_utc)
+    return {row[0]: row[1] or "" for row in session.execute(query)}
+
+
+def newest_revocation(session: Session) -> tuple[str | None, str | None]:
+    """Return when a key was last revoked and a person last disabled."""
+    revoked = session.scalar(sa.select(sa.func.max(ApiKey.revoked_utc)))
+    return revoked, session.scalar(sa.select(sa.func.max(User.disabled_utc)))
+
+
+_OWNER = "u.id, u.name, u.printed_name, u.roles, u.disabled_utc, u.must_change_password"
+_QUESTIONS = {
+    "session": f"SELECT s.token_hash, s.ended_because, {_OWNER} FROM login_sessions s "  # noqa: S608 - our own words
+    "JOIN users u ON u.id = s.user_id WHERE s.id = :number",
+    "key": f"SELECT k.key_hash, k.scopes, k.expires_utc, k.revoked_utc, {_OWNER} FROM api_keys k "  # noqa: S608 - likewise
+    "JOIN users u ON u.id = k.user_id WHERE k.prefix = :number",
+}
+
+
+@dataclass(frozen=True)
+class CredentialRows:
+    """What the rows of a credential said.
+
+    Parameters
+    ----------
+    kind
+        `session` or `key`.
+    number
+        The number of the session, or the prefix of the key.
+    said
+        Every column that decides who acts and what they may do.
+    """
+
+    kind: str
+    number: int | str
+    said: tuple[Hashable, ...] | None
+
+    @classmethod
+    def read(cls, session: Session, kind: str, number: int | str) -> CredentialRows:
+        """Read the rows in the transaction that identifies somebody: before it they might say what it has not seen."""
+        row = session.connection().execute(sa.text(_QUESTIONS[kind]), {"number": number}).one_or_none()
+        return cls(kind, number, None if row is None else tuple(row))
+
+    def say_so_still(self, marks: Marks) -> bool:
+        """Whether the rows say the same now; False where that cannot be had at once."""
+        return self.said is not None and self.said == marks.row(_QUESTIONS[self.kind], {"number": self.number})

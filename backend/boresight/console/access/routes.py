@@ -1,0 +1,295 @@
+"""People: add, give roles, keep out, let in, set passwords, end log-ins.
+
+API keys: make, list, revoke. The secret is shown once.
+
+Logging in and out, who one is, and the log-ins that one has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+from fastapi import Depends, Query
+from pydantic import BaseModel, ConfigDict, Field, SecretStr
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.console.access import api_keys, schemas, sessions, users
+from boresight.console.access.dependencies import (
+    LoggingIn,
+    MaybeSeenTag,
+    PasswordChecks,
+    Reading,
+    Seen,
+    SeenTag,
+    ServerSettings,
+    Who,
+    Writing,
+    clear_cookie,
+    client_of,
+    log_in_person,
+    never_tried,
+)
+from boresight.console.access.passwords import NewPassword, PasswordProof
+from boresight.console.access.tables import ApiKey, LoginSession, User
+from boresight.console.operation import Answer, Beside, operations
+from boresight.platform.actors import SCOPES, Actor
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.openapi import refuses
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+from boresight.settings import Settings
+
+router = operations("/users", tags=["users"])
+
+
+class NewUser(BaseModel):
+    """A person to be added."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(description="Log-in name.", examples=["ana"])
+    printed_name: str = Field(description="As signatures and the audit log show it.", examples=["Ana Lima"])
+    password: SecretStr
+    roles: list[str] = Field(examples=[["analyst"]])
+    must_change_password: bool = Field(
+        False, description="Whether they set a password of their own at the first log-in."
+    )
+
+
+class Roles(BaseModel):
+    """The roles that a person has from now on."""
+
+    model_config = ConfigDict(extra="forbid")
+    roles: list[str]
+
+
+class Password(BaseModel):
+    """A new password, and for one's own the current one."""
+
+    model_config = ConfigDict(extra="forbid")
+    password: SecretStr
+    current: SecretStr = SecretStr("")
+
+
+def _require_seen(session: Session, user_id: int, seen: Seen) -> None:
+    """Refuse a change by someone who did not see the person's roles and state as they are."""
+    row = users.get_user(session, user_id)
+    seen.require(schemas.User, row, row.printed_name)
+
+
+async def prepared_person(person: NewUser, actor: Who, passwords: PasswordChecks) -> NewPassword:
+    """Hash the password before any transaction begins; of who may not add people nothing is worked on."""
+    if "administrator" not in actor.roles or actor.is_key:
+        return NewPassword(refusal="Only an administrator adds people.")
+    return await passwords.prepare(person.password.get_secret_value(), person.name, person.printed_name)
+
+
+@refuses(429)
+async def prepared_change(
+    user_id: Id, given: Password, actor: Who, passwords: PasswordChecks, request: Request
+) -> tuple[NewPassword, PasswordProof]:
+    """Check the current password and hash the new one before any transaction begins."""
+    new, current = given.password.get_secret_value(), given.current.get_secret_value()
+    return await passwords.prepare_change(actor, user_id, new, current, client_of(request))
+
+
+@router.get("", summary="List people", response_model=Page[schemas.User])
+def list_users(session: Reading, page: Paged) -> Listing[User]:
+    """List everyone by log-in name."""
+    return page.cut_whole(users.list_users(session))
+
+
+@router.post("", summary="Add a person", status_code=201, response_model=schemas.User)
+def create_user(
+    person: NewUser, actor: Who, password: Annotated[NewPassword, Depends(prepared_person)], session: Writing
+) -> User:
+    """Add a person; administrators only."""
+    return users.create_user(
+        session,
+        actor,
+        name=person.name,
+        printed_name=person.printed_name,
+        password=password,
+        roles=person.roles,
+        must_change_password=person.must_change_password,
+    )
+
+
+@router.get("/{user_id}", summary="Read a person", response_model=schemas.User)
+def get_user(user_id: Id, session: Reading) -> User:
+    """Read a person."""
+    return users.get_user(session, user_id)
+
+
+@router.post("/{user_id}:change-roles", summary="Change roles", response_model=schemas.User)
+def change_roles(user_id: Id, given: Roles, actor: Who, seen: SeenTag, session: Writing) -> User:
+    """Give a person these roles instead of those held; administrators only."""
+    _require_seen(session, user_id, seen)
+    return users.change_roles(session, actor, user_id, given.roles)
+
+
+@router.post("/{user_id}:disable", summary="Keep a person out", response_model=schemas.User)
+def disable_user(user_id: Id, actor: Who, seen: SeenTag, session: Writing) -> User:
+    """Keep a person out and end every log-in; what they did stays."""
+    _require_seen(session, user_id, seen)
+    return users.disable_user(session, actor, user_id)
+
+
+@router.post("/{user_id}:enable", summary="Let a person in again", response_model=schemas.User)
+def enable_user(user_id: Id, actor: Who, seen: SeenTag, session: Writing) -> User:
+    """Let a disabled person in again."""
+    _require_seen(session, user_id, seen)
+    return users.enable_user(session, actor, user_id)
+
+
+@router.post("/{user_id}:change-password", summary="Set a password", response_model=schemas.User)
+def change_password(
+    user_id: Id,
+    actor: Who,
+    seen: MaybeSeenTag,
+    prepared: Annotated[tuple[NewPassword, PasswordProof], Depends(prepared_change)],
+    session: Writing,
+) -> User:
+    """Set one's own password, knowing the current one, or as an administrator another's. Every log-in then ends.
+
+    Who is given a password by an administrator must set their own before anything else.
+    """
+    _require_seen(session, user_id, seen)
+    return users.change_password(session, actor, user_id, *prepared)
+
+
+@router.post("/{user_id}:end-sessions", summary="End every log-in", status_code=204)
+def end_sessions(user_id: Id, actor: Who, seen: MaybeSeenTag, session: Writing) -> None:
+    """End every log-in of a person: one's own, or as an administrator another's."""
+    _require_seen(session, user_id, seen)
+    users.end_sessions(session, actor, user_id)
+
+
+api_key_router = operations("/api-keys", tags=["API keys"])
+
+
+class NewKey(BaseModel):
+    """A key to be made for the person who asks."""
+
+    model_config = ConfigDict(extra="forbid")
+    label: str = Field(description="What uses it.", examples=["nightly downlink"])
+    scopes: Annotated[
+        list[Annotated[str, Field(json_schema_extra={"enum": list(SCOPES)})]],
+        Field(description="What it may write. None: it only reads."),
+    ] = []
+    expires_days: int | None = Field(90, description="Null: never.")
+
+
+@api_key_router.get("", summary="List keys", response_model=Page[schemas.ApiKey])
+def list_api_keys(actor: Who, session: Reading, page: Paged) -> Listing[ApiKey]:
+    """List one's own keys, newest first; administrators see everyone's."""
+    owner = None if "administrator" in actor.roles else actor.user_id
+    return page.cut_whole(api_keys.list_keys(session, owner))
+
+
+@api_key_router.post("", summary="Make a key", status_code=201, response_model=schemas.NewApiKey)
+def create_api_key(wanted: NewKey, actor: Who, session: Writing) -> Answer:
+    """Make a key. `secret` is in this answer and nowhere else."""
+    row, secret = api_keys.create_key(session, actor, **dict(wanted))
+    return Answer(Beside(row, secret=secret), headers={"Cache-Control": "no-store"}, shown_once=("secret",))
+
+
+@api_key_router.post("/{key_id}:revoke", summary="Revoke a key", response_model=schemas.ApiKey)
+def revoke_api_key(key_id: Id, actor: Who, seen: MaybeSeenTag, session: Writing) -> ApiKey:
+    """End a key at once."""
+    key = api_keys.get_key(session, key_id)
+    seen.require(schemas.ApiKey, key, f"The API key {key.label!r}")
+    return api_keys.revoke_key(session, actor, key_id)
+
+
+session_router = operations("/sessions", tags=["sessions"])
+entrance = operations("/sessions", tags=["sessions"], open_to_all=True)
+NEVER_TRIED = [Depends(never_tried)]
+
+
+class Credentials(BaseModel):
+    """A log-in name and its password."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(examples=["ana"])
+    password: SecretStr
+
+
+@refuses(429)
+async def proven(credentials: Credentials, passwords: PasswordChecks, request: Request) -> PasswordProof:
+    """Check name and password before any transaction begins."""
+    password = credentials.password.get_secret_value()
+    return await passwords.check_log_in(credentials.name, password, client_of(request))
+
+
+def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
+    """Say who acts."""
+    body = {
+        "user_id": actor.user_id,
+        "name": actor.name,
+        "printed_name": actor.printed_name,
+        "roles": sorted(actor.roles),
+        "credential": actor.credential,
+        "scopes": None if actor.scopes is None else sorted(actor.scopes),
+        "must_change_password": not actor.is_key and users.must_change_password(session, actor),
+        "csrf_token": csrf_token,
+    }
+    return Answer(body, headers={"Cache-Control": "no-store"})
+
+
+@entrance.post("", summary="Log in", status_code=201, response_model=schemas.Session, dependencies=NEVER_TRIED)
+def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn, request: Request) -> Answer:
+    """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Failures make further tries from there wait."""
+    carrier = Response()
+    answer = _who(session, *log_in_person(request, carrier, session, proof))
+    return replace(answer, headers={**answer.headers, "Set-Cookie": carrier.headers["Set-Cookie"]})
+
+
+@session_router.get("/current", summary="Who am I", response_model=schemas.Session, dependencies=NEVER_TRIED)
+def get_session(actor: Who, session: Reading, request: Request) -> Answer:
+    """Say who acts, with which roles and scopes, and give the CSRF token again."""
+    return _who(session, actor, getattr(request.state, "csrf_token", None))
+
+
+@session_router.delete("/current", summary="Log out", status_code=204, dependencies=NEVER_TRIED)
+def log_out(actor: Who, request: Request, session: LoggingIn) -> Response:
+    """End this log-in, wherever its cookie was copied to; `users/{id}:end-sessions` ends every one."""
+    sessions.log_out(session, actor)
+    response = Response(status_code=204)
+    clear_cookie(request, response)
+    return response
+
+
+@session_router.get("", summary="List log-ins", response_model=Page[schemas.LoginSession])
+def list_sessions(
+    actor: Who,
+    session: Reading,
+    settings: ServerSettings,
+    page: Paged,
+    user_id: Annotated[Id | None, Query(description="Whose; one's own when left out. Administrators only.")] = None,
+    open: Annotated[bool | None, Query(description="Only those that are open, or only those that ended.")] = None,  # noqa: A002 - the name in the address
+) -> Listing[LoginSession]:
+    """List one's log-ins, newest first, with where they were made and why they ended."""
+    found = sessions.list_sessions(session, actor, user_id, is_open=open, before_id=page.last_id, limit=page.limit + 1)
+    return page.cut(found, lambda row: _shown(row, actor, settings))
+
+
+@session_router.post("/current:end-others", summary="End all others", response_model=schemas.EndedSessions)
+def end_other_sessions(actor: Who, session: Writing) -> dict[str, int]:
+    """End every log-in of one's own but this one."""
+    return {"ended": sessions.end_other_sessions(session, actor)}
+
+
+@session_router.post("/{session_id}:end", summary="End a log-in", response_model=schemas.LoginSession)
+def end_session(session_id: Id, actor: Who, settings: ServerSettings, session: Writing) -> Beside:
+    """End one log-in: one's own, or as an administrator another's."""
+    return _shown(sessions.end_session(session, actor, session_id), actor, settings)
+
+
+def _shown(row: LoginSession, actor: Actor, settings: Settings) -> Beside:
+    """Return a log-in, with when it ends at the latest."""
+    ends_utc = settings.session_limits.ends_utc(row.created_utc)
+    return Beside(row, ends_utc=ends_utc, current=row.id == actor.session_id)
+
+
+session_router.routes.extend(entrance.routes)

@@ -1,0 +1,81 @@
+"""People, their keys and their log-ins."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, Field
+
+from boresight.console.access.tables import SESSION_ENDINGS
+from boresight.console.schemas import Row
+
+
+class User(Row):
+    """A person."""
+
+    versioned_by = ("id", "roles", "disabled_utc", "session_epoch", "must_change_password")
+    location = "/users/{row.id}"
+
+    id: int
+    name: str
+    printed_name: str
+    roles: list[str]
+    created_utc: str
+    disabled_utc: str | None
+    must_change_password: bool = Field(description="Somebody else set the password; nothing else goes until it is set.")
+
+
+class ApiKey(Row):
+    """A key, without its secret."""
+
+    versioned_by = ("id", "revoked_utc")
+
+    id: int
+    user_id: int
+    label: str
+    prefix: str
+    scopes: list[str]
+    created_utc: str
+    expires_utc: str | None
+    revoked_utc: str | None
+    last_used_utc: str | None = Field(description="To the minute.")
+
+
+class NewApiKey(ApiKey):
+    """A key just made."""
+
+    secret: str | None = Field(description="Shown this once; null when the answer is replayed.")
+
+
+class LoginSession(Row):
+    """A log-in of a person."""
+
+    id: int
+    user_id: int
+    created_utc: str
+    last_used_utc: str = Field(description="To the minute.")
+    ended_utc: str | None
+    ended_because: Literal[SESSION_ENDINGS] | None  # type: ignore[valid-type]  # the words of the table
+    address: str = Field(description="Where it was made.")
+    user_agent: str = Field(description="What the program said of itself, cut to 200 characters.")
+    ends_utc: str = Field(description="When it ends at the latest.")
+    current: bool = Field(description="Whether it is the one that asks.")
+
+
+class EndedSessions(BaseModel):
+    """How many log-ins were ended."""
+
+    ended: int
+
+
+class Session(BaseModel):
+    """Who is acting, and the token that unsafe requests repeat."""
+
+    user_id: int | None
+    name: str
+    printed_name: str
+    roles: list[str]
+    credential: str
+    scopes: list[str] | None = Field(description="Of an API key; null for a person.")
+    must_change_password: bool = Field(description="Set your own password before anything else.")
+    csrf_token: str | None = Field(description="For `X-CSRF-Token`; null with an API key.")

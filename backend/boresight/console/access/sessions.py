@@ -1,0 +1,185 @@
+"""Log-ins: each is a row of the store, so that a person sees their own and ends any of them, and a copied cookie ends with it.
+
+The cookie holds a random secret and the row its SHA-256 alone: 256 random bits need no slow hash. A log-in ends when its person
+says so, by log-out or from the list, with a changed password or changed roles, when the person is disabled, when it was not used
+for `session_idle_minutes`, and at the latest after `session_hours`. What ended is kept for `KEPT_FOR_S`, to look back at.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from boresight.console import list_queries as lists
+from boresight.console.access import queries as rows
+from boresight.console.access.log_in_attempts import place_of_address
+from boresight.console.access.tables import LoginSession
+from boresight.errors import ForbiddenError, NotFoundError, SessionEndedError, UnauthenticatedError
+from boresight.platform.actors import Actor, SessionLimits, refuse_key, require_person
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, utc_after, utc_now
+
+KEPT_FOR_S = 90 * 24 * 3600.0
+LONGEST_ADDRESS, LONGEST_USER_AGENT = 64, 200
+
+
+@dataclass(frozen=True)
+class Client:
+    """Where a log-in is made: the address and what the program says of itself, cut to what is printable and short."""
+
+    address: str = ""
+    user_agent: str = ""
+
+    @classmethod
+    def of(cls, address: str | None, user_agent: str | None) -> Client:
+        """Take both as a request brings them."""
+        return cls(_printable(address, LONGEST_ADDRESS), _printable(user_agent, LONGEST_USER_AGENT))
+
+
+def _printable(text: str | None, longest: int) -> str:
+    return "".join(letter for letter in (text or "")[:longest] if letter.isprintable())
+
+
+def begin(session: Session, user_id: int, client: Client) -> tuple[LoginSession, str]:
+    """Begin a log-in of a person who proved to be one; returns the row and the secret for the cookie."""
+    token, now = secrets.token_urlsafe(32), utc_now()
+    row = LoginSession(
+        user_id=user_id,
+        token_hash=_hash(token),
+        created_utc=now,
+        last_used_utc=now,
+        address=client.address,
+        user_agent=client.user_agent,
+    )
+    session.add(row)
+    session.flush()
+    return row, token
+
+
+def _hash(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+def logged_in_from(session: Session, user_id: int | None, place: str) -> bool:
+    """Whether a person logged in from a place, as `place_of_address` names it, as far back as log-ins are kept."""
+    return user_id is not None and any(place_of_address(one) == place for one in rows.addresses(session, user_id))
+
+
+def find(session: Session, token: str) -> LoginSession:
+    """Return the log-in of a secret.
+
+    Raises
+    ------
+    UnauthenticatedError
+        When there is none.
+    SessionEndedError
+        When it has ended; says why.
+    """
+    row = rows.with_token(session, _hash(token))
+    if row is None:
+        raise UnauthenticatedError("This log-in is not known here; log in again.")
+    if row.ended_because is not None:
+        raise SessionEndedError(row.ended_because)
+    return row
+
+
+def list_sessions(
+    session: Session,
+    actor: Actor,
+    user_id: int | None = None,
+    *,
+    is_open: bool | None = None,
+    before_id: int | None = None,
+    limit: int | None = None,
+) -> Sequence[LoginSession]:
+    """Return log-ins, newest first, all or a page: one's own, or as an administrator another person's.
+
+    Raises
+    ------
+    ForbiddenError
+        When they are another's, or a key asks.
+    """
+    own_id = require_person(actor, "see log-ins")
+    if user_id not in {None, own_id}:
+        _require_administrator(actor)
+    return lists.newest(session, LoginSession, before_id=before_id, limit=limit, user=user_id or own_id, open=is_open)
+
+
+def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession:
+    """End one log-in: one's own, or as an administrator another's. One that has ended stays as it ended.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number that the actor may know of.
+    ForbiddenError
+        When a key asks.
+    """
+    own_id = require_person(actor, "end a log-in")
+    row = session.get(LoginSession, session_id)
+    own = row is not None and row.user_id == own_id
+    if row is None or not (own or "administrator" in actor.roles):
+        raise NotFoundError(f"There is no log-in {session_id} of yours.")
+    if row.ended_utc is None:
+        row.ended_utc, row.ended_because = utc_now(), "ended" if own else "ended_by_administrator"
+        audit.append(session, actor, "ended a log-in of", f"users/{row.user_id}", None, {"log_in": row.id})
+    return row
+
+
+def end_other_sessions(session: Session, actor: Actor) -> int:
+    """End every log-in of the person who acts but the one that acts; returns how many that were."""
+    user_id = require_person(actor, "end log-ins")
+    count = rows.end_open(session, user_id, utc_now(), "ended", spare_id=actor.session_id)
+    if count:
+        audit.append(session, actor, "ended the other log-ins of", f"users/{user_id}", None, {"log_ins": count})
+    return count
+
+
+def log_out(session: Session, actor: Actor) -> None:
+    """End the log-in that acts."""
+    refuse_key(actor, "log out")
+    row = None if actor.session_id is None else session.get(LoginSession, actor.session_id)
+    if row is not None and row.ended_utc is None:
+        row.ended_utc, row.ended_because = utc_now(), "logged_out"
+
+
+def end_all(session: Session, user_id: int, because: str) -> None:
+    """End every log-in of a person, as part of a change that the caller records."""
+    rows.end_open(session, user_id, utc_now(), because)
+
+
+def write_uses(session: Session, used_utc: dict[int, str]) -> None:
+    """Write when log-ins were last used; not a change that anybody made, so not in the audit log."""
+    rows.write_uses(session, used_utc)
+
+
+def need_tidying(session: Session, limits: SessionLimits, grace_s: float) -> bool:
+    """Whether `tidy` would write anything."""
+    return rows.has_lapsed(session, **_bounds(limits, grace_s)) or rows.has_ended_before(
+        session, utc_after(-KEPT_FOR_S)
+    )
+
+
+def tidy(session: Session, limits: SessionLimits, grace_s: float) -> None:
+    """Write the end of the log-ins that lapsed, and forget those that ended long ago.
+
+    Parameters
+    ----------
+    grace_s
+        How much later than it happened the use of a log-in may be written by another server.
+    """
+    rows.end_lapsed(session, utc_now(), **_bounds(limits, grace_s))
+    rows.forget_ended(session, utc_after(-KEPT_FOR_S))
+
+
+def _bounds(limits: SessionLimits, grace_s: float) -> dict[str, str]:
+    """Return before when a log-in was made, or last used, that has lapsed."""
+    used_before = utc_after(-limits.idle_s - grace_s) if limits.idle_s else ""
+    return {"created_before_utc": utc_after(-limits.age_s), "used_before_utc": used_before}
+
+
+def _require_administrator(actor: Actor) -> None:
+    if "administrator" not in actor.roles:
+        raise ForbiddenError("Only the person themselves or an administrator may see these log-ins.")

@@ -1,0 +1,1 @@
+"""The state of the server itself, for load balancers, monitoring and administrators."""

@@ -1,0 +1,171 @@
+"""What keeps an installation going, on one page: people, keys, workers, the audit's light, settings, backup.
+
+The gallery: every figure of the registry and every element of the pages, in all their states, on a specimen.
+
+It is where a person learns what a figure looks like before there is a run, and what the screenshot tests look at. Nothing
+here reads the store: the figures draw `boresight.figures.specimen`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.console.access import api_keys, users
+from boresight.console.access.credentials import who_acts
+from boresight.console.access.dependencies import Reading, Who
+from boresight.console.access.tables import ROLES, ApiKey, User
+from boresight.console.pages.formats import LEVEL_OF_STATE
+from boresight.console.pages.rendering import render
+from boresight.console.runs import service as runs
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.figures import CHAPTERS, FIGURES, WIDE, figure_json
+from boresight.figures.specimen import specimen_traces, specimens
+from boresight.figures.tables.parameter_table import parameter_rows
+from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.verdicts.verdict import LEVELS, marks
+
+SOON_S = 14 * 86400.0
+ALONE = ("approver", "administrator")  # roles that one person alone should not be the only one to have
+
+router = APIRouter()
+
+
+@dataclass(frozen=True)
+class Keys:
+    """How the API keys are at."""
+
+    valid: int
+    unused: int
+    expiring: int
+    endless: int
+
+
+def roles_held(people: Sequence[User]) -> list[tuple[str, int]]:
+    """Count who may log in, by role."""
+    held = Counter(role for person in people if person.disabled_utc is None for role in person.roles)
+    return [(role, held[role]) for role in ROLES]
+
+
+def warnings(people: Sequence[User], *, four_eyes: bool) -> list[str]:
+    """Say what of people and roles would hold up work."""
+    held = dict(roles_held(people))
+    said = [f"There is one {role} only: nobody stands in." for role in ALONE if held[role] == 1]
+    said += [f"There is no {role}." for role in ROLES[1:] if not held[role]]
+    if four_eyes and held["approver"] and not any("approver" in p.roles and "analyst" not in p.roles for p in people):
+        said.append("Every approver is an analyst too: whoever submits needs another to sign.")
+    return said
+
+
+def keys_at(keys: Sequence[ApiKey], now: str, soon: str) -> Keys:
+    """Count the keys that are valid, and of them those never used, soon expired, or valid for ever."""
+    valid = [key for key in keys if not key.revoked_utc and (key.expires_utc is None or key.expires_utc > now)]
+    return Keys(
+        valid=len(valid),
+        unused=sum(key.last_used_utc is None for key in valid),
+        expiring=sum(key.expires_utc is not None and key.expires_utc <= soon for key in valid),
+        endless=sum(key.expires_utc is None for key in valid),
+    )
+
+
+@router.get("/administration", response_class=HTMLResponse)
+def administration_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show how the installation is at."""
+    state = request.app.state
+    people = users.list_users(session)
+    return render(
+        request,
+        "administration/administration.html",
+        people=people,
+        due=[person.printed_name for person in people if person.must_change_password and not person.disabled_utc],
+        roles=roles_held(people),
+        warnings=warnings(people, four_eyes=state.policy.four_eyes),
+        keys=keys_at(_keys(session), utc_now(), utc_after(SOON_S)),
+        workers=state.workers.state() if state.workers else None,
+        counts=runs.count_by_state(session),
+        policy=state.policy,
+        session_hours=state.settings.session_hours,
+        login_attempts=state.settings.login_attempts,
+        blobs_at=state.blobs.kept_at,
+        light=state.upkeep.light(),
+        administrator="administrator" in actor.roles,
+    )
+
+
+def _keys(session: Session) -> Sequence[ApiKey]:
+    return api_keys.list_keys(session)
+
+
+PARTS = {"figures": "Figures", "elements": "Elements"}
+STATES = {
+    "one": ("One run", ("filter",)),
+    "two": ("Two runs compared", ("filter", "batch")),
+    "partial": ("Half-way", ("partial",)),
+    "nothing": ("Nothing yet", ("nothing",)),
+}
+
+gallery_router = APIRouter(dependencies=[Depends(who_acts)])
+
+
+def _traces_of(name: str, of: str) -> tuple[str, ...]:
+    """Find a figure and a state, or say which there are."""
+    if name not in FIGURES:
+        raise NotFoundError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
+    return _state(of)[1]
+
+
+def _state(of: str) -> tuple[str, tuple[str, ...]]:
+    if of not in STATES:
+        raise NotFoundError(f"There is no state {of}; choose from {', '.join(STATES)}.")
+    return STATES[of]
+
+
+@gallery_router.get("/gallery", response_class=HTMLResponse)
+def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HTMLResponse:
+    """Show the figures in a state, or the elements."""
+    if part not in PARTS:
+        raise NotFoundError(f"There is no part {part}; choose from {', '.join(PARTS)}.")
+    _state(of)
+    result = specimens()["filter"]
+    return render(
+        request,
+        "administration/gallery.html",
+        part=part,
+        parts=PARTS,
+        of=of,
+        states=STATES,
+        chapters=CHAPTERS,
+        wide=WIDE,
+        levels=LEVELS,
+        words=LEVEL_OF_STATE,
+        marks=marks(result),
+        rows=parameter_rows(result),
+    )
+
+
+@gallery_router.get("/gallery/figures/{name}")
+def gallery_figure(name: str, of: str = "one") -> Response:
+    """Send a figure of the specimen as Plotly JSON."""
+    if of == "broken":
+        raise RefusedInputError("This figure fails on purpose, to show how its panel says why; Retry asks again.")
+    traces = specimen_traces(_traces_of(name, of))
+    return Response(figure_json(FIGURES[name].draw(traces)), media_type="application/json")
+
+
+@gallery_router.get("/gallery/figures/{name}/data")
+def gallery_data(name: str, of: str = "one") -> Response:
+    """Send the numbers of a figure of the specimen as CSV."""
+    shown = _traces_of(name, of)
+    table = FIGURES[name].table(specimens()[shown[0]])
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(zip_longest(*table.values()))
+    return Response(text.getvalue(), media_type="text/csv; charset=utf-8")

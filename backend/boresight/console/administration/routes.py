@@ -1,0 +1,126 @@
+"""Is it alive, is it ready, how is it doing: for load balancers and monitoring.
+
+Whether it is alive and ready is told to anybody. Details and metrics say how the server is built and used: they are told
+on this machine where the server listens to nobody else, and otherwise to who is logged in or sends an API key.
+
+They answer under any load: the first needs no thread, and the others have one of their own, so that a crowd which waits for the
+threads of the endpoints does not look like a server that is dead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from anyio import CapacityLimiter
+from anyio.lowlevel import RunVar
+from anyio.to_thread import run_sync
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.console.access.credentials import current_actor, prove
+from boresight.console.administration import schemas
+from boresight.console.operation import json_response
+from boresight.errors import BoresightError
+from boresight.platform.db.engines import refuse_unwritable_store
+from boresight.platform.db.sessions import current_revision, head_revision
+from boresight.platform.web.media import PrometheusText
+from boresight.platform.web.openapi import refusals
+from boresight.platform.web.origins import is_local
+
+router = APIRouter(tags=["server"], generate_unique_id_function=lambda route: route.name)
+
+
+_thread: RunVar[CapacityLimiter] = RunVar("the thread for those who watch the server")
+
+
+async def _apart(act: Callable[..., Any], *given: Any) -> Any:
+    """Do something in the thread for those who watch the server."""
+    try:
+        limiter = _thread.get()
+    except LookupError:
+        limiter = CapacityLimiter(1)
+        _thread.set(limiter)
+    return await run_sync(act, *given, limiter=limiter)
+
+
+@router.get("/healthz", name="health", summary="Is the process alive")
+async def health() -> schemas.Health:
+    """Say that the process answers; nothing else is looked at."""
+    return schemas.Health(status="ok")
+
+
+@router.get(
+    "/readyz",
+    name="readiness",
+    summary="Can it do its work",
+    response_model=schemas.Readiness,
+    responses={503: {"model": schemas.Readiness, "description": "Not ready; `checks` says what is not."}},
+)
+async def readiness(request: Request) -> Response:
+    """Say whether store, files and workers are there: 200, or 503 with what is not.
+
+    The store must answer with the right schema, the place of the files must be reached and written, and where workers are
+    expected one must have joined since the server began. `checks` is there for whoever is logged in or sends an API key,
+    and on the server's own machine where it listens to nobody else.
+    """
+    parts = {"store": _store, "files": _files, "workers": _workers}
+    checks = {name: await _apart(look, request) for name, look in parts.items()}
+    ready = all(check["ready"] for check in checks.values())
+    body: dict[str, Any] = {"status": "ready" if ready else "not ready"}
+    if is_local(request) or await _apart(prove, request.scope) is not None:
+        body["checks"] = checks
+    return json_response(body, 200 if ready else 503)
+
+
+def _store(request: Request) -> dict[str, Any]:
+    """Look at the schema."""
+    try:
+        found, expected = current_revision(request.app.state.engine), _newest_revision()
+        refuse_unwritable_store(request.app.state.engine)
+    except (BoresightError, OSError) as error:
+        return {"ready": False, "detail": str(error)}
+    return {"ready": found == expected, "revision": found, "expected": expected}
+
+
+@cache
+def _newest_revision() -> str | None:
+    """Return the newest revision of this version; found once, for it takes longer than the rest of the answer."""
+    return head_revision()
+
+
+def _files(request: Request) -> dict[str, Any]:
+    """Look at the place of the files."""
+    fault = request.app.state.blobs_watched.fault()
+    return {"ready": False, "detail": fault} if fault else {"ready": True}
+
+
+def _workers(request: Request) -> dict[str, Any]:
+    """Look at the workers; a server that has none by its settings does not wait for them.
+
+    Whose only worker has just died stays ready: another takes its place, and what is launched meanwhile waits.
+    """
+    settings = request.app.state.settings
+    expected = bool(settings.scheduler) or settings.workers > 0
+    state = request.app.state.workers.state()
+    return {"ready": not expected or (state["connected"] and state["joined"]), "expected": expected, **state}
+
+
+@router.get(
+    "/metrics",
+    name="metrics",
+    summary="Prometheus metrics",
+    response_class=PrometheusText,
+    responses=refusals(401, 403),
+)
+async def metrics(request: Request) -> Response:
+    """Return the series of this server in the Prometheus exposition format.
+
+    Any API key will do, also one without scopes; on the server's own machine none is needed where it listens to nobody else.
+    """
+    if not is_local(request):
+        await _apart(current_actor, request)
+    text = await _apart(request.app.state.metrics.text)
+    return PrometheusText(text)

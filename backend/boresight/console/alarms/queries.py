@@ -1,0 +1,76 @@
+"""Queries on alarms, what became of them, and notes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from boresight.console.alarms.tables import Alarm, AlarmEvent
+from boresight.platform.db.documents import among
+from boresight.platform.db.sessions import Session, utc_now
+
+
+@dataclass(frozen=True)
+class Sought:
+    """What a list of alarms is narrowed to; None is everything, and closed ones are left out unless asked for.
+
+    Parameters
+    ----------
+    sensor_id, kind
+        Of the alarm.
+    sensor_name
+        What the name of its sensor holds; empty is in every name, and in that of none.
+    state
+        `unacknowledged`, `acknowledged`, `shelved` or `closed`.
+    """
+
+    sensor_id: int | None = None
+    kind: str | None = None
+    state: str | None = None
+    sensor_name: str = ""
+
+
+def _is_shelved() -> sa.ColumnElement[bool]:
+    return sa.and_(Alarm.shelved_until_utc.is_not(None), Alarm.shelved_until_utc > utc_now())
+
+
+def in_state(state: str) -> sa.ColumnElement[bool]:
+    """Say a state of alarms in SQL; `open` is every one but `closed`."""
+    is_open, rests = Alarm.closed_utc.is_(None), sa.not_(_is_shelved())
+    return {
+        "open": is_open,
+        "unacknowledged": sa.and_(is_open, Alarm.acknowledged == 0, rests),
+        "acknowledged": sa.and_(is_open, Alarm.acknowledged == 1, rests),
+        "shelved": sa.and_(is_open, _is_shelved()),
+        "closed": Alarm.closed_utc.is_not(None),
+    }[state]
+
+
+def open_alarms(session: Session) -> dict[str, Alarm]:
+    """Return every alarm that is not closed, by its source."""
+    return {row.source: row for row in session.scalars(sa.select(Alarm).where(Alarm.closed_utc.is_(None)))}
+
+
+def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> Sequence[Alarm]:
+    """Return the alarms of a kind about some sensors that are not closed, oldest first."""
+    query = sa.select(Alarm).where(Alarm.closed_utc.is_(None), Alarm.kind == kind, among(Alarm.sensor_id, sensor_ids))
+    return session.scalars(query.order_by(Alarm.id)).all()
+
+
+def count_unacknowledged(session: Session) -> int:
+    """Count the alarms that wait for somebody; a shelved one waits for its time."""
+    query = sa.select(sa.func.count()).select_from(Alarm).where(in_state("unacknowledged"))
+    return session.scalar(query) or 0
+
+
+def overdue_shelves(session: Session) -> Sequence[Alarm]:
+    """Return the alarms whose time on the shelf is over."""
+    query = sa.select(Alarm).where(Alarm.closed_utc.is_(None), Alarm.shelved_until_utc <= utc_now())
+    return session.scalars(query.order_by(Alarm.id)).all()
+
+
+def events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
+    """Return what became of an alarm, in order."""
+    return session.scalars(sa.select(AlarmEvent).where(AlarmEvent.alarm_id == alarm_id).order_by(AlarmEvent.id)).all()

@@ -1,0 +1,100 @@
+"""Alarms: read them, acknowledge, shelve, assign, comment. Only people handle alarms."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Query
+from pydantic import BaseModel, ConfigDict, Field
+
+from boresight.console.access.dependencies import Reading, SeenVersion, Who, Writing
+from boresight.console.alarms import schemas
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms.tables import Alarm, AlarmEvent
+from boresight.console.operation import Beside, operations
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+router = operations("/alarms", tags=["alarms"])
+
+
+class Comment(BaseModel):
+    """What is said with it."""
+
+    model_config = ConfigDict(extra="forbid")
+    text: str = Field("", examples=["Seen; a pass for calibration is asked for."])
+
+
+class Shelf(BaseModel):
+    """Until when an alarm may wait, and why."""
+
+    model_config = ConfigDict(extra="forbid")
+    until_utc: str = Field(examples=["2026-12-01T08:00:00Z"], description="30 days from now at most.")
+    reason: str
+
+
+class Assignee(BaseModel):
+    """Who is asked to take care of it."""
+
+    model_config = ConfigDict(extra="forbid")
+    user_id: Id | None = Field(description="Null: nobody in particular.")
+
+
+def _shown(row: Alarm) -> Beside:
+    return Beside(row, state=alarms.state_of(row))
+
+
+@router.get("", summary="List alarms", response_model=Page[schemas.Alarm])
+def list_alarms(
+    session: Reading,
+    page: Paged,
+    state: Annotated[
+        str | None, Query(description=f"One of {', '.join(alarms.STATES)}; open ones when left out.")
+    ] = None,
+    sensor_id: Id | None = None,
+    kind: Annotated[str | None, Query(examples=["DRIFT"])] = None,
+) -> Listing[Alarm]:
+    """List the alarms that are open, newest first, or those of a state."""
+    sought = alarms.Sought(sensor_id=sensor_id, kind=kind, state=state)
+    return page.cut(alarms.list_alarms(session, sought, before_id=page.last_id, limit=page.limit + 1), _shown)
+
+
+@router.get("/{alarm_id}", summary="Read an alarm", response_model=schemas.Alarm)
+def get_alarm(alarm_id: Id, session: Reading) -> Beside:
+    """Read an alarm with the figures behind it; the ETag is for handling it."""
+    return _shown(alarms.get_alarm(session, alarm_id))
+
+
+@router.get("/{alarm_id}/events", summary="Read what became of it", response_model=Page[schemas.AlarmEvent])
+def list_alarm_events(alarm_id: Id, session: Reading) -> Listing[AlarmEvent]:
+    """Read every step of an alarm, in order."""
+    return Listing(alarms.events_of(session, alarm_id))
+
+
+@router.post("/{alarm_id}:acknowledge", summary="Say that you have seen it", response_model=schemas.Alarm)
+def acknowledge_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+    """Acknowledge an alarm; one that has returned to normal is closed by it."""
+    return _shown(alarms.acknowledge(session, actor, alarm_id, comment.text, seen))
+
+
+@router.post("/{alarm_id}:shelve", summary="Let it wait until a time", response_model=schemas.Alarm)
+def shelve_alarm(alarm_id: Id, shelf: Shelf, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+    """Take an alarm out of the count until a time, with the reason."""
+    return _shown(alarms.shelve(session, actor, alarm_id, shelf.until_utc, shelf.reason, seen))
+
+
+@router.post("/{alarm_id}:unshelve", summary="Take it from the shelf", response_model=schemas.Alarm)
+def unshelve_alarm(alarm_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+    """Take an alarm from the shelf before its time."""
+    return _shown(alarms.unshelve(session, actor, alarm_id, seen))
+
+
+@router.post("/{alarm_id}:assign", summary="Ask a person to take care of it", response_model=schemas.Alarm)
+def assign_alarm(alarm_id: Id, assignee: Assignee, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+    """Assign an alarm to a person, or to nobody in particular again."""
+    return _shown(alarms.assign(session, actor, alarm_id, assignee.user_id, seen))
+
+
+@router.post("/{alarm_id}:comment", summary="Say something about it", response_model=schemas.Alarm)
+def comment_on_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+    """Add a comment to an open alarm; it is never edited."""
+    return _shown(alarms.comment(session, actor, alarm_id, comment.text, seen))

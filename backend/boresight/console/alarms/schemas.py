@@ -1,0 +1,48 @@
+"""Alarms, what became of them, and notes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from boresight.console.schemas import Document, Row
+
+
+class Alarm(Row):
+    """Something that needs a person, until a person has seen it and it is over."""
+
+    versioned_by = ("version",)
+
+    id: int
+    source: str = Field(
+        description="What it is of; one alarm of a source is open at a time.", examples=["sensors/3/DRIFT"]
+    )
+    sensor_id: int | None
+    kind: Literal["DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK"]
+    level: Literal["critical", "serious", "caution"]
+    sentence: str
+    state: str = Field(
+        "", description="ISA-18.2: unacknowledged or acknowledged, active or returned to normal, shelved."
+    )
+    active: bool
+    acknowledged: bool
+    evidence: Document = Field(description="The figures behind the sentence.")
+    raised_utc: str
+    returned_utc: str | None
+    shelved_until_utc: str | None
+    assigned_to: int | None
+    version: int = Field(description='Counts its steps; the ETag is `"v<version>"`.')
+    closed_utc: str | None
+
+
+class AlarmEvent(Row):
+    """A step in an alarm's life; never edited."""
+
+    id: int
+    alarm_id: int
+    event: str
+    user_id: int | None
+    printed_name: str
+    text: str
+    at_utc: str

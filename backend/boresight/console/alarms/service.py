@@ -1,0 +1,256 @@
+"""Alarms: what needs a person, until a person has seen it and it is over. States and words are those of ISA-18.2.
+
+    active, unacknowledged  --acknowledge-->  active, acknowledged  --it is over-->  closed
+            |                                                                          ^
+            it is over --> returned to normal, unacknowledged  --acknowledge-----------+
+
+An alarm returns to normal by itself and stays in the list until somebody acknowledges it: what came and went at night is
+seen in the morning. If the condition comes back, or becomes graver, it is unacknowledged again. A shelved alarm counts for
+nobody until its time is over, `MOST_DAYS` at most. Every step is an event that is never edited, and an audit record.
+
+What raises an alarm and returns it to normal is in `watch`; here is what people do about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from boresight.console import list_queries as lists
+from boresight.console.access.tables import User
+from boresight.console.alarms import queries
+from boresight.console.alarms.queries import Sought
+from boresight.console.alarms.tables import Alarm, AlarmEvent
+from boresight.console.transitions import require_seen, subject_of
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, require_person, require_role
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.db.times import read_time
+from boresight.platform.web.words import refuse_control_characters
+
+__all__ = [
+    "STATES",
+    "Sought",
+    "acknowledge",
+    "assign",
+    "close_if_over",
+    "comment",
+    "events_of",
+    "get_alarm",
+    "is_shelved",
+    "list_alarms",
+    "shelve",
+    "state_of",
+    "step",
+    "unacknowledged",
+    "unshelve",
+]
+
+STATES = ("unacknowledged", "acknowledged", "shelved", "closed")
+HANDLERS = ("analyst", "operator", "approver", "administrator")
+MOST_DAYS = 30.0
+LONGEST_TEXT = 2000
+DAY_S = 86400.0
+
+
+def close_if_over(session: Session, actor: Actor, row: Alarm) -> None:
+    """Close an alarm that is over and was acknowledged."""
+    if not row.active and row.acknowledged:
+        row.closed_utc = utc_now()
+        step(session, actor, row, "CLOSED", "It is over and was acknowledged.")
+
+
+def step(session: Session, actor: Actor, row: Alarm, event: str, text: str, **told: Any) -> None:
+    """Keep a step in an alarm's life: one version further, an event, an audit record."""
+    row.version += 1
+    name = actor.printed_name
+    session.add(
+        AlarmEvent(alarm_id=row.id, event=event, user_id=actor.user_id, printed_name=name, text=text, at_utc=utc_now())
+    )
+    session.flush()
+    after = {"state": state_of(row), "version": row.version, "kind": row.kind, "level": row.level, **told}
+    audit.append(session, actor, f"alarm {event.lower()}", subject_of(row), None, after, text or None)
+
+
+def state_of(row: Alarm) -> str:
+    """Say an alarm's state in the words of ISA-18.2."""
+    if row.closed_utc is not None:
+        return "closed"
+    condition = "active" if row.active else "returned to normal"
+    seen = "acknowledged" if row.acknowledged else "unacknowledged"
+    shelved = f", shelved until {row.shelved_until_utc}" if is_shelved(row) else ""
+    return f"{seen}, {condition}{shelved}"
+
+
+def is_shelved(row: Alarm) -> bool:
+    """Whether an alarm is on the shelf now."""
+    return row.shelved_until_utc is not None and row.shelved_until_utc > utc_now()
+
+
+def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
+    """Say that somebody has seen it and takes care; one that is over is closed by it.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError, RefusedInputError
+        When the actor, the version, the state or the comment does not allow it.
+    """
+    row = _to_handle(session, actor, alarm_id, seen_version, "acknowledge an alarm")
+    if row.acknowledged:
+        raise ConflictError(f"Alarm {row.id} is acknowledged already; comment on it, or shelve it.")
+    row.acknowledged = 1
+    step(session, actor, row, "ACKNOWLEDGED", _said(text))
+    close_if_over(session, actor, row)
+    return row
+
+
+def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: str, seen_version: int | None) -> Alarm:
+    """Take an alarm out of the count until a time.
+
+    Parameters
+    ----------
+    until
+        ISO 8601, UTC when it names no zone; `MOST_DAYS` from now at most.
+    reason
+        Why it may wait; needed.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError, RefusedInputError
+        When the actor, the version, the state, the time or the reason does not allow it.
+    """
+    row = _to_handle(session, actor, alarm_id, seen_version, "shelve an alarm")
+    until_utc = _end_of_shelf(until)
+    row.shelved_until_utc = until_utc
+    step(session, actor, row, "SHELVED", _said(reason, needed="reason why it may wait"), until_utc=until_utc)
+    return row
+
+
+def _end_of_shelf(until: str) -> str:
+    """Read until when an alarm is shelved."""
+    until_utc = read_time(until)
+    if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
+        raise RefusedInputError(f"An alarm is shelved until a time to come, {MOST_DAYS:.0f} days from now at most.")
+    return until_utc
+
+
+def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | None) -> Alarm:
+    """Take an alarm from the shelf before its time.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError
+        When the actor, the version or the state does not allow it.
+    """
+    row = _to_handle(session, actor, alarm_id, seen_version, "unshelve an alarm")
+    if row.shelved_until_utc is None:
+        raise ConflictError(f"Alarm {row.id} is not shelved.")
+    row.shelved_until_utc = None
+    step(session, actor, row, "UNSHELVED", "")
+    return row
+
+
+def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, seen_version: int | None) -> Alarm:
+    """Ask a person to take care of an alarm; None asks nobody in particular.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError
+        When the actor, the version or the state does not allow it, or there is no such person.
+    """
+    row = _to_handle(session, actor, alarm_id, seen_version, "assign an alarm")
+    person = None if user_id is None else session.get(User, user_id)
+    if user_id is not None and (person is None or person.disabled_utc is not None):
+        raise NotFoundError(f"There is no user {user_id} who could take care of it.")
+    row.assigned_to = None if person is None else person.id
+    step(session, actor, row, "ASSIGNED", "to nobody" if person is None else f"to {person.printed_name}")
+    return row
+
+
+def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
+    """Say something about an alarm.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError, RefusedInputError
+        When the actor, the version or the state does not allow it, or nothing is said.
+    """
+    row = _to_handle(session, actor, alarm_id, seen_version, "comment on an alarm")
+    step(session, actor, row, "COMMENTED", _said(text, needed="comment"))
+    return row
+
+
+def _to_handle(session: Session, actor: Actor, alarm_id: int, seen_version: int | None, what: str) -> Alarm:
+    """Return an open alarm that this person may handle."""
+    require_person(actor, what)
+    require_role(actor, *HANDLERS)
+    row = get_alarm(session, alarm_id)
+    require_seen(session, row, seen_version)
+    if row.closed_utc is not None:
+        raise ConflictError(f"Alarm {row.id} is closed since {row.closed_utc}; write a note on its sensor instead.")
+    return row
+
+
+def _said(text: str, needed: str = "") -> str:
+    """Return what a person said with a step."""
+    refuse_control_characters(comment=text)
+    if (needed and not text.strip()) or len(text) > LONGEST_TEXT:
+        raise RefusedInputError(f"Give a {needed or 'comment'} of {int(bool(needed))} to {LONGEST_TEXT} characters.")
+    return text.strip()
+
+
+def get_alarm(session: Session, alarm_id: int) -> Alarm:
+    """Return an alarm.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Alarm, alarm_id)
+    if row is None:
+        raise NotFoundError(f"There is no alarm {alarm_id}.")
+    return row
+
+
+def list_alarms(
+    session: Session, sought: Sought | None = None, *, before_id: int | None = None, limit: int | None = None
+) -> Sequence[Alarm]:
+    """Return a page of alarms, newest first; those that are closed only when sought.
+
+    Raises
+    ------
+    RefusedInputError
+        When the state does not exist.
+    """
+    sought = sought or Sought()
+    if sought.state is not None and sought.state not in STATES:
+        raise RefusedInputError(f"There is no alarm state {sought.state!r}; choose from {', '.join(STATES)}.")
+    return lists.newest(
+        session,
+        Alarm,
+        before_id=before_id,
+        limit=limit,
+        state=sought.state or "open",
+        sensor=sought.sensor_id,
+        kind=sought.kind,
+        sensor_name=sought.sensor_name or None,
+    )
+
+
+def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> dict[int, Alarm]:
+    """Return the newest alarm of a kind that is not closed of each of some sensors that has any, by sensor."""
+    return {
+        row.sensor_id: row for row in queries.open_of_sensors(session, kind, sensor_ids) if row.sensor_id is not None
+    }
+
+
+def events_of(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
+    """Return what became of an alarm, in order."""
+    return queries.events(session, get_alarm(session, alarm_id).id)
+
+
+def unacknowledged(session: Session) -> int:
+    """Return how many alarms wait for somebody to see them; shelved ones do not."""
+    return queries.count_unacknowledged(session)

@@ -1,0 +1,66 @@
+"""Alarms of the fleet and what became of them, and the notes that people leave on runs, sensors and parameter sets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.platform.db.declared import STRICT, Base, one_of, only_one
+from boresight.platform.db.documents import JsonText
+
+ALARM_KINDS = ("DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK")
+ALARM_LEVELS = ("critical", "serious", "caution")
+ALARM_EVENTS = (
+    "RAISED",
+    "RETURNED",
+    "RAISED AGAIN",
+    "ACKNOWLEDGED",
+    "SHELVED",
+    "UNSHELVED",
+    "ASSIGNED",
+    "COMMENTED",
+    "CLOSED",
+)
+
+
+class Alarm(Base):
+    """One occurrence of a condition: open until it has returned to normal and was acknowledged, and then never changed."""
+
+    __tablename__ = "alarms"
+    __table_args__ = (
+        one_of("kind", ALARM_KINDS),
+        one_of("level", ALARM_LEVELS),
+        only_one("uq_alarms_one_open", "source", "closed_utc IS NULL"),
+        STRICT,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    source: Mapped[str] = mapped_column(sa.Text)  # what it is of, such as sensors/3/DRIFT
+    sensor_id: Mapped[int | None] = mapped_column(sa.ForeignKey("sensors.id"), index=True)  # None: of the installation
+    kind: Mapped[str] = mapped_column(sa.Text)
+    level: Mapped[str] = mapped_column(sa.Text)
+    sentence: Mapped[str] = mapped_column(sa.Text)
+    evidence: Mapped[dict[str, Any]] = mapped_column(JsonText)  # the figures that the sentence rests on
+    active: Mapped[int] = mapped_column(default=1)
+    acknowledged: Mapped[int] = mapped_column(default=0)
+    raised_utc: Mapped[str] = mapped_column(sa.Text)
+    returned_utc: Mapped[str | None] = mapped_column(sa.Text)
+    shelved_until_utc: Mapped[str | None] = mapped_column(sa.Text)
+    assigned_to: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    version: Mapped[int] = mapped_column(default=1)  # counts its moves; the ETag
+    closed_utc: Mapped[str | None] = mapped_column(sa.Text)
+
+
+class AlarmEvent(Base):
+    """A step in an alarm's life, by a person or by Boresight; never edited."""
+
+    __tablename__ = "alarm_events"
+    __table_args__ = (one_of("event", ALARM_EVENTS), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    alarm_id: Mapped[int] = mapped_column(sa.ForeignKey("alarms.id"), index=True)
+    event: Mapped[str] = mapped_column(sa.Text)
+    user_id: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    printed_name: Mapped[str] = mapped_column(sa.Text)
+    text: Mapped[str] = mapped_column(sa.Text)
+    at_utc: Mapped[str] = mapped_column(sa.Text)

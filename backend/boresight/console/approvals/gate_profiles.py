@@ -1,0 +1,294 @@
+"""Gate profiles: the limits that a sensor's sets are held to. Every version is kept; the newest is in force.
+
+Until somebody sets another, the default of `verdicts.gates` is version 0; its row is written when first needed. Who sets
+limits neither runs nor signs: only an administrator does. Other limits are another verdict, so setting a profile makes the
+sensor's undecided requests stale. A profile can be tried first on what was measured of past runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from boresight.console.approvals import proposals, staleness
+from boresight.console.approvals import queries as rows
+from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import queries as set_rows
+from boresight.console.runs.calibration_document import read_result
+from boresight.console.runs.tables import Run
+from boresight.errors import BoresightError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.web.words import refuse_control_characters
+from boresight.telemetry.sensors import parse_sensor
+from boresight.verdicts import gates
+from boresight.verdicts.gates import Measurement, Profile
+from boresight.verdicts.gates.assessment import ground_set
+from boresight.verdicts.gates.held_out import of_result
+
+DEFAULT = gates.parse_profile({}).document()
+DEFAULT_SHA256 = sha256_of(DEFAULT)
+RUNS_TRIED = 40
+NO_HELD_OUT = "The run had no validation set: nothing outside the fitted frames was measured."
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What a profile would have said of a past run.
+
+    Parameters
+    ----------
+    run
+        The run.
+    set_name
+        Of the parameter set that was made from it; None where none was.
+    verdict, blocking
+        By the profile that is tried.
+    verdict_now, blocking_now
+        By the profile in force.
+    basis
+        What was judged, a phrase: the set's gate report, or the run's own result.
+    """
+
+    run: Run
+    set_name: str | None
+    verdict: str
+    blocking: list[str]
+    verdict_now: str
+    blocking_now: list[str]
+    basis: str
+
+
+def profile_in_force(session: Session, sensor_id: int) -> GateProfile:
+    """Return a sensor's profile; the default as version 0 where nobody set or needed one, a row that is not stored.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    """
+    sensor = _sensor(session, sensor_id)
+    return rows.newest_profile(session, sensor_id) or _default(sensor)
+
+
+def _sensor(session: Session, sensor_id: int) -> Sensor:
+    row = session.get(Sensor, sensor_id)
+    if row is None:
+        raise NotFoundError(f"There is no sensor {sensor_id}.")
+    return row
+
+
+def _default(sensor: Sensor) -> GateProfile:
+    """Return version 0 of a sensor's profile."""
+    return GateProfile(
+        sensor_id=sensor.id,
+        number=0,
+        document=DEFAULT,
+        sha256=DEFAULT_SHA256,
+        reason="The default, until another is set.",
+        created_utc=sensor.created_utc,
+        created_by=None,
+    )
+
+
+def list_profiles(
+    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None = None
+) -> Sequence[GateProfile]:
+    """Return a page of a sensor's profiles, newest first; the next page starts before the last one's number.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    """
+    sensor = _sensor(session, sensor_id)
+    found = rows.profiles(session, sensor_id, before_number=before_number, limit=limit)
+    return found if found or before_number is not None else [_default(sensor)]
+
+
+def ensure_profile(session: Session, actor: Actor, sensor_id: int) -> GateProfile:
+    """Return the profile in force, its row written if it was not."""
+    row = profile_in_force(session, sensor_id)
+    return row if row.id is not None else _add(session, actor, row, None)
+
+
+def set_profile(
+    session: Session,
+    actor: Actor,
+    sensor_id: int,
+    document: Mapping[str, Any],
+    reason: str,
+    seen_number: int | None,
+) -> GateProfile:
+    """Put a profile into force for a sensor.
+
+    Parameters
+    ----------
+    document
+        As `verdicts.gates.parse_profile` reads it.
+    reason
+        Why the limits change; needed.
+    seen_number
+        Number of the profile that was seen in force.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no administrator, or a key without the scope.
+    NotFoundError
+        When there is no such sensor.
+    PreconditionRequiredError, StaleError
+        When no number was given, or another profile is in force by now.
+    RefusedInputError
+        When the document cannot be used, says what is in force already, or no reason is given.
+    """
+    complete = checked(session, actor, sensor_id, document, reason, seen_number)
+    return put_into_force(session, actor, sensor_id, complete, reason)
+
+
+def checked(
+    session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], reason: str, seen_number: int | None
+) -> dict[str, Any]:
+    """Return a profile complete, as it would be stored, if this actor may put it into force now.
+
+    Raises
+    ------
+    BoresightError
+        As `set_profile`.
+    """
+    require_role(actor, "administrator")
+    require_scope(actor, "sensors")
+    refuse_control_characters(reason=reason)
+    current = profile_in_force(session, sensor_id)
+    _require_seen(session, current, seen_number)
+    complete = gates.parse_profile(document).document()
+    if not reason.strip():
+        raise RefusedInputError("Give the reason why the limits change.")
+    if sha256_of(complete) == current.sha256:
+        raise RefusedInputError(f"These are the limits of version {current.number}, in force already: change one.")
+    return complete
+
+
+def put_into_force(
+    session: Session,
+    actor: Actor,
+    sensor_id: int,
+    complete: Mapping[str, Any],
+    reason: str,
+    proposal: ChangeProposal | None = None,
+) -> GateProfile:
+    """Make a complete profile the one in force, of whoever proposed it where somebody did."""
+    complete = gates.parse_profile(complete).document()
+    current = ensure_profile(session, actor, sensor_id)
+    row = GateProfile(
+        sensor_id=sensor_id,
+        number=current.number + 1,
+        document=complete,
+        sha256=sha256_of(complete),
+        reason=reason.strip(),
+        created_utc=utc_now(),
+        created_by=actor.user_id if proposal is None else proposal.proposed_by,
+    )
+    _add(session, actor, row, current, proposal)
+    proposals.make_stale(session, actor, sensor_id, "gate-profile", row.number)
+    staleness.make_stale_of_sensor(session, actor, sensor_id, f"the gate profile became version {row.number}")
+    return row
+
+
+def subject_of(sensor_id: int) -> str:
+    """Name a sensor's profiles as the audit log does, by their REST address."""
+    return f"sensors/{sensor_id}/gate-profiles"
+
+
+def _require_seen(session: Session, current: GateProfile, seen_number: int | None) -> None:
+    """Refuse a change by someone who did not see the profile in force."""
+    if seen_number is None:
+        raise PreconditionRequiredError('Say which version of the gate profile you saw: If-Match: "v<number>".')
+    if seen_number == current.number:
+        return
+    record = audit.last_change(session, subject_of(current.sensor_id))
+    by = f": {record.actor} {record.action} it at {record.at_utc}" if record else ""
+    raise StaleError(
+        f"The gate profile has changed since you looked (you saw v{seen_number}, it is v{current.number}){by}. "
+        "Reload, look again and decide."
+    )
+
+
+def _add(
+    session: Session,
+    actor: Actor,
+    row: GateProfile,
+    before: GateProfile | None,
+    proposal: ChangeProposal | None = None,
+) -> GateProfile:
+    """Store a profile; the audit record holds the thresholds that changed, before and after."""
+    session.add(row)
+    session.flush()
+    told: dict[str, Any] = {"version": row.number, "sha256": row.sha256}
+    told |= {} if proposal is None else {"proposal": proposal.id}
+    earlier: dict[str, Any] | None = None
+    if before is not None:
+        earlier = {"version": before.number, "sha256": before.sha256}
+        for old, new in zip(before.document["gates"], row.document["gates"], strict=True):
+            for key in (key for key in new if old[key] != new[key]):
+                earlier[f"{new['name']} {key}"], told[f"{new['name']} {key}"] = old[key], new[key]
+    audit.append(session, actor, "set", subject_of(row.sensor_id), earlier, told, row.reason)
+    return row
+
+
+def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mapping[str, Any]) -> list[Tried]:
+    """Judge a sensor's newest runs by a profile that is not in force, to see what it would have blocked.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the document is no profile; names the gate and the key.
+    """
+    tried = gates.parse_profile(document)
+    current = gates.parse_profile(profile_in_force(session, sensor_id).document)
+    found = []
+    for run in rows.runs_with_results(session, sensor_id, RUNS_TRIED):
+        row = set_rows.set_of_run(session, run.id)
+        report = None if row is None else rows.newest_reports(session, [row.id]).get(row.id)
+        basis = "the set's gate report" if report else "the run's own result"
+        measured = gates.measurements_of(report.document) if report else _measured(blobs, run)
+        found.append(_tried(run, row.name if row else None, measured, (tried, current), basis))
+    return found
+
+
+def _tried(
+    run: Run,
+    set_name: str | None,
+    measured: Mapping[str, Measurement],
+    profiles: tuple[Profile, Profile],
+    basis: str,
+) -> Tried:
+    """Judge one run by the profile that is tried and by the one in force."""
+    new, now = (gates.judge(profile, measured) for profile in profiles)
+    return Tried(run, set_name, new["verdict"], new["blocking"], now["verdict"], now["blocking"], basis)
+
+
+def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
+    """Measure a run by its own result, against the parameters that it started from."""
+    try:
+        result = read_result(blobs, str(run.result_sha256), run.id)
+        sensor = parse_sensor(run.sensor_document)
+        evidence = gates.Evidence(
+            sensor=sensor,
+            candidate={**result, "sensor": sensor.name},  # as a set that was made of it would say
+            incumbent=ground_set(sensor),
+            result=result,
+            made_with=run.sensor_document,
+            held_out=of_result(result),
+            no_held_out=NO_HELD_OUT,
+        )
+    except (BoresightError, ValueError):
+        return {}
+    return gates.measure(evidence)

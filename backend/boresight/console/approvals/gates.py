@@ -1,0 +1,489 @@
+"""Gate reports: a set held against its sensor's limits and against the incumbent.
+
+A report is made in three steps, because seeing held-out frames under two sets takes seconds and there is one writer::
+
+    gather   reading transaction    what the verdict rests on, with its hashes     (`gate_evidence`)
+    examine  no transaction         measure and judge
+    record   writing transaction    stored if none of the hashes moved meanwhile
+
+A report holds for the hashes it is bound to; when set, run, profile, incumbent or table definition moved it holds no longer,
+and `latest_report` does not know it. A set that is submitted without one gets a light report: what its own run says. Waivers
+are no part of a report: they are laid over it whenever it is read, so one that expires blocks again.
+
+What the gates of a stored set look at, gathered in one reading transaction; nothing is computed here.
+
+Held-out frames are the run's validation set, else the sensor's newest validation set that neither the set nor the incumbent was
+calibrated on: whoever was fitted to the frames would be flattered by them.
+
+Waivers: a person lets a set pass in spite of a gate, with a reason, until a time.
+
+A waiver is never taken back and never removed. While it holds the gate does not block; when it expires the gate blocks again;
+and the verdict of the set says for ever how many gates were waived. It changes the evidence, so an open request of the set
+becomes STALE, and the next one needs one approval more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from boresight.calibration.options import CalibrationSettings
+from boresight.console import list_queries as lists
+from boresight.console.access import users
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.approvals import queries as rows
+from boresight.console.approvals import staleness
+from boresight.console.approvals.gate_profiles import ensure_profile, profile_in_force
+from boresight.console.approvals.tables import GateReport, Waiver
+from boresight.console.fleet.tables import Sensor as gate_evidence_Sensor
+from boresight.console.parameter_sets import queries as set_rows
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.calibration_document import read_result
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.transitions import get_parameter_set, require_seen, whose_baseline
+from boresight.console.uplinks import queries as table_definitions
+from boresight.errors import (
+    BoresightError,
+    ConflictError,
+    CorruptFileError,
+    ForbiddenError,
+    NotFoundError,
+    RefusedInputError,
+    StaleError,
+)
+from boresight.platform.actors import Actor, require_person, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.working_tables import table_path
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.db.times import read_time
+from boresight.platform.web.words import refuse_control_characters
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.sensors import Sensor, parse_sensor
+from boresight.telemetry.working_table import WorkingTable
+from boresight.verdicts import gates
+from boresight.verdicts.gates import GATES
+from boresight.verdicts.gates.assessment import started_from
+from boresight.verdicts.gates.held_out import held_out_scores, of_result
+
+
+@dataclass(frozen=True)
+class Case:
+    """A set with everything that its verdict rests on, as it stands in the store.
+
+    Parameters
+    ----------
+    parameter_set_id, name
+        The set.
+    sensor_document, candidate, incumbent
+        Documents of the sensor, the set, and the baseline that it would replace; None where it would replace none.
+    result_sha256, made_with, settings
+        Of the run behind it: address of its result, the sensor at its launch, its settings; None for a ground calibration.
+    held_out
+        Name and table address of the frames to look at; None where there are none.
+    profile, definition
+        Documents of the gate profile and the table definition in force; None where there is no definition.
+    bound
+        Hashes of all of these: what the report will hold for.
+    """
+
+    parameter_set_id: int
+    name: str
+    sensor_document: Mapping[str, Any]
+    candidate: Mapping[str, Any]
+    incumbent: Mapping[str, Any] | None
+    result_sha256: str | None
+    made_with: Mapping[str, Any] | None
+    settings: Mapping[str, Any] | None
+    held_out: tuple[str, str] | None
+    profile: Mapping[str, Any]
+    definition: Mapping[str, Any] | None
+    bound: dict[str, str | None]
+
+
+def gather(session: Session, parameter_set_id: int) -> Case:
+    """Read a set's case.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such set.
+    """
+    row = get_parameter_set(session, parameter_set_id)
+    run = None if row.run_id is None else session.get_one(Run, row.run_id)
+    incumbent = _incumbent(session, row)
+    definition = table_definitions.definition_in_force(session, row.sensor_id)
+    held_out = _held_out(session, row, run, incumbent)
+    return Case(
+        parameter_set_id=row.id,
+        name=row.name,
+        sensor_document=session.get_one(gate_evidence_Sensor, row.sensor_id).document,
+        candidate=row.document,
+        incumbent=None if incumbent is None else incumbent.document,
+        result_sha256=None if run is None else run.result_sha256,
+        made_with=None if run is None else run.sensor_document,
+        settings=None if run is None else run.settings,
+        held_out=None if held_out is None else (held_out.name, held_out.table_sha256),
+        profile=profile_in_force(session, row.sensor_id).document,
+        definition=None if definition is None else definition.document,
+        bound=bound_now(session, row),
+    )
+
+
+def bound_now(session: Session, row: ParameterSet) -> dict[str, str | None]:
+    """Return the hashes of everything that a report on a set rests on, as they are now."""
+    run = None if row.run_id is None else session.get_one(Run, row.run_id)
+    incumbent = set_rows.baseline(session, row.sensor_id)
+    definition = table_definitions.definition_in_force(session, row.sensor_id)
+    return {
+        "set_sha256": sha256_of(row.document),
+        "run_result_sha256": None if run is None else run.result_sha256,
+        "profile_sha256": profile_in_force(session, row.sensor_id).sha256,
+        "incumbent_sha256": None if incumbent is None else incumbent.sha256,
+        "table_definition_sha256": None if definition is None else definition.sha256,
+    }
+
+
+def _incumbent(session: Session, row: ParameterSet) -> ParameterSet | None:
+    """Return the baseline that a set would replace; None where it is the baseline itself."""
+    baseline = set_rows.baseline(session, row.sensor_id)
+    return None if baseline is None or baseline.id == row.id else baseline
+
+
+def _held_out(
+    session: Session, row: ParameterSet, run: Run | None, incumbent: ParameterSet | None
+) -> TelemetrySet | None:
+    """Choose the frames to look at."""
+    behind = [run, None if incumbent is None or incumbent.run_id is None else session.get_one(Run, incumbent.run_id)]
+    fitted = {known.telemetry_set_id for known in behind if known is not None}
+    own = None if run is None or run.validation_set_id is None else session.get(TelemetrySet, run.validation_set_id)
+    others = lists.newest(  # of so many, one at least was not fitted
+        session, TelemetrySet, sensor=row.sensor_id, purpose="validation", in_use=True, limit=len(fitted) + 1
+    )
+    candidates = [*([] if own is None else [own]), *others]
+    return next((known for known in candidates if known.id not in fitted), None)
+
+
+NO_SET = "There are no held-out frames: upload a validation set that neither this set nor the incumbent was fitted to."
+NOT_SEEN = "The held-out frames were not seen under this set and the incumbent: assess the set."
+ASSESSORS = ("analyst", "approver", "operator", "administrator")
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """A report that is not stored yet.
+
+    Parameters
+    ----------
+    parameter_set_id
+        Whose it is.
+    document
+        The report with what it is bound to.
+    """
+
+    parameter_set_id: int
+    document: dict[str, Any]
+
+
+def measure(session: Session, blobs: BlobStore, catalogue: Catalogue | None, parameter_set_id: int) -> Assessment:
+    """Gather and examine in one; the session is only read."""
+    return examine(gather(session, parameter_set_id), blobs, catalogue)
+
+
+def examine(case: Case, blobs: BlobStore, catalogue: Catalogue | None, cache_folder: Path | None = None) -> Assessment:
+    """Measure and judge a case.
+
+    Parameters
+    ----------
+    catalogue
+        Where directions come from; None sees no frames and takes what the run itself says of its validation.
+    cache_folder
+        Where lost-in-space identification keeps its tables.
+    """
+    sensor = parse_sensor(case.sensor_document)
+    result = None if case.result_sha256 is None else read_result(blobs, case.result_sha256)
+    held_out, why = _seen(case, blobs, sensor, result, catalogue, cache_folder)
+    evidence = gates.Evidence(
+        sensor=sensor,
+        candidate=case.candidate,
+        incumbent=case.incumbent,
+        result=result,
+        made_with=case.made_with,
+        held_out=held_out,
+        no_held_out=why,
+        definition=case.definition,
+    )
+    report = gates.judge(gates.parse_profile(case.profile), gates.measure(evidence))
+    seen = None if held_out is None or case.held_out is None else {"name": case.held_out[0], "sha256": case.held_out[1]}
+    return Assessment(case.parameter_set_id, {**report, "held_out": seen, "bound": case.bound})
+
+
+def _seen(
+    case: Case,
+    blobs: BlobStore,
+    sensor: Sensor,
+    result: Mapping[str, Any] | None,
+    catalogue: Catalogue | None,
+    cache_folder: Path | None,
+) -> tuple[Mapping[str, Any] | None, str]:
+    """Return the scores on held-out frames, or None with the reason; what the run compared already is not seen again."""
+    if case.incumbent is not None and result is not None and started_from(result, case.incumbent):
+        own = of_result(result)
+        if own is not None:
+            return own, ""
+    if case.held_out is None:
+        return None, NO_SET
+    if catalogue is None:
+        return None, NOT_SEEN
+    name, sha256 = case.held_out
+    incumbent = case.candidate if case.incumbent is None else case.incumbent
+    try:
+        settings = CalibrationSettings.parse(case.settings or {})
+        frames = WorkingTable(table_path(blobs, sha256)).read()
+        return held_out_scores(frames, sensor, catalogue, incumbent, case.candidate, settings, cache_folder), ""
+    except CorruptFileError:
+        raise  # no evidence is made of, or in spite of, a file that was altered
+    except BoresightError as refusal:
+        return None, f"The held-out set {name} could not be used: {refusal}"
+
+
+def record_report(session: Session, actor: Actor, assessment: Assessment) -> GateReport:
+    """Store a report; the same one again is the row that is there.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor has no part in approving, or a key lacks the scope.
+    StaleError
+        When anything that it rests on moved while it was made.
+    """
+    require_role(actor, *ASSESSORS)
+    require_scope(actor, "parameter-sets")
+    return _record(session, actor, assessment)
+
+
+def _record(session: Session, actor: Actor, assessment: Assessment) -> GateReport:
+    """Store a report if what it rests on is as it was."""
+    row = get_parameter_set(session, assessment.parameter_set_id)
+    profile = ensure_profile(session, actor, row.sensor_id)
+    bound = assessment.document["bound"]
+    moved = [_word(name) for name, now in bound_now(session, row).items() if bound[name] != now]
+    if moved:
+        since = whose_baseline(session, row.sensor_id)
+        raise StaleError(f"The {' and the '.join(moved)} moved while {row.name} was assessed.{since} Do it again.")
+    sha256 = sha256_of(assessment.document)
+    newest = rows.newest_reports(session, [row.id]).get(row.id)
+    if newest is not None and newest.sha256 == sha256:
+        return newest
+    report = GateReport(
+        parameter_set_id=row.id,
+        gate_profile_id=profile.id,
+        verdict=assessment.document["verdict"],
+        document=assessment.document,
+        sha256=sha256,
+        created_utc=utc_now(),
+        created_by=actor.user_id,
+    )
+    session.add(report)
+    session.flush()
+    told = {"set": row.name, "verdict": report.verdict, "blocking": report.document["blocking"], "sha256": sha256}
+    audit.append(session, actor, "assessed", f"parameter-sets/{row.id}/gate-report", None, told)
+    return report
+
+
+def _word(name: str) -> str:
+    return name.removesuffix("_sha256").replace("_", " ")
+
+
+def latest_report(session: Session, parameter_set_id: int) -> GateReport | None:
+    """Return a set's newest report if what it rests on is as it was; None otherwise."""
+    report = newest_report(session, parameter_set_id)
+    return None if report is None or moved_since(session, report) else report
+
+
+def newest_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport | None:
+    """Return a set's newest report, or the one with a hash, whether or not it still holds."""
+    if sha256 is not None:
+        return rows.report_with(session, parameter_set_id, sha256)
+    return rows.newest_reports(session, [parameter_set_id]).get(parameter_set_id)
+
+
+def get_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport:
+    """Return a set's newest report, or the one with a hash; refuse where there is none."""
+    row = get_parameter_set(session, parameter_set_id)
+    report = newest_report(session, parameter_set_id, sha256)
+    if report is None and sha256 is not None:
+        raise NotFoundError(
+            f"{row.name} (parameter set {row.id}) has no gate report {sha256}; leave sha256 out for the newest."
+        )
+    if report is None:
+        raise NotFoundError(f"{row.name} (parameter set {row.id}) has no gate report; POST :assess.")
+    return report
+
+
+def moved_since(session: Session, report: GateReport) -> list[str]:
+    """Name what moved of all that a report rests on; it holds while nothing did."""
+    bound, now = report.document["bound"], bound_now(session, get_parameter_set(session, report.parameter_set_id))
+    return [_word(name) for name in now if bound[name] != now[name]]
+
+
+def report_for_submission(
+    session: Session, actor: Actor, blobs: BlobStore, parameter_set_id: int, assessment: Assessment | None = None
+) -> GateReport:
+    """Return the report that a request binds: the one given, the one that holds, or a light one from the run's own result.
+
+    Raises
+    ------
+    StaleError
+        When anything that the given one rests on moved while it was made.
+    """
+    if assessment is not None:
+        return _record(session, actor, assessment)
+    known = latest_report(session, parameter_set_id)
+    return known or _record(session, actor, measure(session, blobs, None, parameter_set_id))
+
+
+def with_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> dict[str, Any]:
+    """Return a report with the waivers laid over it: who waived what, what blocks, and the verdict in words.
+
+    Parameters
+    ----------
+    bound
+        Numbers of the waivers that a request binds: the report as it was signed, whatever expired since. None: as it stands now.
+    """
+    return _laid_over(report, rows.waivers(session, [report.parameter_set_id]), bound)
+
+
+def _laid_over(report: GateReport, waivers: Collection[Waiver], bound: Collection[int] | None = None) -> dict[str, Any]:
+    now = utc_now()
+    holding = [waiver for waiver in waivers if (waiver.expires_utc > now if bound is None else waiver.id in bound)]
+    waived = {waiver.gate for waiver in holding}
+    return gates.summarised(report.document, waived, {waiver.gate for waiver in waivers})
+
+
+def verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, str]:
+    """Return the verdict, in words, of each of some sets that was ever assessed; waivers stay in it for ever."""
+    given = rows.waivers(session, parameter_set_ids)
+    return {
+        number: _laid_over(report, [waiver for waiver in given if waiver.parameter_set_id == number])["words"]
+        for number, report in rows.newest_reports(session, parameter_set_ids).items()
+    }
+
+
+CODES = {
+    "known-cause": "The cause is known and does no harm",
+    "limit-too-tight": "The limit is tighter than this case needs",
+    "data-limited": "No better data can be had in time",
+    "mission-need": "The mission needs the set in spite of it",
+    "other": "Another reason",
+}
+LEAST_LETTERS = 20
+LONGEST_DAYS = 30
+DAY_S = 86400.0
+
+
+def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form gives them one by one
+    session: Session,
+    actor: Actor,
+    parameter_set_id: int,
+    gate: str,
+    code: str,
+    reason: str,
+    expires_utc: str,
+    proof: PasswordProof,
+    seen_version: int | None,
+) -> Waiver:
+    """Let a set pass in spite of a gate that blocks it, as a person who gives the password again.
+
+    Parameters
+    ----------
+    gate
+        One that blocks the set in the report that holds now.
+    code, reason
+        Of `CODES`, and in at least `LEAST_LETTERS` letters of one's own.
+    expires_utc
+        Until when, ISO 8601; within `LONGEST_DAYS` days.
+    seen_version
+        Version of the set that the person saw.
+
+    Raises
+    ------
+    ForbiddenError, UnauthenticatedError
+        When the actor is no analyst or approver in person, the gate is critical, or the password is wrong.
+    NotFoundError, PreconditionRequiredError, StaleError
+        When there is no such set, or it is not as it was seen.
+    ConflictError
+        When there is no report that holds, or the gate does not block.
+    RefusedInputError
+        When gate, code, reason or expiry cannot be used.
+    """
+    user_id = require_person(actor, "waive a gate")
+    require_role(actor, "analyst", "approver")
+    row = get_parameter_set(session, parameter_set_id)
+    require_seen(session, row, seen_version)
+    until = _checked(gate, code, reason, expires_utc)
+    report = _blocking_report(session, parameter_set_id, row.name, gate)
+    users.require_password(session, actor, proof)
+    waiver = Waiver(
+        parameter_set_id=row.id,
+        gate_report_id=report.id,
+        gate=gate,
+        code=code,
+        reason=reason.strip(),
+        expires_utc=until,
+        made_utc=utc_now(),
+        made_by=user_id,
+        printed_name=actor.printed_name,
+    )
+    session.add(waiver)
+    session.flush()
+    told: dict[str, Any] = {"set": row.name, "gate": gate, "code": code, "expires_utc": until, "report": report.sha256}
+    audit.append(session, actor, "waived a gate of", f"parameter-sets/{row.id}/waivers", None, told, waiver.reason)
+    staleness.make_stale_of_set(session, actor, row.id, f"its gate {gate} was waived")
+    return waiver
+
+
+def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
+    """Refuse what is no waiver, and return its expiry as the store writes it."""
+    refuse_control_characters(reason=reason)
+    if gate not in GATES:
+        raise RefusedInputError(f"There is no gate {gate!r}; the gates are {', '.join(GATES)}.")
+    if code not in CODES:
+        raise RefusedInputError(f"There is no reason code {code!r}; choose from {', '.join(CODES)}.")
+    if len(reason.strip()) < LEAST_LETTERS:
+        raise RefusedInputError(f"Give the reason in at least {LEAST_LETTERS} letters: the approvers must judge it.")
+    until = read_time(expires_utc)
+    if not utc_now() < until <= utc_after(LONGEST_DAYS * DAY_S):
+        raise RefusedInputError(f"The waiver must expire in the future and within {LONGEST_DAYS} days, not at {until}.")
+    return until
+
+
+def _blocking_report(session: Session, parameter_set_id: int, name: str, gate: str) -> GateReport:
+    """Return the report that holds, if this gate blocks in it and may be waived."""
+    report = latest_report(session, parameter_set_id)
+    if report is None:
+        raise ConflictError(f"{name} has no gate report that holds now: assess it, then waive what blocks it.")
+    document = with_waivers(session, report)
+    answer = next(one for one in document["gates"] if one["name"] == gate)
+    if gate not in document["blocking"]:
+        how = "waived already" if answer["waived"] else answer["status"]
+        raise ConflictError(f"The gate {gate} does not block {name}: it is {how}. There is nothing to waive.")
+    if answer["critical"] or not answer["waivable"]:
+        why = "it is critical" if answer["critical"] else "the gate profile does not let it be waived"
+        raise ForbiddenError(f"Nobody can waive the gate {gate}: {why}. Calibrate again.")
+    return report
+
+
+def active_waivers(session: Session, parameter_set_id: int) -> Sequence[Waiver]:
+    """Return a set's waivers that hold now, in order."""
+    now = utc_now()
+    return [waiver for waiver in all_waivers(session, parameter_set_id) if waiver.expires_utc > now]
+
+
+def all_waivers(session: Session, parameter_set_id: int) -> Sequence[Waiver]:
+    """Return every waiver that a set was ever given, in order."""
+    return rows.waivers(session, [parameter_set_id])

@@ -1,0 +1,403 @@
+"""A request on one page, in the order in which it should be read.
+
+First why the requester wants it, then what changes, the gates against the incumbent, the warnings and waivers, the
+evidence and who opened it, what people said, who has signed, and only then the signature. A refused form comes back in
+its place with everything typed but the password. The buttons name their effect.
+
+Approvals: the inbox, and signing: a decision, what it means, a comment and the password once more.
+
+A second person may sign at another's console, with name and password.
+
+What people do around a request besides signing: open its evidence, say something, ask somebody to decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.console import transitions
+from boresight.console.access.dependencies import Reading, Who, client_of, csrf
+from boresight.console.access.password_checks import Passwords
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.approvals import gates, proposals
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.pages.gates import panel_of
+from boresight.console.approvals.tables import Approval, Opening, Signature
+from boresight.console.fleet import service as sensors
+from boresight.console.pages.rendering import Refusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.tables import Column, Table, all_of, csv_of, is_text, one_of, page_of, read_view
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.pages import bound_incumbent
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import service as runs
+from boresight.console.runs.pages.list import read_names
+from boresight.errors import NotFoundError
+from boresight.figures import FIGURES, WIDE
+from boresight.figures.tables.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session, reading
+from boresight.platform.web.paging import row_number
+from boresight.verdicts.verdict import marks
+
+CHANGE_FIGURE = "radial"
+EVIDENCE_FIGURES = ("rms", "arc-uncertainty", "shadow", "two-halves", "observability", "parameters")
+MEANINGS = {
+    "APPROVE": "I reviewed the evidence and approve this set for baseline",
+    "REFUSE": "I reviewed the evidence and refuse this set",
+}
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A piece of evidence: its name in the store, what it is called, where it is, and who opened it first when."""
+
+    name: str
+    title: str
+    address: str
+    opened: Sequence[Opening]
+
+
+def evidence_of(
+    session: Session, approval: Approval, row: ParameterSet, incumbent: ParameterSet | None
+) -> list[Evidence]:
+    """Return what an approver can open, with who has."""
+    opened = approvals.openings_of(session, approval.id)
+    return [
+        Evidence(name, title, address, [one for one in opened if one.evidence == name])
+        for name, (title, address) in addresses_of(row, incumbent).items()
+    ]
+
+
+def addresses_of(row: ParameterSet, incumbent: ParameterSet | None) -> dict[str, tuple[str, str]]:
+    """Return where each piece of evidence of a set is to be seen."""
+    own = {
+        "set": (f"{row.name}: values, identity, lineage", f"/parameter-sets/{row.id}"),
+        "gate-report": ("Gates: every answer with its reason", f"/parameter-sets/{row.id}/gates"),
+    }
+    if row.run_id is None:
+        return own
+    run = {
+        "run": (f"Run #{row.run_id}: convergence, RMS, observability", f"/runs/{row.run_id}"),
+        "trust": ("Trust: two halves, efficiency, suspect stars", f"/runs/{row.run_id}?part=trust"),
+        "matching": ("Matching: what was matched and lost", f"/runs/{row.run_id}?part=matching"),
+    }
+    if incumbent is not None and incumbent.run_id is not None:
+        run["compare"] = (f"Beside {incumbent.name}", f"/compare?runs={incumbent.run_id},{row.run_id}")
+    return run | own
+
+
+@dataclass(frozen=True)
+class Words:
+    """What was typed into a form of the page, without its password."""
+
+    form: str = ""
+    decision: str = ""
+    meaning: str = ""
+    comment: str = ""
+    name: str = ""
+    text: str = ""
+
+
+def warnings_of(result: Mapping[str, Any] | None, rows: Sequence[ParameterRow], *, is_ground: bool) -> list[str]:
+    """Gather what an approver should have read before signing."""
+    said = [str(sentence) for sentence in (result or {}).get("advice") or ()]
+    said += [
+        f"{row.name} moves by {abs(row.delta_over_typical or 0.0):.1f} typical sigmas, more than"
+        f" {UNEXPECTED_TYPICAL_SIGMAS:g}: look at the matches before believing it."
+        for row in rows
+        if row.unexpected and row.estimated
+    ]
+    if result is not None and not result.get("validation"):
+        said.append("No validation set: nothing outside the fitted frames says that this is better.")
+    if is_ground:
+        said.append("This is a ground calibration: declared, not estimated from telemetry.")
+    return said
+
+
+def request_page(
+    request: Request,
+    session: Session,
+    actor: Actor,
+    approval_id: int,
+    *,
+    refusal: Refusal | None = None,
+    typed: Words | None = None,
+) -> HTMLResponse:
+    """Render a request, with a refused form's words in their place."""
+    approval = approvals.get_approval(session, approval_id)
+    row = transitions.get_parameter_set(session, approval.parameter_set_id)
+    sensor = sensors.get_sensor(session, row.sensor_id)
+    incumbent = bound_incumbent(session, row, approval)
+    result = runs.result(session, request.app.state.blobs, row.run_id) if row.run_id is not None else None
+    rows = set_rows(row.document, incumbent.document if incumbent else None, sensor.document)
+    policy = request.app.state.policy
+    has_figures = row.run_id is not None
+    return render(
+        request,
+        "approvals/approval.html",
+        refused=refusal,
+        approval=approval,
+        set=row,
+        sensor=sensor,
+        incumbent=incumbent,
+        names=read_names(session),
+        rows=rows,
+        change_figure=FIGURES[CHANGE_FIGURE] if has_figures else None,
+        panel=panel_of(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256")),
+        marks=marks(result) if result else [],
+        warnings=warnings_of(result, rows, is_ground=row.run_id is None),
+        evidence=evidence_of(session, approval, row, incumbent),
+        figures=[FIGURES[name] for name in EVIDENCE_FIGURES if has_figures],
+        wide=WIDE,
+        remarks=approvals.remarks_of(session, approval_id),
+        signatures=approvals.signatures_of(session, approval_id),
+        pending=proposals.open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
+        signers=approvals.who_may_sign(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
+        blocked=approvals.why_not_sign(session, actor, approval_id, policy=policy),
+        decisions=_decisions(approval, row),
+        meanings=MEANINGS.values(),
+        refusal=refusal,
+        typed=typed or Words(),
+        may_speak=bool(actor.roles - {"viewer"}),
+        may_promote="operator" in actor.roles,
+    )
+
+
+def _decisions(approval: Approval, row: ParameterSet) -> list[tuple[str, str]]:
+    """Name the effect of each decision that the request's state still has."""
+    refuse = ("REFUSE", f"Refuse {row.name}")
+    return [("APPROVE", f"Approve {row.name} for baseline"), refuse] if approval.state == "OPEN" else [refuse]
+
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+VIEWS = {
+    "waiting": "Waiting for a signature",
+    "mine": "Mine to sign",
+    "submitted": "Submitted by me",
+    "all": "All",
+}
+REQUESTS = Table(
+    "approvals",
+    "Requests for approval",
+    (
+        Column("request", "Request", "-request", "tight", head=True),
+        Column("set", "Set, of sensor", "set", "named"),
+        Column("gates", "Gates", "", "verdict-words"),
+        Column("reason", "Reason", "", "words"),
+        Column("by", "Submitted by", "by", "named"),
+        Column("expires", "Signed, expires", "expires", "tight"),
+        Column("asked", "Asked of", "", "named"),
+        Column("part", "Your part", "", "act"),
+    ),
+    {"show": one_of(VIEWS), "q": is_text},
+    "-request",
+    kind="approvals",
+    rows_a_page=100,
+)
+CSV_FIELDS = {
+    "request": ("request", "kind", "state"),
+    "set": ("set",),
+    "gates": ("verdict",),
+    "reason": ("reason",),
+    "by": ("submitted_by", "submitted_utc"),
+    "expires": ("signed", "needed", "expires_utc"),
+}
+EFFECTS = {
+    "OPEN": "Signed: another person must sign too before the set is approved.",
+    "APPROVED": "Approved: an operator can now promote the set to baseline.",
+    "REJECTED": "Refused: the set cannot become baseline under this request.",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One row of the inbox: a request, its set, its verdict, and why the reader may not sign it."""
+
+    approval: Approval
+    parameter_set: ParameterSet
+    submitter: str
+    verdict: str | None
+    signed: int
+    blocked: str | None
+
+
+@router.get("/approvals", response_class=HTMLResponse)
+def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show the inbox: what waits for a signature, for one's own, what one submitted, or everything."""
+    view = read_view(request, REQUESTS)
+    show = view.where.get("show", "waiting")
+    found = page_of(session, view, **_narrowed(show, actor))
+    entries = _entries(request, session, actor, found.rows)
+    return render(
+        request,
+        "approvals/approvals.html",
+        view=view,
+        entries=[entry for entry in entries if show != "mine" or entry.blocked is None],
+        last=found.last,
+        names=read_names(session, sensors_of=[entry.parameter_set for entry in entries]),
+        views=VIEWS,
+        show=show,
+    )
+
+
+@router.get("/approvals.csv")
+def approvals_csv(request: Request, session: Reading, actor: Who) -> Response:
+    """Give every request of a view as CSV."""
+    view = read_view(request, REQUESTS)
+    show = view.where.get("show", "waiting")
+    entries = _entries(request, session, actor, list(all_of(session, view, **_narrowed(show, actor))))
+    shown = (entry for entry in entries if show != "mine" or entry.blocked is None)
+    return csv_of(view, CSV_FIELDS, (_csv_row(entry) for entry in shown))
+
+
+def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
+    """Say what an inbox holds, as the list takes it; what one may sign is found among what waits."""
+    return {
+        "show": None,
+        "state": "OPEN" if show in {"waiting", "mine"} else None,
+        "submitted_by": actor.user_id if show == "submitted" else None,
+    }
+
+
+def _csv_row(entry: Entry) -> dict[str, Any]:
+    """Lay out a request for a program."""
+    known = entry.approval
+    return {
+        "request": known.id,
+        "kind": known.kind,
+        "state": known.state,
+        "set": entry.parameter_set.name,
+        "verdict": entry.verdict,
+        "reason": known.reason,
+        "submitted_by": entry.submitter,
+        "submitted_utc": known.submitted_utc,
+        "signed": entry.signed,
+        "needed": known.needed,
+        "expires_utc": known.expires_utc,
+    }
+
+
+def _entries(request: Request, session: Session, actor: Actor, found: Sequence[Approval]) -> list[Entry]:
+    """Look up what the inbox says of each request."""
+    names, policy = read_names(session), request.app.state.policy
+    verdicts = gates.verdicts(session, {known.parameter_set_id for known in found})
+    return [
+        Entry(
+            known,
+            transitions.get_parameter_set(session, known.parameter_set_id),
+            names.person(known.submitted_by),
+            verdicts.get(known.parameter_set_id),
+            sum(one.decision == "APPROVE" for one in approvals.signatures_of(session, known.id)),
+            approvals.why_not_sign(session, actor, known.id, policy=policy),
+        )
+        for known in found
+    ]
+
+
+@router.get("/approvals/{approval_id:int}", response_class=HTMLResponse)
+def approval_page(request: Request, session: Reading, actor: Who, approval_id: int) -> HTMLResponse:
+    """Show a request."""
+    return request_page(request, session, actor, approval_id)
+
+
+@router.post("/approvals/{approval_id:int}/sign")
+async def sign(request: Request, actor: Who, approval_id: int) -> Response:
+    """Sign a request: approve or refuse it."""
+    return await _signed(request, actor, approval_id, "sign")
+
+
+@router.post("/approvals/{approval_id:int}/sign-over-the-shoulder")
+async def sign_over_the_shoulder(request: Request, actor: Who, approval_id: int) -> Response:
+    """Let a second person sign at this console."""
+    return await _signed(request, actor, approval_id, "shoulder")
+
+
+async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -> Response:
+    """Sign as the form says, and show the request, or why it was refused."""
+    form = await read_texts(request)
+    typed = Words(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
+    words = (typed.decision, typed.meaning.strip() or MEANINGS.get(typed.decision, ""), typed.comment)
+    policy = request.app.state.policy
+    checks: Passwords = request.app.state.passwords
+
+    def refuse(session: Session) -> None:
+        approvals.refuse_beside(session, actor, approval_id, *words, seen_version(form))
+
+    async def prove() -> tuple[PasswordProof]:
+        password, client = form.get("password", ""), client_of(request)
+        if kind == "sign":
+            return (await checks.check_own(actor, password, client),)
+        return (await checks.check_beside(actor, typed.name, password, client, refuse),)
+
+    def change(session: Session, proof: PasswordProof) -> tuple[Signature, str]:
+        sign = approvals.sign if kind == "sign" else approvals.sign_over_the_shoulder
+        made = sign(session, actor, approval_id, *words, proof, seen_version(form), policy=policy)
+        return made, approvals.get_approval(session, approval_id).state
+
+    outcome = await attempt(request, change, prove)
+    if outcome.value is None:
+        return await run_in_threadpool(_again, request, actor, approval_id, outcome.refusal, typed)
+    return redirect(f"/approvals/{approval_id}", flash=EFFECTS[outcome.value[1]])
+
+
+def _again(request: Request, actor: Actor, approval_id: int, refusal: Refusal | None, typed: Words) -> HTMLResponse:
+    """Show a request with why it was not signed."""
+    with reading(request.app.state.engine) as session:
+        return request_page(request, session, actor, approval_id, refusal=refusal, typed=typed)
+
+
+@router.post("/approvals/{approval_id:int}/open")
+async def open_evidence(
+    request: Request, actor: Who, approval_id: int, evidence: Annotated[str, Form()] = ""
+) -> Response:
+    """Keep that a piece of evidence was opened, and go there."""
+    with reading(request.app.state.engine) as session:
+        row = transitions.get_parameter_set(session, approvals.get_approval(session, approval_id).parameter_set_id)
+        incumbent = parameter_sets.baseline_of(session, row.sensor_id)
+    known = addresses_of(row, incumbent)
+    if evidence not in known:
+        raise NotFoundError(f"There is no evidence {evidence!r} for this request; choose one of its list.")
+    opening = partial(approvals.record_opening, actor=actor, approval_id=approval_id, evidence=evidence)
+    outcome = await attempt(request, opening)
+    if outcome.refusal is not None and outcome.refusal.is_ours:
+        raise outcome.refusal.error  # what was not kept would not count as opened
+    return redirect(known[evidence][1])
+
+
+@router.post("/approvals/{approval_id:int}/remarks")
+async def remark(
+    request: Request, session: Reading, actor: Who, approval_id: int, text: Annotated[str, Form()] = ""
+) -> Response:
+    """Say something about a request."""
+    outcome = await attempt(request, partial(approvals.remark, actor=actor, approval_id=approval_id, text=text))
+    if outcome.value is None:
+        typed = Words("remark", text=text)
+        page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
+        return await run_in_threadpool(page)
+    return redirect(f"/approvals/{approval_id}#discussion", flash="Your remark is kept.")
+
+
+@router.post("/approvals/{approval_id:int}/assign")
+async def assign(request: Request, session: Reading, actor: Who, approval_id: int) -> Response:
+    """Ask a person to decide on a request."""
+    form = await read_texts(request)
+
+    def change(session: Session) -> Approval:
+        user_id = row_number(form.get("person", ""))
+        policy = request.app.state.policy
+        return approvals.assign(session, actor, approval_id, user_id, seen_version(form), policy=policy)
+
+    outcome = await attempt(request, change)
+    if outcome.value is None:
+        typed = Words("assign")
+        page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
+        return await run_in_threadpool(page)
+    return redirect(f"/approvals/{approval_id}#discussion", flash="The request shows whom it is asked of.")

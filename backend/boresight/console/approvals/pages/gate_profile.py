@@ -1,0 +1,226 @@
+"""The limits of a sensor: the form that edits them, what they would have blocked, and every version there was.
+
+Everybody may try limits on past runs; only an administrator puts them into force. What was typed stays in the form, whether
+it was tried, refused or lost the race with another's change.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.console.access.dependencies import Who, csrf
+from boresight.console.approvals import gate_profiles, proposals
+from boresight.console.approvals.gate_profiles import Tried
+from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.change_proposals import service as second_person
+from boresight.console.fleet import service as sensors
+from boresight.console.pages.rendering import Refusal, attempt, read_texts, redirect, render
+from boresight.console.runs.pages.list import read_names
+from boresight.console.uplinks.tables import TableDefinition
+from boresight.errors import BoresightError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, Policy
+from boresight.platform.db.sessions import Session, reading
+from boresight.platform.web.paging import row_number
+from boresight.verdicts.gates import GATES, Gate
+from boresight.verdicts.gates.profile import THRESHOLDS
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+BOXES = ("waivable", "must_have_data", "observe_only")
+GOOD_SIDE = {"below": "at most", "above": "at least", "around": "off by no more than a factor of", "met": "must be met"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A gate in the form: what it asks, and what stands in its fields."""
+
+    gate: Gate
+    side: str
+    limit: str
+    marginal: str
+    boxes: Mapping[str, bool]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a form left behind on the page."""
+
+    typed: Mapping[str, Any] | None = None
+    reason: str = ""
+    refusal: Refusal | None = None
+    tried: Sequence[Tried] | None = None
+    changes: Sequence[str] = field(default_factory=tuple)
+
+
+@router.get("/sensors/{sensor_id:int}/gates", response_class=HTMLResponse)
+def gate_profile_page(request: Request, actor: Who, sensor_id: int) -> HTMLResponse:
+    """Show the limits of a sensor."""
+    return _page(request, actor, sensor_id, Shown())
+
+
+def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLResponse:
+    """Render the limits, with what a form left behind."""
+    with reading(request.app.state.engine) as session:
+        versions = gate_profiles.list_profiles(session, sensor_id)
+        return render(
+            request,
+            "approvals/gate_profile.html",
+            refused=shown.refusal,
+            sensor=sensors.get_sensor(session, sensor_id),
+            current=versions[0],
+            lines=lines_of(shown.typed or typed_of(versions[0].document)),
+            versions=[(row, changes_of(row, earlier)) for row, earlier in _with_earlier(versions)],
+            names=read_names(session),
+            pending=proposals.open_proposals(session, sensor_id, "gate-profile"),
+            confirmed=proposals.confirmed_by_number(session, sensor_id, "gate-profile"),
+            second_person=request.app.state.policy.second_person,
+            summary=None if shown.tried is None else summary_of(shown.tried),
+            may_set=None
+            if "administrator" in actor.roles
+            else "Only an administrator sets limits: who sets them neither "
+            "runs nor signs. You may try limits on past runs and ask for them.",
+            shown=shown,
+        )
+
+
+def typed_of(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a profile as the form's fields."""
+    typed: dict[str, Any] = {}
+    for entry in document["gates"]:
+        for key in THRESHOLDS:
+            typed[f"{entry['name']}.{key}"] = "" if entry[key] is None else f"{entry[key]:.15g}"
+        typed |= {f"{entry['name']}.{key}": entry[key] for key in BOXES}
+    return typed
+
+
+def lines_of(typed: Mapping[str, Any]) -> list[Line]:
+    """Lay the form out, a line a gate."""
+    return [
+        Line(
+            gate,
+            GOOD_SIDE[gate.direction],
+            typed.get(f"{name}.limit", ""),
+            typed.get(f"{name}.marginal", ""),
+            {key: bool(typed.get(f"{name}.{key}")) for key in BOXES},
+        )
+        for name, gate in GATES.items()
+    ]
+
+
+def document_of(typed: Mapping[str, Any]) -> dict[str, Any]:
+    """Read the form's fields as a profile.
+
+    Raises
+    ------
+    RefusedInputError
+        When a threshold is no number; names the gate.
+    """
+    entries = []
+    for name, gate in GATES.items():
+        entry: dict[str, Any] = {"name": name}
+        if gate.direction != "met":
+            entry |= {key: _number(gate, key, str(typed.get(f"{name}.{key}", ""))) for key in THRESHOLDS}
+        if not gate.critical:
+            entry |= {key: bool(typed.get(f"{name}.{key}")) for key in BOXES}
+        entries.append(entry)
+    return {"gates": entries}
+
+
+def _number(gate: Gate, key: str, text: str) -> float | None:
+    """Read a threshold; an empty field is none."""
+    if not text.strip():
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise RefusedInputError(f"{gate.title}: the {key} {text.strip()!r} is no number; leave it empty for none.")
+    return value
+
+
+def _with_earlier(versions: Sequence[GateProfile]) -> list[tuple[GateProfile, GateProfile | None]]:
+    """Pair each version, newest first, with the one before it."""
+    return list(zip(versions, [*versions[1:], None], strict=True))
+
+
+def changes_of(row: GateProfile, earlier: GateProfile | None) -> list[str]:
+    """Say what a version changed."""
+    if earlier is None:
+        return []
+    changes = []
+    for old, new in zip(earlier.document["gates"], row.document["gates"], strict=True):
+        changes += [
+            f"{GATES[new['name']].title}, {key.replace('_', ' ')}: {_word(old[key])} → {_word(new[key])}"
+            for key in new
+            if old[key] != new[key]
+        ]
+    return changes
+
+
+def _word(value: Any) -> str:
+    if value is None:
+        return "none"
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else f"{value:.15g}"
+
+
+def summary_of(tried: Sequence[Tried]) -> str:
+    """Say in a sentence what limits would have done."""
+    if not tried:
+        return "There is no finished run to try them on."
+    newly = [f"#{one.run.id}" for one in tried if one.blocking and not one.blocking_now]
+    freed = [f"#{one.run.id}" for one in tried if one.blocking_now and not one.blocking]
+    blocked = sum(bool(one.blocking) for one in tried)
+    parts = [f"These limits would have blocked {blocked} of the newest {len(tried)} runs."]
+    parts += [f"Blocked that are not now: {', '.join(newly)}."] if newly else []
+    parts += [f"No longer blocked: {', '.join(freed)}."] if freed else []
+    return " ".join(parts if newly or freed else [*parts, "The same as the limits in force."])
+
+
+@router.post("/sensors/{sensor_id:int}/gates", response_class=HTMLResponse)
+async def change(request: Request, actor: Who, sensor_id: int) -> Response:
+    """Try limits on past runs, or put them into force."""
+    typed = await read_texts(request)
+    if typed.get("action") == "try":
+        return await run_in_threadpool(_try, request, actor, sensor_id, typed)
+    policy = request.app.state.policy
+    outcome = await attempt(request, partial(_set, actor, sensor_id, typed, policy))
+    if outcome.value is None:
+        shown = Shown(typed, typed.get("reason", ""), outcome.refusal)
+        return await run_in_threadpool(_page, request, actor, sensor_id, shown)
+    if isinstance(outcome.value, ChangeProposal):
+        flash = "Proposed: it takes effect when another administrator confirms it."
+        return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
+    words = f"Version {outcome.value.number} of the limits is in force; undecided requests are STALE."
+    return redirect(f"/sensors/{sensor_id}/gates", flash=words)
+
+
+def _set(
+    actor: Actor, sensor_id: int, typed: Mapping[str, str], policy: Policy, session: Session
+) -> GateProfile | TableDefinition | ChangeProposal:
+    """Put what was typed into force, or propose it."""
+    seen = row_number(typed.get("number", ""))
+    asked = ("gate-profile", sensor_id, document_of(typed), typed.get("reason", ""), seen)
+    return second_person.change(session, actor, *asked, policy=policy)
+
+
+def _try(request: Request, actor: Actor, sensor_id: int, typed: Mapping[str, str]) -> HTMLResponse:
+    """Show what the limits that were typed would have blocked."""
+    shown = Shown(typed, typed.get("reason", ""))
+    try:
+        with reading(request.app.state.engine) as session:
+            tried = gate_profiles.dry_run(session, request.app.state.blobs, sensor_id, document_of(typed))
+        shown = Shown(typed, typed.get("reason", ""), tried=tried)
+    except NotFoundError:
+        raise
+    except BoresightError as error:
+        shown = Shown(typed, typed.get("reason", ""), Refusal.of(error))
+    return _page(request, actor, sensor_id, shown)

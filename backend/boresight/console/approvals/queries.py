@@ -1,0 +1,157 @@
+"""Queries on requests for approval, their signatures, their discussion and the evidence that they bind.
+
+Queries on gate profiles, gate reports and waivers; nothing of them is ever changed.
+
+Queries on changes that wait for a second person.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import sqlalchemy as sa
+
+from boresight.console.approvals.tables import (
+    Approval,
+    ChangeProposal,
+    GateProfile,
+    GateReport,
+    Opening,
+    Remark,
+    Signature,
+    Waiver,
+)
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.platform.db.documents import among
+from boresight.platform.db.sessions import Session
+
+UNDECIDED = ("OPEN", "APPROVED")  # states that a promotion of another set makes stale
+
+
+def submitters(session: Session, states: Collection[str]) -> frozenset[int]:
+    """Return who submitted the requests that are in one of these states."""
+    return frozenset(session.scalars(sa.select(Approval.submitted_by).where(Approval.state.in_(states)).distinct()))
+
+
+def latest_of(session: Session, parameter_set_id: int, *states: str) -> Approval | None:
+    """Return a set's newest request in one of these states."""
+    query = sa.select(Approval).where(Approval.parameter_set_id == parameter_set_id, Approval.state.in_(states))
+    return session.scalar(query.order_by(Approval.id.desc()).limit(1))
+
+
+def undecided_of_sensor(session: Session, sensor_id: int) -> Sequence[Approval]:
+    """Return a sensor's requests that are not decided, with those approved and not yet promoted."""
+    return session.scalars(_undecided().where(ParameterSet.sensor_id == sensor_id)).all()
+
+
+def due(session: Session, now_utc: str) -> Sequence[Approval]:
+    """Return the requests that are not decided, or approved and not yet promoted, and whose time is over."""
+    return session.scalars(_undecided().where(Approval.expires_utc <= now_utc)).all()
+
+
+def _undecided() -> sa.Select[Approval]:
+    """Select the requests that are not decided, with those approved and not yet promoted, and their sets."""
+    live = ParameterSet.ground_state.in_(("SUBMITTED", "APPROVED"))
+    newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # an older one had its promotion
+    query = sa.select(Approval).join(ParameterSet).where(Approval.state.in_(UNDECIDED), live, Approval.id.in_(newest))
+    return query.order_by(Approval.id)
+
+
+def newest_open(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:
+    """Return the number of the newest open request of each of some sensors that has any, by sensor."""
+    query = sa.select(ParameterSet.sensor_id, sa.func.max(Approval.id)).join(Approval)
+    query = query.where(Approval.state == "OPEN", among(ParameterSet.sensor_id, sensor_ids))
+    return {row[0]: row[1] for row in session.execute(query.group_by(ParameterSet.sensor_id))}
+
+
+def signatures(session: Session, approval_id: int) -> Sequence[Signature]:
+    """Return who signed a request, in order."""
+    return session.scalars(
+        sa.select(Signature).where(Signature.approval_id == approval_id).order_by(Signature.id)
+    ).all()
+
+
+def signature_of(session: Session, approval_id: int, user_id: int) -> Signature | None:
+    """Return a person's signature on a request."""
+    query = sa.select(Signature).where(Signature.approval_id == approval_id)
+    return session.scalar(query.where(Signature.user_id == user_id))
+
+
+def remarks(session: Session, approval_id: int) -> Sequence[Remark]:
+    """Return what was said about a request, in order."""
+    return session.scalars(sa.select(Remark).where(Remark.approval_id == approval_id).order_by(Remark.id)).all()
+
+
+def openings(session: Session, approval_id: int) -> Sequence[Opening]:
+    """Return who opened which evidence of a request, in order."""
+    return session.scalars(sa.select(Opening).where(Opening.approval_id == approval_id).order_by(Opening.id)).all()
+
+
+def opening_of(session: Session, approval_id: int, user_id: int, evidence: str) -> Opening | None:
+    """Return when a person first opened a piece of evidence."""
+    query = sa.select(Opening).where(Opening.approval_id == approval_id, Opening.user_id == user_id)
+    return session.scalar(query.where(Opening.evidence == evidence))
+
+
+def profiles(
+    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None
+) -> Sequence[GateProfile]:
+    """Return a page of a sensor's profiles, newest first."""
+    query = sa.select(GateProfile).where(GateProfile.sensor_id == sensor_id)
+    if before_number is not None:
+        query = query.where(GateProfile.number < before_number)
+    return session.scalars(query.order_by(GateProfile.number.desc()).limit(limit)).all()
+
+
+def newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
+    """Return the profile in force; None where the default holds and nobody needed it yet."""
+    return next(iter(profiles(session, sensor_id, limit=1)), None)
+
+
+def newest_report(session: Session, parameter_set_id: int) -> GateReport | None:
+    """Return a set's newest gate report, whether or not what it judged has moved since."""
+    query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id)
+    return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
+
+
+def newest_reports(session: Session, parameter_set_ids: Collection[int]) -> dict[int, GateReport]:
+    """Return the newest report of each of some sets that has one."""
+    newest = sa.select(sa.func.max(GateReport.id)).where(GateReport.parameter_set_id.in_(parameter_set_ids))
+    query = sa.select(GateReport).where(GateReport.id.in_(newest.group_by(GateReport.parameter_set_id)))
+    return {row.parameter_set_id: row for row in session.scalars(query)}
+
+
+def report_with(session: Session, parameter_set_id: int, sha256: str) -> GateReport | None:
+    """Return a set's newest report with a hash."""
+    query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id, GateReport.sha256 == sha256)
+    return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
+
+
+def waivers(session: Session, parameter_set_ids: Collection[int]) -> Sequence[Waiver]:
+    """Return every waiver of some sets, in the order in which they were made."""
+    query = sa.select(Waiver).where(Waiver.parameter_set_id.in_(parameter_set_ids))
+    return session.scalars(query.order_by(Waiver.id)).all()
+
+
+def waivers_in_force(session: Session, parameter_set_id: int, now_utc: str) -> Sequence[Waiver]:
+    """Return a set's waivers that have not expired, in order."""
+    query = sa.select(Waiver).where(Waiver.parameter_set_id == parameter_set_id, Waiver.expires_utc > now_utc)
+    return session.scalars(query.order_by(Waiver.id)).all()
+
+
+def runs_with_results(session: Session, sensor_id: int, limit: int) -> Sequence[Run]:
+    """Return a sensor's newest runs that ended with a result, newest first."""
+    query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED", Run.result_sha256.is_not(None))
+    return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()
+
+
+def due_proposals(session: Session, now_utc: str) -> Sequence[ChangeProposal]:
+    """Return the open proposals whose time is over, oldest first."""
+    is_due = (ChangeProposal.state == "OPEN", ChangeProposal.expires_utc <= now_utc)
+    return session.scalars(sa.select(ChangeProposal).where(*is_due).order_by(ChangeProposal.id)).all()
+
+
+def count_open(session: Session) -> int:
+    """Count the proposals that wait."""
+    return session.scalar(sa.select(sa.func.count()).where(ChangeProposal.state == "OPEN")) or 0

@@ -1,0 +1,206 @@
+"""Requests for approval, their signatures and their discussion.
+
+Gate profiles, gate reports and waivers.
+
+Changes that wait for a second person.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from boresight.console.schemas import Document, Row
+
+
+class Signature(Row):
+    """A person's decision on a request."""
+
+    id: int
+    user_id: int
+    printed_name: str
+    decision: Literal["APPROVE", "REFUSE"]
+    meaning: str
+    comment: str
+    shown_sha256: str = Field(description="Hash of what was shown when this was signed.")
+    signed_utc: str
+    console: str | None = Field(description="At whose console it was signed over the shoulder; null at one's own.")
+    password_by: str | None = Field(
+        description="Who else gave the password that it was signed with, and when; null where the signer chose it, a day "
+        "or more after anybody else had given one."
+    )
+
+
+class Approval(Row):
+    """A request that a parameter set become its sensor's baseline."""
+
+    versioned_by = ("version",)
+    location = "/approvals/{row.id}"
+
+    id: int
+    parameter_set_id: int
+    state: Literal["OPEN", "APPROVED", "REJECTED", "WITHDRAWN", "STALE", "EXPIRED"]
+    reason: str
+    bound: Document = Field(
+        description="What the request binds: hashes of set, run result, gate report, gate profile, table definition and "
+        "incumbent, and the waivers in force. If one of them moves, the request is STALE."
+    )
+    kind: Literal["PROMOTION", "ROLLBACK"]
+    needed: int = Field(description="Approvals that make it APPROVED; one refusal blocks.")
+    expires_utc: str | None
+    assigned_to: int | None = Field(description="The person who is asked to decide.")
+    version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
+    submitted_utc: str
+    submitted_by: int
+    closed_utc: str | None
+    signatures: list[Signature] = Field(default_factory=list)
+
+
+class Signer(BaseModel):
+    """An approver, and whether they may sign a request now."""
+
+    model_config = ConfigDict(extra="forbid")
+    user_id: int
+    printed_name: str
+    may_sign: bool
+    excluded_as: list[Literal["SUBMITTER", "LAUNCHER", "CREATOR"]] = Field(
+        description="The part in the set that keeps this person from signing: who submitted it, who launched its run or "
+        "campaign, who created it."
+    )
+    refusal: str | None = Field(description="Why they may not, a sentence; null when they may.")
+
+
+class Remark(Row):
+    """A word in the discussion of a request; never edited."""
+
+    id: int
+    approval_id: int
+    user_id: int
+    printed_name: str
+    text: str
+    made_utc: str
+
+
+class Opening(Row):
+    """A person opened a piece of a request's evidence."""
+
+    id: int
+    approval_id: int
+    user_id: int
+    evidence: str
+    opened_utc: str
+
+
+Verdict = Literal["PASS", "MARGINAL", "NO-DATA", "FAIL"]
+
+
+class GateProfile(Row):
+    """The limits that a sensor's sets are held to; each version is kept, the newest is in force."""
+
+    versioned_by = ("number",)
+    location = "/sensors/{row.sensor_id}/gate-profiles"
+
+    id: int | None = Field(description="Null of the default that nobody has needed yet.")
+    sensor_id: int
+    number: int = Field(description='The version; the ETag is `"v<number>"` of the one in force.')
+    document: Document = Field(description="`gates`: one object a gate, every key present.")
+    sha256: str
+    reason: str
+    created_utc: str
+    created_by: int | None
+
+
+class TriedProfile(BaseModel):
+    """What a profile would have said of a past run."""
+
+    run_id: int
+    parameter_set: str | None = Field(description="Name of the set that was made from it.")
+    verdict: Verdict
+    blocking: list[str] = Field(description="Gates that would have blocked it.")
+    verdict_now: Verdict = Field(description="By the profile in force.")
+    blocking_now: list[str]
+    basis: str = Field(description="What was judged: the set's gate report, or the run's own result.")
+
+
+class DryRunOfProfile(BaseModel):
+    """A profile tried on past runs, newest first."""
+
+    items: list[TriedProfile]
+
+
+class Waiver(Row):
+    """A person let a set pass in spite of a gate; never taken back."""
+
+    id: int
+    parameter_set_id: int
+    gate_report_id: int
+    gate: str
+    code: str
+    reason: str
+    expires_utc: str = Field(description="From then on the gate blocks again.")
+    made_utc: str
+    made_by: int
+    printed_name: str
+
+
+class GateReport(Row):
+    """A set held against its sensor's limits and against the incumbent, with the waivers laid over it."""
+
+    location = "/parameter-sets/{row.parameter_set_id}/gate-report"
+
+    id: int
+    parameter_set_id: int
+    gate_profile_id: int
+    verdict: Verdict = Field(description="The worst answer that counts and that nobody waived.")
+    words: str = Field(description="The verdict with how many gates were ever waived: `PASS (2 gates waived)`.")
+    blocking: list[str] = Field(description="Gates that stop approval and promotion now.")
+    waived: list[str] = Field(description="Gates with a waiver that holds now.")
+    gates: list[Document] = Field(description="One answer a gate: status, value, interval, limit, margin, sentence.")
+    held_out: Document | None = Field(description="The frames that were looked at: name and SHA-256.")
+    bound: Document = Field(description="Hashes of all that the report rests on.")
+    holds: bool = Field(description="Whether all that it rests on is as it was; a promotion moves the incumbent.")
+    sha256: str = Field(description="SHA-256 of the report as it was stored, without waivers.")
+    created_utc: str
+    created_by: int | None
+    waivers: list[Waiver]
+
+
+class Difference(Row):
+    """An entry that a proposal changes."""
+
+    place: str = Field(description="Where it is in the document.", examples=["gates[coverage].limit"])
+    before: bool | int | float | str | None = Field(
+        description="In the version that it was made against; null where there was nothing."
+    )
+    after: bool | int | float | str | None = Field(description="If it is confirmed; null where there is nothing.")
+
+
+class ProposedChange(Row):
+    """A change of a sensor's gate limits or table layout that takes effect when another person confirms it."""
+
+    versioned_by = ("version",)
+    location = "/change-proposals/{row.id}"
+
+    id: int
+    sensor_id: int
+    kind: Literal["gate-profile", "table-definition"]
+    base_number: int = Field(description="The version in force that it was made against; 0: the default, or none.")
+    document: Document
+    sha256: str
+    reason: str
+    proposed_utc: str
+    proposed_by: int = Field(description="Who cannot confirm it; of an API key, its owner.")
+    expires_utc: str
+    state: Literal["OPEN", "CONFIRMED", "REFUSED", "WITHDRAWN", "STALE", "EXPIRED"]
+    version: int = Field(description='Counts transitions; the ETag is `"v<version>"`.')
+    closed_utc: str | None
+    closed_by: int | None = Field(description="Who confirmed, refused or withdrew it, or made it stale.")
+    comment: str | None
+    number: int | None = Field(description="The version that it became; null unless it is CONFIRMED.")
+
+
+class ChangeProposal(ProposedChange):
+    """A proposed change with the entries that it changes."""
+
+    differences: list[Difference] = Field(default_factory=list)

@@ -1,0 +1,148 @@
+"""Who may sign a request: a second person, in person.
+
+An approver signs, and is no administrator: who gives roles and passwords must not be able to sign with them. The second
+pair of eyes belongs to nobody who had a part in the set, whichever session or key they used: not to who submitted it,
+not to who launched the run that it comes from, alone or in a campaign, and not to who created it. Where the policy says
+that four-eyes is off, those may sign, and are still told apart: they are never counted as second persons once it is on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from boresight.console.access import queries as user_rows
+from boresight.console.access.tables import User
+from boresight.console.approvals import queries as rows
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.campaigns import queries as campaign_rows
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.errors import ConflictError, ForbiddenError
+from boresight.platform.actors import Actor, Policy, require_person, require_role
+from boresight.platform.db.sessions import Session
+
+SUBMITTER, LAUNCHER, CREATOR = "SUBMITTER", "LAUNCHER", "CREATOR"
+PARTS = (SUBMITTER, LAUNCHER, CREATOR)
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a person did for a set that is asked for.
+
+    Parameters
+    ----------
+    user_id
+        The person; of an API key, its owner.
+    role
+        One of `PARTS`.
+    deed
+        What they did, as it follows "You".
+    """
+
+    user_id: int
+    role: str
+    deed: str
+
+
+@dataclass(frozen=True)
+class Signer:
+    """An approver, and whether they may sign a request now.
+
+    Parameters
+    ----------
+    roles
+        Of `PARTS`: those that keep this person from signing.
+    refusal
+        Why they may not sign, a sentence; None when they may.
+    """
+
+    user: User
+    roles: tuple[str, ...]
+    refusal: str | None
+
+
+def parts_of(session: Session, approval: Approval) -> list[Part]:
+    """Return who had which part in the set of a request; Boresight itself and the command line are nobody."""
+    row = session.get_one(ParameterSet, approval.parameter_set_id)
+    run = None if row.run_id is None else session.get(Run, row.run_id)
+    done: list[tuple[int | None, str, str]] = [(approval.submitted_by, SUBMITTER, "submitted this set")]
+    if run is not None:
+        done.append((run.launched_by, LAUNCHER, f"launched run {run.id} behind this set"))
+        done += [
+            (campaign.launched_by, LAUNCHER, f"launched campaign {campaign.id} behind this set")
+            for campaign in campaign_rows.campaigns_of_run(session, run.id)
+            if campaign.launched_by != run.launched_by
+        ]
+    done.append((row.created_by, CREATOR, "created this set"))
+    return [Part(user_id, role, deed) for user_id, role, deed in done if user_id is not None]
+
+
+def refuse_who_never_signs(session: Session, actor: Actor) -> int:
+    """Refuse whoever may sign no request at all, with the reason; returns the person's number.
+
+    Raises
+    ------
+    ForbiddenError
+        When this is no person, no approver, an administrator, or somebody whose password another set.
+    """
+    user_id = require_person(actor, "sign")
+    if "administrator" in actor.roles:
+        raise ForbiddenError("An administrator cannot sign; an approver who is no administrator must.")
+    require_role(actor, "approver")
+    if session.get_one(User, user_id).must_change_password:
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
+    return user_id
+
+
+def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Policy) -> None:
+    """Refuse whoever is not a second person, with the reason.
+
+    Raises
+    ------
+    ForbiddenError
+        When this person may not sign.
+    ConflictError
+        When this person signed already.
+    """
+    user_id = refuse_who_never_signs(session, actor)
+    own = [part for part in parts_of(session, approval) if part.user_id == user_id] if policy.four_eyes else []
+    if own:
+        raise ForbiddenError(f"You {_listed(own)}; another approver must sign.")
+    if (earlier := rows.signature_of(session, approval.id, user_id)) is not None:
+        raise ConflictError(f"You signed this request already, at {earlier.signed_utc}; its submitter can withdraw it.")
+
+
+def _listed(parts: Sequence[Part]) -> str:
+    """Join what somebody did."""
+    return " and ".join(part.deed for part in parts)
+
+
+def signers_of(session: Session, approval: Approval, policy: Policy) -> list[Signer]:
+    """Return every approver of this installation with whether they may sign a request now, by log-in name."""
+    parts = parts_of(session, approval) if policy.four_eyes else []
+    signed = {one.user_id: one.signed_utc for one in rows.signatures(session, approval.id)}
+    return [
+        _signer(user, [part for part in parts if part.user_id == user.id], signed.get(user.id))
+        for user in user_rows.users(session)
+        if "approver" in user.roles and user.disabled_utc is None
+    ]
+
+
+def _signer(user: User, own: Sequence[Part], signed_utc: str | None) -> Signer:
+    """Say of an approver what keeps them from signing; in the order in which `refuse_signer` asks."""
+    roles, name = tuple(part.role for part in own), user.printed_name
+    if "administrator" in user.roles:
+        return Signer(user, roles, f"{name} is an administrator, who cannot sign.")
+    if user.must_change_password:
+        return Signer(user, roles, f"Somebody else set the password of {name}, who must set another first.")
+    if own:
+        return Signer(user, roles, f"{name} {_listed(own)}.")
+    return Signer(user, roles, None if signed_utc is None else f"{name} signed it already, at {signed_utc}.")
+
+
+def second_persons(session: Session, approval: Approval, policy: Policy) -> Sequence[Signature]:
+    """Return the approvals of a request that count: with four-eyes, only those of second persons."""
+    first = {part.user_id for part in parts_of(session, approval)} if policy.four_eyes else set()
+    signed = rows.signatures(session, approval.id)
+    return [row for row in signed if row.decision == "APPROVE" and row.user_id not in first]

@@ -1,0 +1,208 @@
+"""When the ground under a request moves, or its time runs out: nobody may decide on it any more.
+
+Promoting a set, a new gate profile and a new table definition make the sensor's other requests STALE at once, a waiver
+those of its set. `refuse_moved` asks again at every signature and promotion, for whatever else may have happened to
+the rows. A request that nobody decided on in time is EXPIRED by the server's heartbeat, or by whoever comes too late.
+
+What a request binds: the evidence that an approver is shown, by its hashes, and what of it stops a set.
+
+A request binds the hashes of the set, of its run's result, of the gate report with its profile, of the table on board
+and of the baseline that would be replaced, and which waivers were in force. `moved` compares them with the rows as they
+are now. A request of before there were gates binds no report and no profile: it is held to what it binds.
+
+A report says which gates block. A waiver in force lifts one that may be waived; a critical gate is lifted by nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from boresight.console.alarms import watch as clock
+from boresight.console.approvals import queries as approval_rows
+from boresight.console.approvals import queries as gate_rows
+from boresight.console.approvals.tables import Approval
+from boresight.console.parameter_sets import queries as set_rows
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.transitions import move, resting_state, whose_baseline
+from boresight.console.uplinks.queries import definition_in_force
+from boresight.errors import ConflictError, StaleError
+from boresight.platform.actors import SYSTEM, Actor
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_now
+
+WORDS = {
+    "set_sha256": "set",
+    "run_result_sha256": "run result",
+    "gate_report_sha256": "gate report",
+    "profile_sha256": "gate profile",
+    "table_definition_sha256": "table definition",
+    "incumbent_sha256": "incumbent",
+    "waivers": "waivers",
+}
+OF_GATES = ("gate_report_sha256", "profile_sha256")  # absent from requests of before there were gates
+
+
+def bound_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, Any]:
+    """Return the hashes of what an approver of this set is shown now, and the waivers in force."""
+    run = None if parameter_set.run_id is None else session.get(Run, parameter_set.run_id)
+    report = gate_rows.newest_report(session, parameter_set.id)
+    profile = gate_rows.newest_profile(session, parameter_set.sensor_id)
+    definition = definition_in_force(session, parameter_set.sensor_id)
+    incumbent = set_rows.baseline(session, parameter_set.sensor_id)
+    return {
+        "set_sha256": sha256_of(parameter_set.document),
+        "run_result_sha256": None if run is None else run.result_sha256,
+        "gate_report_sha256": None if report is None else report.sha256,
+        "profile_sha256": None if profile is None else profile.sha256,
+        "table_definition_sha256": None if definition is None else definition.sha256,
+        "incumbent_sha256": None if incumbent is None else incumbent.sha256,
+        "waivers": [waiver.id for waiver in gate_rows.waivers_in_force(session, parameter_set.id, utc_now())],
+    }
+
+
+def moved(session: Session, approval: Approval, parameter_set: ParameterSet) -> list[str]:
+    """Name what is not any more as the request binds it."""
+    bound, current = approval.bound, bound_evidence(session, parameter_set)
+    held = [name for name in bound if name in current and not (name in OF_GATES and bound[name] is None)]
+    return [WORDS[name] for name in WORDS if name in held and bound[name] != current[name]]
+
+
+def shown_sha256(approval: Approval) -> str:
+    """Return the hash of what a signature stands for: the request with everything that it binds."""
+    shown: dict[str, Any] = {
+        "approval": approval.id,
+        "parameter_set": approval.parameter_set_id,
+        "reason": approval.reason,
+        "submitted_by": approval.submitted_by,
+        "submitted_utc": approval.submitted_utc,
+        "bound": approval.bound,
+    }
+    if approval.expires_utc is not None:  # a request of before requests expired was shown without these
+        shown |= {"kind": approval.kind, "needed": approval.needed, "expires_utc": approval.expires_utc}
+    return sha256_of(shown)
+
+
+def blocking_gates(session: Session, parameter_set: ParameterSet) -> list[Mapping[str, Any]]:
+    """Return the gates of a set's newest report that stop it and that no waiver in force lifts."""
+    report = gate_rows.newest_report(session, parameter_set.id)
+    if report is None:
+        return []
+    blocking = set(report.document.get("blocking", ()))
+    waived = {waiver.gate for waiver in gate_rows.waivers_in_force(session, parameter_set.id, utc_now())}
+    gates = [gate for gate in report.document.get("gates", ()) if gate["name"] in blocking]
+    return [gate for gate in gates if gate["critical"] or not gate["waivable"] or gate["name"] not in waived]
+
+
+def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
+    """Refuse to let a set pass that its gates stop.
+
+    Raises
+    ------
+    ConflictError
+        Names the gates, and says whether they can be waived.
+    """
+    gates = blocking_gates(session, parameter_set)
+    if not gates:
+        return
+    named = ", ".join(f"{gate['name']} ({gate['status']})" for gate in gates)
+    fixed = [gate["name"] for gate in gates if gate["critical"] or not gate["waivable"]]
+    way_out = (
+        f"{', '.join(fixed)} cannot be waived: recalibrate." if fixed else "Waive it with a reason, or recalibrate."
+    )
+    raise ConflictError(f"{parameter_set.name} is stopped by its gates: {named}. {way_out}")
+
+
+def make_others_stale(session: Session, actor: Actor, promoted: ParameterSet) -> None:
+    """Void the requests that compare with the baseline of before."""
+    make_stale_of_sensor(session, actor, promoted.sensor_id, f"{promoted.name} became baseline")
+
+
+def make_stale_of_sensor(session: Session, actor: Actor, sensor_id: int, why: str) -> None:
+    """Void every request of a sensor that is not decided, or approved and not promoted yet.
+
+    Parameters
+    ----------
+    why
+        What moved, as the audit log and the refusals tell it: "the gate profile became version 3".
+    """
+    for approval in approval_rows.undecided_of_sensor(session, sensor_id):
+        _make_stale(session, actor, approval, why)
+
+
+def make_stale_of_set(session: Session, actor: Actor, parameter_set_id: int, why: str) -> None:
+    """Void the request of one set, if it has one that is not decided, or approved and not promoted yet."""
+    row = session.get_one(ParameterSet, parameter_set_id)
+    for approval in approval_rows.undecided_of_sensor(session, row.sensor_id):
+        if approval.parameter_set_id == parameter_set_id:
+            _make_stale(session, actor, approval, why)
+
+
+def _make_stale(session: Session, actor: Actor, approval: Approval, reason: str) -> None:
+    """Close a request as STALE; its set may be submitted again."""
+    row = session.get_one(ParameterSet, approval.parameter_set_id)
+    approval.closed_utc = utc_now()
+    move(session, actor, approval, "STALE", "made stale", reason=reason)
+    move(session, actor, row, resting_state(row, "CANDIDATE"), "returned", reason=f"its request became stale: {reason}")
+
+
+def refuse_moved(session: Session, actor: Actor, approval: Approval, row: ParameterSet) -> None:
+    """Make a request stale and refuse, when anything that it binds is not what it was when submitted.
+
+    Raises
+    ------
+    StaleError
+        Says what moved; the request stays STALE although the refusal is raised.
+    """
+    names = moved(session, approval, row)
+    if not names:
+        return
+    since = whose_baseline(session, row.sensor_id)
+    _make_stale(session, actor, approval, f"the {' and the '.join(names)} moved")
+    keep_despite_refusal(session)
+    raise StaleError(f"The {' and the '.join(names)} moved since {row.name} was submitted.{since} Submit it again.")
+
+
+def is_expired(approval: Approval) -> bool:
+    """Whether the time of a request is over, be it written down yet or not."""
+    return approval.expires_utc is not None and approval.expires_utc <= utc_now()
+
+
+def any_due(session: Session) -> bool:
+    """Whether there are requests whose time is over and that still stand open."""
+    return bool(approval_rows.due(session, utc_now())) and not clock.is_held(session)
+
+
+def expire_due(session: Session) -> Sequence[Approval]:
+    """Close every request whose time is over, and return them; their sets may be submitted again."""
+    due = () if clock.is_held(session) else approval_rows.due(session, utc_now())
+    for approval in due:
+        _expire(session, approval)
+    return due
+
+
+def _expire(session: Session, approval: Approval) -> None:
+    """Close a request as EXPIRED."""
+    row = session.get_one(ParameterSet, approval.parameter_set_id)
+    approval.closed_utc = utc_now()
+    reason = f"nobody decided on it before {approval.expires_utc}"
+    if approval.state == "APPROVED":
+        reason = f"it was approved and not promoted before {approval.expires_utc}"
+    move(session, SYSTEM, approval, "EXPIRED", "let expire", reason=reason)
+    move(session, SYSTEM, row, resting_state(row, "EXPIRED"), "returned", reason=f"its request expired: {reason}")
+
+
+def refuse_expired(session: Session, approval: Approval, row: ParameterSet) -> None:
+    """Close a request as EXPIRED and refuse, when its time is over.
+
+    Raises
+    ------
+    ConflictError
+        The request stays EXPIRED although the refusal is raised.
+    """
+    if not is_expired(approval) or clock.is_held(session):
+        return
+    _expire(session, approval)
+    keep_despite_refusal(session)
+    raise ConflictError(f"Request {approval.id} expired at {approval.expires_utc}. Submit {row.name} again.")

@@ -1,0 +1,165 @@
+"""Requests for approval, with their signatures, remarks and the evidence that was opened.
+
+Gate profiles, what they found of a parameter set, and the waivers that were given.
+
+Changes of limits and layouts that wait for a second person.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.platform.db.declared import STRICT, Base, one_of, only_one
+from boresight.platform.db.documents import JsonText
+
+APPROVAL_STATES = ("OPEN", "APPROVED", "REJECTED", "WITHDRAWN", "STALE", "EXPIRED")
+APPROVAL_KINDS = ("PROMOTION", "ROLLBACK")
+
+
+class Approval(Base):
+    """A request that a parameter set become baseline; binds the hashes of what was shown."""
+
+    __tablename__ = "approvals"
+    __table_args__ = (
+        one_of("state", APPROVAL_STATES),
+        only_one("uq_approvals_one_open", "parameter_set_id", "state = 'OPEN'"),
+        STRICT,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
+    state: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(sa.Text)
+    submitted_utc: Mapped[str] = mapped_column(sa.Text)
+    submitted_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    bound: Mapped[dict[str, Any]] = mapped_column(JsonText)  # hashes of set, run, gate report, profile and incumbent
+    version: Mapped[int] = mapped_column(default=1)
+    closed_utc: Mapped[str | None] = mapped_column(sa.Text)
+    kind: Mapped[str] = mapped_column(sa.Text, default="PROMOTION", server_default="PROMOTION")  # of APPROVAL_KINDS
+    needed: Mapped[int] = mapped_column(default=1, server_default=sa.text("1"))  # approvals that make it APPROVED
+    expires_utc: Mapped[str | None] = mapped_column(sa.Text)
+    assigned_to: Mapped[int | None] = mapped_column(sa.Integer)  # the person asked to look at it
+
+
+class Signature(Base):
+    """A person's GO or NO-GO on a request, with what it means and the hash of what was shown."""
+
+    __tablename__ = "signatures"
+    __table_args__ = (one_of("decision", ("APPROVE", "REFUSE")), sa.UniqueConstraint("approval_id", "user_id"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"))
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    printed_name: Mapped[str] = mapped_column(sa.Text)
+    decision: Mapped[str] = mapped_column(sa.Text)
+    meaning: Mapped[str] = mapped_column(sa.Text)
+    comment: Mapped[str] = mapped_column(sa.Text)
+    shown_sha256: Mapped[str] = mapped_column(sa.Text)
+    signed_utc: Mapped[str] = mapped_column(sa.Text)
+    console: Mapped[str | None] = mapped_column(sa.Text)  # whose console it was signed at, over the shoulder
+    password_by: Mapped[str | None] = mapped_column(sa.Text)  # who else knew, or lately gave, the password
+
+
+class Remark(Base):
+    """A word in the discussion of a request; never edited."""
+
+    __tablename__ = "remarks"
+    __table_args__ = (STRICT,)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"), index=True)
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    printed_name: Mapped[str] = mapped_column(sa.Text)
+    text: Mapped[str] = mapped_column(sa.Text)
+    made_utc: Mapped[str] = mapped_column(sa.Text)
+
+
+class Opening(Base):
+    """A person opened a piece of a request's evidence; shown, not enforced."""
+
+    __tablename__ = "openings"
+    __table_args__ = (sa.UniqueConstraint("approval_id", "user_id", "evidence"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"))
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    evidence: Mapped[str] = mapped_column(sa.Text)
+    opened_utc: Mapped[str] = mapped_column(sa.Text)
+
+
+class GateProfile(Base):
+    """The limits that a sensor's sets are held to; each version is a row, the newest is in force."""
+
+    __tablename__ = "gate_profiles"
+    __table_args__ = (sa.UniqueConstraint("sensor_id", "number"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
+    number: Mapped[int]
+    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    sha256: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(sa.Text)
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+
+
+class GateReport(Base):
+    """A set held against a profile and the incumbent: one answer a gate, and the worst of them."""
+
+    __tablename__ = "gate_reports"
+    __table_args__ = (STRICT,)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
+    gate_profile_id: Mapped[int] = mapped_column(sa.ForeignKey("gate_profiles.id"))
+    verdict: Mapped[str] = mapped_column(sa.Text)
+    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    sha256: Mapped[str] = mapped_column(sa.Text)
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+
+
+class Waiver(Base):
+    """A person let a set pass in spite of a gate, with the reason and until when; never edited, never removed."""
+
+    __tablename__ = "waivers"
+    __table_args__ = (STRICT,)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
+    gate_report_id: Mapped[int] = mapped_column(sa.ForeignKey("gate_reports.id"))
+    gate: Mapped[str] = mapped_column(sa.Text)
+    code: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(sa.Text)
+    expires_utc: Mapped[str] = mapped_column(sa.Text)
+    made_utc: Mapped[str] = mapped_column(sa.Text)
+    made_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    printed_name: Mapped[str] = mapped_column(sa.Text)
+
+
+PROPOSAL_KINDS = ("gate-profile", "table-definition")
+PROPOSAL_STATES = ("OPEN", "CONFIRMED", "REFUSED", "WITHDRAWN", "STALE", "EXPIRED")
+
+
+class ChangeProposal(Base):
+    """A change that somebody asks for; what it says never changes, and it takes effect when another person confirms it."""
+
+    __tablename__ = "change_proposals"
+    __table_args__ = (
+        one_of("kind", PROPOSAL_KINDS),
+        one_of("state", PROPOSAL_STATES),
+        sa.Index("ix_change_proposals_sensor_id_state", "sensor_id", "state"),
+        STRICT,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
+    kind: Mapped[str] = mapped_column(sa.Text)
+    base_number: Mapped[int]  # the version in force that it was made against
+    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    sha256: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(sa.Text)
+    proposed_utc: Mapped[str] = mapped_column(sa.Text)
+    proposed_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    expires_utc: Mapped[str] = mapped_column(sa.Text)
+    state: Mapped[str] = mapped_column(sa.Text)
+    version: Mapped[int] = mapped_column(default=1)
+    closed_utc: Mapped[str | None] = mapped_column(sa.Text)
+    closed_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    comment: Mapped[str | None] = mapped_column(sa.Text)  # of who closed it
+    number: Mapped[int | None]  # the version that it became

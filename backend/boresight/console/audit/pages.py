@@ -1,0 +1,308 @@
+"""The audit log: who did what to what, with what changed, and whether the chain of hashes holds.
+
+The address holds the view: `?object=parameter-sets/3&actor=Ana+Lima&action=promoted&since=2026-11-01&before=812`. A
+short chain is verified at every visit; of a long one the page shows what the server's own walk found last, and verifies
+it when asked (`?verify=1`), for every record and every sealed row must be read.
+
+What an audit record changed, as people read it: names instead of members, units instead of SI, times with their day.
+
+A record keeps two documents, before and after. Shown is each member that differs, nested ones by the names on the way.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.console.access.dependencies import Reading, Who
+from boresight.console.pages.formats import day_of_year, instant
+from boresight.console.pages.rendering import render
+from boresight.console.pages.tables import Column, Page, Table, View, all_of, csv_of, is_text, page_of, read_view
+from boresight.errors import RefusedInputError
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.blobs.files import total_bytes
+from boresight.verdicts.numbers import MISSING, parameter
+from boresight.verdicts.quantities import QUANTITIES
+
+LONGEST_VALUE = 120
+HASH = re.compile(r"[0-9a-f]{64}")
+HASH_DIGITS = 8
+TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{6}Z")
+UNITS = (("_px", "px"), ("_m", "m"), ("_rad", "rad"), ("_deg", "°"), ("_s", "s"), ("_bytes", "B"), ("_days", "d"))
+NAMES = {
+    "bound": "Bound",
+    "camera_model": "Camera model",
+    "covariance": "Covariance",
+    "detector": "Detector",
+    "four_eyes": "Four-eyes enforced",
+    "free": "Free parameters",
+    "ground_state": "On ground",
+    "initial": "Initial",
+    "must_change_password": "Must set a password of their own",
+    "name": "Name",
+    "onboard_state": "On board",
+    "original_sha256": "File, SHA-256",
+    "parameters": "Parameters",
+    "purpose": "Purpose",
+    "result_sha256": "Result, SHA-256",
+    "roles": "Roles",
+    "run_id": "Run",
+    "sensor_id": "Sensor",
+    "set_sha256": "Set, SHA-256",
+    "incumbent_sha256": "Incumbent, SHA-256",
+    "run_result_sha256": "Run's result, SHA-256",
+    "profile_sha256": "Gate profile, SHA-256",
+    "gate_report_sha256": "Gate report, SHA-256",
+    "table_definition_sha256": "Table definition, SHA-256",
+    "sha256": "SHA-256",
+    "sigma": "Sigma",
+    "state": "State",
+    "typical_sigma": "Typical sigma",
+}
+
+
+@dataclass(frozen=True)
+class Change:
+    """One member of a document, before and after.
+
+    Parameters
+    ----------
+    name
+        Its way through the document, as `detector.rows`.
+    before, after
+        As printed.
+    title, unit
+        As people call it, and the unit of both values; empty where there is none.
+    """
+
+    name: str
+    before: str
+    after: str
+    title: str = ""
+    unit: str = ""
+
+
+def changes(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> list[Change]:
+    """Return the members that differ between two documents, in the order of the newer one."""
+    old, new = dict(_leaves(before)), dict(_leaves(after))
+    names = [*new, *(name for name in old if name not in new)]
+    return [
+        Change(name, _shown(name, old.get(name)), _shown(name, new.get(name)), title_of(name), unit_of(name))
+        for name in names
+        if old.get(name) != new.get(name)
+    ]
+
+
+def _leaves(document: Mapping[str, Any] | None, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Walk through a document's members, nested ones as `detector.rows`."""
+    for name, value in (document or {}).items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def title_of(name: str) -> str:
+    """Name a member as people do: `initial.f_m` is `Initial, f`."""
+    *way, last = name.split(".")
+    if last in QUANTITIES:
+        return ", ".join([*(_word(part) for part in way), QUANTITIES[last].symbol])
+    return ", ".join(_word(part) for part in (*way, last))
+
+
+def _word(part: str) -> str:
+    """Name one step of the way; a name that is not known loses its unit and its underscores."""
+    if part in NAMES:
+        return NAMES[part]
+    bare = next((part.removesuffix(suffix) for suffix, _ in (*UNITS, ("_utc", "")) if part.endswith(suffix)), part)
+    return (bare[:1].upper() + bare[1:]).replace("_", " ")
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that a member is shown in."""
+    last = name.rpartition(".")[2]
+    if last in QUANTITIES:
+        return QUANTITIES[last].unit
+    return next((unit for suffix, unit in UNITS if last.endswith(suffix)), "")
+
+
+def _shown(name: str, value: Any) -> str:
+    """Print a member for people; a long one is cut."""
+    if value is None:
+        return MISSING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int | float):
+        last = name.rpartition(".")[2]
+        return parameter(value, last) if last in QUANTITIES else _number(value)
+    if isinstance(value, list) and all(isinstance(member, str) for member in value):
+        return ", ".join(value) or "none"
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return _text(text)
+
+
+def _number(value: float) -> str:
+    """Print a number: counts whole, measures to seven digits."""
+    return str(value) if isinstance(value, int) else f"{value:.7g}"
+
+
+def _text(text: str) -> str:
+    """Print a text: a time with its day of year, a hash by its first digits."""
+    if HASH.fullmatch(text):
+        return text[:HASH_DIGITS]
+    if TIME.fullmatch(text):
+        return day_of_year(instant(text))
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}…"
+
+
+FILTERS = ("object", "actor", "action", "since", "until")
+RECORDS = Table(
+    "audit",
+    "Records",
+    (
+        Column("number", "No.", "-number", "num", head=True),
+        Column("time", "Time", "", "tight"),
+        Column("who", "Who, with what", "who", "named"),
+        Column("did", "Did, to", "did", "happening"),
+        Column("changed", "What changed", "", "words"),
+        Column("reason", "Reason", "", "words"),
+        Column("hash", "Hash, request", "", "tight"),
+    ),
+    dict.fromkeys(FILTERS, is_text),
+    "-number",
+    kind="audit",
+)
+CSV_FIELDS = {
+    "number": ("id",),
+    "time": ("at_utc",),
+    "who": ("actor", "credential", "roles"),
+    "did": ("action", "object"),
+    "changed": ("changed",),
+    "reason": ("reason",),
+    "hash": ("hash", "request_id"),
+}
+VERIFIED_AT_EVERY_VISIT = 1000
+READ_AT_EVERY_VISIT = 100_000_000  # bytes of stored files
+IN_GIST = 3
+TELLING = (
+    "name",
+    "label",
+    "sensor",
+    "set",
+    "state",
+    "ground_state",
+    "onboard_state",
+    "method",
+    "purpose",
+    "decision",
+    "roles",
+)
+PAGE_OF_NOUN = {
+    "sensors": "sensors",
+    "telemetry-sets": "telemetry",
+    "runs": "runs",
+    "parameter-sets": "parameter-sets",
+    "approvals": "approvals",
+    "alarms": "alarms",
+}
+
+router = APIRouter()
+
+
+@dataclass(frozen=True)
+class Line:
+    """One record as the page lays it out."""
+
+    record: AuditRecord
+    address: str | None
+    changes: list[Change]
+
+    @property
+    def gist(self) -> str:
+        """What matters of the change, in one short line."""
+        telling = [it for it in self.changes if it.name.rpartition(".")[2] in TELLING] or self.changes
+        return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in telling[:IN_GIST])
+
+
+def _sought(view: View) -> dict[str, Any]:
+    """Say what a view is narrowed to, as the list takes it.
+
+    Raises
+    ------
+    RefusedInputError
+        When a time cannot be read.
+    """
+    return {"since": None, "until": None, **audit.sought(**{name: view.where.get(name) for name in FILTERS})}
+
+
+def line_of(record: AuditRecord) -> Line:
+    """Lay out a record; its object links to its page where it has one."""
+    noun, _, rest = record.object.partition("/")
+    page = PAGE_OF_NOUN.get(noun)
+    address = f"/{page}/{rest}" if page and rest.isdecimal() else None
+    return Line(record, address, changes(record.before, record.after))
+
+
+@router.get("/audit", response_class=HTMLResponse)
+def audit_page(
+    request: Request,
+    session: Reading,
+    actor: Who,  # noqa: ARG001 - who is not logged in may not read
+    verify: str = "",
+) -> HTMLResponse:
+    """Show a page of records, and the light of the chain."""
+    view, found, refusal = read_view(request, RECORDS), Page((), None), ""
+    try:
+        found = page_of(session, view, **_sought(view))
+    except RefusedInputError as error:
+        refusal = str(error)
+    newest = audit.list_records(session, limit=1)
+    blobs = request.app.state.blobs if verify or total_bytes(session) <= READ_AT_EVERY_VISIT else None
+    short = not newest or newest[0].id <= VERIFIED_AT_EVERY_VISIT
+    return render(
+        request,
+        "audit/audit.html",
+        view=view,
+        lines=[line_of(record) for record in found.rows],
+        last=found.last,
+        refusal=refusal,
+        words=audit.words(session),
+        chain=audit.verify(session, blobs=blobs, again=False) if short or verify else None,
+        light=request.app.state.upkeep.light(),
+        head=audit.head(session),
+    )
+
+
+@router.get("/audit.csv")
+def audit_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
+    """Give every record of a view as CSV; the export with its verifier is what proves anything."""
+    view = read_view(request, RECORDS)
+    return csv_of(view, CSV_FIELDS, (_csv_row(record) for record in all_of(session, view, **_sought(view))))
+
+
+def _csv_row(record: AuditRecord) -> dict[str, Any]:
+    """Lay out a record for a program."""
+    told = {"roles": ", ".join(record.roles or ()), "changed": line_of(record).gist}
+    names = (name for names in CSV_FIELDS.values() for name in names if name not in told)
+    return {name: getattr(record, name) for name in names} | told
+
+
+@router.get("/audit/{record_id}", response_class=HTMLResponse)
+def record_page(
+    request: Request,
+    session: Reading,
+    actor: Who,  # noqa: ARG001 - who is not logged in may not read
+    record_id: int,
+) -> HTMLResponse:
+    """Show one record whole: what it changed member by member, who did it how, and the rows that it sealed."""
+    record = audit.get_record(session, record_id)
+    return render(
+        request, "audit/audit_record.html", line=line_of(record), record=record, sealed=sorted(record.rows or {})
+    )

@@ -1,0 +1,1 @@
+"""Campaigns: one setting over many sensors."""

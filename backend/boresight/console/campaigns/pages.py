@@ -1,0 +1,348 @@
+"""Campaigns: the list, one as it goes, its results over sensors, and what people do to it.
+
+Launching a campaign: a setting, the sensors with their sets, and what it would be before it is queued.
+
+Of a small fleet every sensor has a row, and those with telemetry are ticked. Of a larger one those have rows that are ticked
+and those that are found by name; nothing is ticked until somebody does. Finding others sends the form (`intent=find`), so that
+every tick and its sets stay; `intent=all` ticks what is found besides.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+from starlette.datastructures import FormData, QueryParams
+
+from boresight.calibration.options import METHODS, OPTIONS
+from boresight.console import lists
+from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.campaigns import service as campaigns
+from boresight.console.campaigns.service import FAILED, MOST_SENSORS, CampaignView, Member, result_of
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.service import Choices
+from boresight.console.pages.rendering import Outcome, Refusal, attempt, read_texts, redirect, redirect_refused, render
+from boresight.console.pages.tables import csv_file
+from boresight.console.runs import presets
+from boresight.console.runs.pages.launch import LONGEST_NUMBER, Origin, Typed, origin_of, typed_form
+from boresight.console.runs.pages.list import read_names
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.errors import BoresightError, NotFoundError
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.paging import row_number
+from boresight.verdicts.verdict import LEVELS
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+CAMPAIGNS_A_PAGE = 50
+CSV_FIELDS = (
+    "campaign", "label", "sensors", "ended", "failed", "preset", "launched_by", "launched_utc", "cancelled_utc",
+)  # fmt: skip
+
+
+@router.get("/campaigns", response_class=HTMLResponse)
+def campaigns_page(request: Request, session: Reading, actor: Who, before: str = "") -> HTMLResponse:  # noqa: ARG001 - whoever is known may read
+    """List campaigns with how far each is, newest first."""
+    before_id = row_number(before)
+    found = campaigns.list_campaigns(session, before_id=before_id, limit=CAMPAIGNS_A_PAGE + 1)
+    shown = found[:CAMPAIGNS_A_PAGE]
+    return render(
+        request,
+        "campaigns/campaigns.html",
+        campaigns=shown,
+        people=read_names(session).people,
+        next_before=shown[-1].id if len(found) > CAMPAIGNS_A_PAGE else None,
+    )
+
+
+@router.get("/campaigns.csv")
+def campaigns_csv(session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Give every campaign as CSV, newest first."""
+    people, found = read_names(session).people, campaigns.list_campaigns(session)
+    return csv_file("campaigns", CSV_FIELDS, (_csv_row(view, people) for view in found))
+
+
+def _csv_row(view: CampaignView, people: Mapping[int, str]) -> dict[str, Any]:
+    """Lay out a campaign for a program."""
+    row = view.row
+    return {
+        "campaign": view.id,
+        "label": row.label,
+        "sensors": view.sensors,
+        "ended": view.ended,
+        "failed": view.failed,
+        "preset": row.preset,
+        "launched_by": people.get(row.launched_by, "system") if row.launched_by is not None else "system",
+        "launched_utc": row.launched_utc,
+        "cancelled_utc": row.cancelled_utc,
+    }
+
+
+@router.get("/campaigns/{campaign_id:int}", response_class=HTMLResponse)
+def campaign_page(request: Request, session: Reading, actor: Who, campaign_id: int) -> HTMLResponse:
+    """Show a campaign: its bar, what failed and why, and what its sensors came to."""
+    view = campaigns.read_campaign(session, campaign_id)
+    lines = _lines(session, campaign_id)
+    return render(
+        request,
+        "campaigns/campaign.html",
+        view=view,
+        failed=[line for line in lines if line["state"] in FAILED],
+        lines=lines,
+        people=read_names(session).people,
+        may_launch="analyst" in actor.roles,
+    )
+
+
+def _lines(session: Session, campaign_id: int) -> list[dict[str, Any]]:
+    """Return what the sensors came to, the worst first: what failed, then by verdict."""
+    lines = [result_of(one) for one in campaigns.results(session, campaign_id)]
+    return sorted(lines, key=_rank)
+
+
+def _rank(line: Mapping[str, Any]) -> tuple[int, int, str]:
+    """Order what needs a look first, then by name."""
+    level = LEVELS.index(line["level"]) if line["level"] in LEVELS else -1
+    return (0 if line["state"] in FAILED else 1, -level, line["sensor"])
+
+
+@router.get("/campaigns/{campaign_id:int}/results.csv")
+def campaign_results(session: Reading, actor: Who, campaign_id: int) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Send the results over sensors as CSV, arcs in rad."""
+    headers = {"Content-Disposition": f'attachment; filename="campaign-{campaign_id}.csv"'}
+    return Response(_csv(_lines(session, campaign_id)), media_type="text/csv", headers=headers)
+
+
+def _csv(lines: Sequence[Mapping[str, Any]]) -> str:
+    """Write lines as CSV; what a run has not is empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [name for name in lines[0] if name != "id"], extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows([{name: _cell(value) for name, value in line.items()} for line in lines])
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """Keep a spreadsheet from taking a text that people gave for a formula."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@", "\t", "\r"} else value
+
+
+@router.post("/campaigns/{campaign_id:int}/cancel", response_class=HTMLResponse)
+async def cancel(request: Request, actor: Who, campaign_id: int) -> Response:
+    """Stop all of it."""
+    reason = (await read_texts(request)).get("reason", "")
+    change = partial(campaigns.cancel_campaign, actor=actor, campaign_id=campaign_id, reason=reason)
+    return await _done(request, campaign_id, change, "Every run that had not ended was asked to stop.")
+
+
+@router.post("/campaigns/{campaign_id:int}/launch-failed", response_class=HTMLResponse)
+async def launch_failed(request: Request, actor: Who, campaign_id: int) -> Response:
+    """Launch again what failed."""
+    change = partial(campaigns.relaunch_failed, actor=actor, campaign_id=campaign_id)
+    return await _done(request, campaign_id, change, "What failed is queued again.")
+
+
+async def _done(request: Request, campaign_id: int, change: Callable[..., Any], words: str) -> Response:
+    """Make a change and go back to the campaign with what came of it."""
+    outcome = await attempt(request, change)
+    if outcome.refusal is not None:
+        return redirect_refused(f"/campaigns/{campaign_id}", outcome.refusal)
+    return redirect(f"/campaigns/{campaign_id}", flash=words)
+
+
+MOST_SETS = 5000
+NEWEST_SETS = 3  # of either purpose, that a row offers where the fleet is large
+
+
+@dataclass(frozen=True)
+class Sets:
+    """A sensor's sets in use, newest first."""
+
+    calibration: list[Any] = field(default_factory=list)
+    validation: list[Any] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Offered:
+    """The sensors that have a row, the sets that each can be calibrated on, and which are ticked."""
+
+    choices: Choices
+    sets: Mapping[int, Sets]
+    ticked: Collection[int]
+
+    @property
+    def able(self) -> list[int]:
+        """The sensors that have something to be calibrated on, in the order of the rows."""
+        return [number for number in self.choices.names if number in self.sets and self.sets[number].calibration]
+
+    @property
+    def begun(self) -> list[int]:
+        """The sensors that are ticked as the form begins."""
+        return self.able if self.choices.is_all else []
+
+
+def _offer(session: Session, given: FormData | QueryParams) -> Offered:
+    """Read what the form offers that was sent, or that an address begins: what is ticked, and what it seeks."""
+    members = _chosen(given)
+    choices = sensors.choices(session, find=str(given.get("find", "")), keep=[member.sensor_id for member in members])
+    chosen = {one for member in members for one in (member.telemetry_set_id, member.validation_set_id)}
+    keep = [one for one in chosen if isinstance(one, int)]
+    found: dict[int, Sets] = {}
+    every = lists.count(session, "telemetry", {"in_use": True}) <= MOST_SETS if choices.is_all else False
+    for row in (
+        telemetry_sets.list_telemetry_sets(session)
+        if every
+        else telemetry_sets.sets_of(session, choices.names, newest=NEWEST_SETS, keep=keep)
+    ):
+        getattr(found.setdefault(row.sensor_id, Sets()), row.purpose).append(row)
+    return Offered(choices, found, {member.sensor_id for member in members})
+
+
+def _chosen(form: FormData | QueryParams) -> list[Member]:
+    """Read the sensors that are ticked, and their sets."""
+    texts = map(str, form.getlist("sensors"))
+    numbers = [int(text) for text in texts if text.isdecimal() and len(text) <= LONGEST_NUMBER]
+    return [_member(form, number) for number in numbers[: MOST_SENSORS + 1]]  # one too many, to be refused
+
+
+def _member(form: FormData | QueryParams, number: int) -> Member:
+    """Read the sets of a sensor, ticked or not."""
+    return Member(number, _set(form, f"calibration-{number}") or "newest", _set(form, f"validation-{number}"))
+
+
+def _set(form: FormData | QueryParams, name: str) -> Any:
+    """Read a set's number, `newest`, or None for none."""
+    value = form.get(name, "newest")
+    is_number = isinstance(value, str) and value.isdecimal() and len(value) <= LONGEST_NUMBER
+    return int(str(value)) if is_number else (value or None)
+
+
+@router.get("/campaigns/new", response_class=HTMLResponse)
+def campaign_form(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show the form as the address says, else with the whole of a small fleet chosen."""
+    origin, address = origin_of(request, session), request.query_params
+    typed, offered = _begun(origin).amended(address), _offer(session, address)
+    typed = typed.with_settings({"method": origin.method or typed["method"]})
+    offered = offered if "sensors" in address else replace(offered, ticked=set(offered.begun))
+    return _page(request, session, actor, typed, origin, offered, address)
+
+
+def _begun(origin: Origin) -> Typed:
+    """Fill the settings anew, from the preset where there is one."""
+    return Typed() if origin.preset is None else Typed().under(origin.preset.settings)
+
+
+def _beginning(origin: Origin, offered: Offered) -> str:
+    """Write the form as it begins, as an address's query."""
+    newest = [
+        (f"{purpose}-{number}", "newest")
+        for number, of_sensor in offered.sets.items()
+        for purpose in ("calibration", "validation")
+        if getattr(of_sensor, purpose)
+    ]
+    return f"{_begun(origin).query}&{urlencode([*(('sensors', number) for number in offered.begun), *newest])}"
+
+
+@router.post("/campaigns/new", response_class=HTMLResponse)
+async def campaign_launch(request: Request, session: Reading, actor: Who) -> Response:
+    """Apply a preset (`intent=preset`), find sensors (`find`), tick what is found (`all`), queue (`queue`), or only check."""
+    form = await request.form()
+    origin = await run_in_threadpool(origin_of, request, session)
+    typed, members = typed_form(form), _chosen(form)
+    if form.get("intent") == "preset" and origin.preset is not None:
+        typed = typed.under(origin.preset.settings)
+    order = partial(_launch, actor=actor, typed=typed, origin=origin, members=members)
+    intent, outcome = _intent(form), None
+    if intent == "queue":
+        outcome = await attempt(request, order)
+        if outcome.value is not None:
+            return redirect(f"/campaigns/{outcome.value.id}", flash="The campaign is queued.")
+    elif intent not in {"find", "all"}:
+        outcome = await run_in_threadpool(_checked, partial(order, session, validate_only=True))
+    offered = await run_in_threadpool(_offer, session, form)
+    if intent == "all":
+        offered = replace(offered, ticked={*offered.ticked, *offered.able})
+    return await run_in_threadpool(_page, request, session, actor, typed, origin, offered, form, outcome)
+
+
+def _intent(form: FormData) -> str:
+    """Return what the form was sent for; what was not found yet is found before all of it is ticked."""
+    intent = str(form.get("intent", ""))
+    return "find" if intent == "all" and form.get("find", "") != form.get("found", "") else intent
+
+
+def _launch(
+    session: Session,
+    actor: Actor,
+    typed: Typed,
+    origin: Origin,
+    members: Sequence[Member],
+    *,
+    validate_only: bool = False,
+) -> Any:
+    """Hand the form to the service; a preset's own free parameters go with it."""
+    preset = origin.preset
+    free = preset.settings.get("free") if preset else None
+    settings = {**typed.settings_of_any(), "free": free}
+    return campaigns.launch_campaign(
+        session,
+        actor,
+        typed.label,
+        settings,
+        members,
+        preset=preset.key if preset else None,
+        validate_only=validate_only,
+    )
+
+
+def _checked(ask: partial[Any]) -> Outcome[Any]:
+    """Make the dry run: it reads and writes nothing."""
+    try:
+        return Outcome(ask(), None)
+    except NotFoundError:
+        raise
+    except BoresightError as error:
+        return Outcome(None, Refusal.of(error))
+
+
+def _page(
+    request: Request,
+    session: Session,
+    actor: Actor,
+    typed: Typed,
+    origin: Origin,
+    offered: Offered,
+    given: FormData | QueryParams,
+    outcome: Outcome[Any] | None = None,
+) -> HTMLResponse:
+    """Render the form with what was typed and what the check said."""
+    refusal = outcome.refusal if outcome else None
+    return render(
+        request,
+        "campaigns/campaign_launch.html",
+        refused=refusal if refusal and (given.get("intent") == "queue" or refusal.is_ours) else None,
+        offered=offered,
+        has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
+        chosen={number: _member(given, number) for number in offered.choices.names},
+        nothing=Sets(),
+        options=OPTIONS,
+        methods=METHODS.values(),
+        typed=typed,
+        origin=origin,
+        begun=_beginning(origin, offered),
+        offers=presets.offers(session),
+        refusal=refusal,
+        summary=outcome.value if outcome else None,
+        may_launch="analyst" in actor.roles,
+        most=MOST_SENSORS,
+        newest=NEWEST_SETS,
+    )

@@ -1,0 +1,145 @@
+"""Campaigns: one setting over many sensors, launched, followed and stopped as one."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from boresight.console import schemas as console_schemas
+from boresight.console.access.dependencies import OnlyAsked, Reading, Seen, SeenTag, Who, Writing
+from boresight.console.campaigns import schemas
+from boresight.console.campaigns import service as campaigns
+from boresight.console.campaigns.queries import Standing
+from boresight.console.campaigns.service import MOST_SENSORS, CampaignView, Member, result_of
+from boresight.console.operation import Answer, Beside, operations
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+router = operations("/campaigns", tags=["runs"])
+
+Newest = Literal["newest"]
+
+
+class CampaignMember(BaseModel):
+    """A sensor, and its sets where they are not its newest."""
+
+    model_config = ConfigDict(extra="forbid")
+    sensor_id: Id
+    telemetry_set_id: Id | Newest = "newest"
+    validation_set_id: Id | Newest | None = Field("newest", description="Null leaves the runs without a held-out set.")
+
+
+class CampaignLaunch(BaseModel):
+    """One setting, and the sensors it is launched over."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {"label": "After the eclipse season", "preset": "drift-tracking", "sensors": [{"sensor_id": 1}]}
+            ]
+        },
+    )
+    label: str
+    preset: str | None = Field(None, description="Key of a preset; `settings` go over its own.")
+    settings: console_schemas.Settings = Field(default_factory=dict)
+    sensors: list[CampaignMember] | None = Field(
+        None, max_length=MOST_SENSORS, description="Left out, every sensor of the fleet."
+    )
+    validate_only: bool = Field(
+        default=False, description="Check everything, change nothing, and say what it would be."
+    )
+
+    def members(self) -> list[Member] | None:
+        """Return the sensors as the service takes them."""
+        return None if self.sensors is None else [Member(**one.model_dump()) for one in self.sensors]
+
+
+class CampaignCancellation(BaseModel):
+    """Why a campaign is stopped."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = ""
+
+
+def _shown(view: CampaignView) -> Beside:
+    """Return a campaign with its counts."""
+    told = {name: getattr(view, name) for name in ("state", "sensors", "ended", "fraction", "counts", "newest_id")}
+    return Beside(view.row, **told)
+
+
+def _require_seen(session: Session, campaign_id: int, seen: Seen) -> None:
+    """Refuse a transition by someone who did not see the campaign as it is."""
+    seen.require(schemas.Campaign, _shown(campaigns.read_campaign(session, campaign_id)), f"Campaign {campaign_id}")
+
+
+@router.get("", summary="List campaigns", response_model=Page[schemas.Campaign])
+def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
+    """List campaigns with the counts of their runs, newest first."""
+    return page.cut(campaigns.list_campaigns(session, before_id=page.last_id, limit=page.limit + 1), _shown)
+
+
+@router.post(
+    "",
+    summary="Launch a campaign",
+    status_code=202,
+    response_model=schemas.Campaign,
+    responses={200: {"model": schemas.DryRunOfCampaign, "description": "The dry run of `validate_only`."}},
+)
+def launch_campaign(order: CampaignLaunch, actor: Who, session: Writing, asked: OnlyAsked) -> Beside | Answer:
+    """Queue a run for every sensor that can have one; the others are listed with the cause. All or nothing in one transaction."""
+    made = campaigns.launch_campaign(
+        session,
+        actor,
+        order.label,
+        order.settings,
+        order.members(),
+        preset=order.preset,
+        validate_only=asked or order.validate_only,
+    )
+    if isinstance(made, dict):
+        return Answer(made, shape=schemas.DryRunOfCampaign, is_trial=True)
+    return _shown(campaigns.read_campaign(session, made.id))
+
+
+@router.get("/{campaign_id}", summary="Read a campaign", response_model=schemas.Campaign)
+def get_campaign(campaign_id: Id, session: Reading) -> Beside:
+    """Read a campaign: how many of its runs are in each state, and how far it is."""
+    return _shown(campaigns.read_campaign(session, campaign_id))
+
+
+@router.get(
+    "/{campaign_id}/results", summary="List what the sensors came to", response_model=Page[schemas.CampaignResult]
+)
+def list_campaign_results(campaign_id: Id, session: Reading, page: Paged) -> Listing[Standing]:
+    """List the newest run of every sensor with its cause or its figures, in the order of launch."""
+    found = campaigns.results(session, campaign_id, after_id=page.last_id or 0, limit=page.limit + 1)
+    return page.cut(found, result_of)
+
+
+@router.post("/{campaign_id}:cancel", summary="Stop a campaign", response_model=schemas.Campaign)
+def cancel_campaign(
+    campaign_id: Id,
+    actor: Who,
+    seen: SeenTag,
+    session: Writing,
+    cancellation: CampaignCancellation | None = None,
+) -> Beside:
+    """Stop every run of a campaign that has not ended."""
+    _require_seen(session, campaign_id, seen)
+    campaigns.cancel_campaign(session, actor, campaign_id, cancellation.reason if cancellation else "")
+    return _shown(campaigns.read_campaign(session, campaign_id))
+
+
+@router.post(
+    "/{campaign_id}:launch-failed",
+    summary="Launch again what failed",
+    status_code=202,
+    response_model=schemas.Campaign,
+)
+def relaunch_campaign(campaign_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
+    """Queue new runs for the sensors whose run failed, was lost, or could not be launched."""
+    _require_seen(session, campaign_id, seen)
+    campaigns.relaunch_failed(session, actor, campaign_id)
+    return _shown(campaigns.read_campaign(session, campaign_id))

@@ -1,0 +1,419 @@
+"""Campaigns: one setting over many sensors, launched, followed and stopped as one.
+
+Each sensor gets a run of its own, or the cause why it has none; what failed can be launched again, and the newest run of each
+sensor counts. However many sensors, a launch is one transaction and reads and writes them many at a time; its audit records, one
+a run, are written in portions, so that none carries the seals of more than `PORTION` runs.
+
+The sensors of a campaign with what each is to do: its own order, on its newest sets unless others are named, or why not.
+
+A sensor that cannot have a run, for want of telemetry say, is part of the campaign all the same, with the cause. Sensors
+and sets are read at once, however many there are.
+
+A campaign as one thing: how many of its runs are where, how far it is, and what its sensors came to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from boresight.console import list_queries as lists
+from boresight.console.campaigns import queries as rows
+from boresight.console.campaigns.queries import Counted, Standing
+from boresight.console.campaigns.tables import Campaign
+from boresight.console.fleet import queries as sensor_rows
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs.dry_runs import expected_s
+from boresight.console.runs.presets import chosen_settings
+from boresight.console.runs.requests import Order, ordered, refuse_label
+from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES
+from boresight.errors import BoresightError, ConflictError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.web.words import refuse_control_characters
+
+MOST_SENSORS = 1000
+
+Newest = Literal["newest"]
+
+
+@dataclass(frozen=True)
+class Member:
+    """A sensor of a campaign and its sets: numbers, the newest in use, or for validation none."""
+
+    sensor_id: int
+    telemetry_set_id: int | Newest = "newest"
+    validation_set_id: int | Newest | None = "newest"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A sensor of a campaign with what it is to do, or why it cannot."""
+
+    sensor: Sensor
+    order: Order | None
+    refusal: str | None
+
+
+def places_of(
+    session: Session, members: Sequence[Member] | None, settings: Mapping[str, Any], label: str
+) -> list[Place]:
+    """Check every sensor's order.
+
+    Parameters
+    ----------
+    members
+        The sensors; None takes the whole fleet.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When there are too many sensors, one twice, or none that can have a run.
+    """
+    wanted = [Member(head.id) for head in sensor_rows.sensor_heads(session)] if members is None else list(members)
+    ids = [member.sensor_id for member in wanted]
+    _refuse_members(ids)
+    fleet = {sensor.id: sensor for sensor in sensor_rows.sensors(session, ids)}
+    if strange := [number for number in ids if number not in fleet]:
+        raise NotFoundError(f"There is no sensor {strange[0]}; choose from the list.")
+    newest = rows.newest_sets(session, ids)
+    named = [(member, *_sets_of(member, newest)) for member in wanted]
+    numbers = {number for _, *numbers in named for number in numbers if number is not None}
+    held = rows.sets_numbered(session, numbers)  # while these are held, an order finds its own without a statement
+    places = [
+        _place(session, fleet[member.sensor_id], calibration, validation, settings, label)
+        for member, calibration, validation in named
+    ]
+    del held
+    if all(place.order is None for place in places):
+        raise RefusedInputError(f"No sensor of the campaign can have a run. {places[0].refusal}")
+    return places
+
+
+def _refuse_members(ids: Sequence[int]) -> None:
+    """Refuse twice the same sensor, none, or too many."""
+    if not ids:
+        raise RefusedInputError("A campaign needs at least one sensor; choose some.")
+    if len(ids) > MOST_SENSORS:
+        raise RefusedInputError(f"A campaign holds at most {MOST_SENSORS} sensors, not {len(ids)}; launch several.")
+    if len(set(ids)) < len(ids):
+        raise RefusedInputError("A sensor is in the campaign twice; name each once.")
+
+
+def _sets_of(member: Member, newest: Mapping[tuple[int, str], int]) -> tuple[int | None, int | None]:
+    """Return the numbers of a member's calibration and validation sets."""
+    calibration, validation = member.telemetry_set_id, member.validation_set_id
+    return (
+        newest.get((member.sensor_id, "calibration")) if calibration == "newest" else calibration,
+        newest.get((member.sensor_id, "validation")) if validation == "newest" else validation,
+    )
+
+
+def _place(
+    session: Session,
+    sensor: Sensor,
+    calibration: int | None,
+    validation: int | None,
+    settings: Mapping[str, Any],
+    label: str,
+) -> Place:
+    """Check one sensor's order; a refusal is its cause."""
+    if calibration is None:
+        return Place(sensor, None, f"{sensor.name} has no calibration set; upload one and launch it again.")
+    try:
+        return Place(sensor, ordered(session, sensor.id, calibration, settings, validation, label), None)
+    except BoresightError as error:
+        return Place(sensor, None, str(error))
+
+
+NOT_LAUNCHED = "NOT LAUNCHED"
+FAILED = ("FAILED", "LOST", NOT_LAUNCHED)
+
+
+@dataclass(frozen=True)
+class CampaignView:
+    """A campaign with its counts.
+
+    Parameters
+    ----------
+    row
+        What it is.
+    counts
+        Sensors by the state of their runs, or `NOT LAUNCHED`; every word, zero where there are none.
+    newest_id
+        Of its newest launch, which grows when what failed is launched again.
+    """
+
+    row: Campaign
+    counts: Mapping[str, int]
+    newest_id: int
+
+    @property
+    def id(self) -> int:
+        """Its number, which cursors name."""
+        return self.row.id
+
+    @property
+    def sensors(self) -> int:
+        """How many sensors it has."""
+        return sum(self.counts.values())
+
+    @property
+    def ended(self) -> int:
+        """How many of them need no more waiting for."""
+        return sum(self.counts[state] for state in (*TERMINAL_RUN_STATES, NOT_LAUNCHED))
+
+    @property
+    def failed(self) -> int:
+        """How many could be launched again."""
+        return sum(self.counts[state] for state in FAILED)
+
+    @property
+    def fraction(self) -> float:
+        """How far it is, 0 to 1."""
+        return self.ended / self.sensors if self.sensors else 1.0
+
+    @property
+    def state(self) -> str:
+        """One word: UNDER WAY, CANCELLING, CANCELLED, SUCCEEDED, or ENDED where some run did not succeed."""
+        cancelled = self.row.cancelled_utc is not None and self.counts["CANCELLED"] + self.counts["CANCELLING"] > 0
+        if self.ended < self.sensors:
+            return "CANCELLING" if cancelled and not self.counts["QUEUED"] + self.counts["RUNNING"] else "UNDER WAY"
+        if cancelled:
+            return "CANCELLED"
+        return "SUCCEEDED" if self.counts["SUCCEEDED"] == self.sensors else "ENDED"
+
+
+def view_of(row: Campaign, counted: Counted) -> CampaignView:
+    """Put a campaign beside its counts by state, where None has no run."""
+    counts = {state: counted.by_state.get(state, 0) for state in RUN_STATES}
+    return CampaignView(row, {**counts, NOT_LAUNCHED: counted.by_state.get(None, 0)}, counted.newest_id)
+
+
+def result_of(standing: Standing) -> dict[str, Any]:
+    """Return one line of the results over sensors; what a run has not is None.
+
+    Arcs in rad: `rms_initial_arc_rad` and `rms_final_arc_rad` of the fit, `validation_...` of the frames held out.
+    """
+    summary = standing.summary or {}
+    names = (
+        "rms_initial_arc_rad", "rms_final_arc_rad", "validation_rms_initial_arc_rad", "validation_rms_final_arc_rad",
+        "status", "level", "weak_directions", "weakest", "advice",
+    )  # fmt: skip
+    return {
+        "id": standing.id,
+        "sensor_id": standing.sensor_id,
+        "sensor": standing.sensor,
+        "run_id": standing.run_id,
+        "state": standing.state or NOT_LAUNCHED,
+        "reason": standing.refusal or standing.reason,
+        **{name: summary.get(name) for name in names},
+    }
+
+
+PORTION = 200
+AGAIN = ("FAILED", "LOST", None)  # states of the runs that are launched again; None is a sensor without one
+
+
+def launch_campaign(
+    session: Session,
+    actor: Actor,
+    label: str,
+    settings: Mapping[str, Any],
+    members: Sequence[Member] | None = None,
+    *,
+    preset: str | None = None,
+    validate_only: bool = False,
+) -> Campaign | dict[str, Any]:
+    """Launch one setting over many sensors, or only say what that would be.
+
+    Parameters
+    ----------
+    settings
+        Of every run; over those of the preset where one is named.
+    members
+        The sensors; None takes the whole fleet.
+
+    Returns
+    -------
+    Campaign or dict
+        The row; with `validate_only` the `label`, `preset`, `settings`, `sensors`, `runs`, `predicted_s` of all runs together, and
+        `refused` [{`sensor_id`, `sensor`, `refusal`}].
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    NotFoundError
+        When there is no such sensor or preset.
+    RefusedInputError
+        When there are too many sensors, one twice, or none that can have a run.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    refuse_label(label)
+    if not label.strip():
+        raise RefusedInputError("Give the campaign a label: what it is for, in a few words.")
+    named, chosen = chosen_settings(session, preset, settings)
+    places = places_of(session, members, chosen, label.strip())
+    if validate_only:
+        return _dry(session, places, label.strip(), named, chosen)
+    whole = next(place.order.settings.document() for place in places if place.order is not None)
+    row = Campaign(label=label.strip(), preset=named, settings=whole, launched_utc=utc_now(), launched_by=actor.user_id)
+    session.add(row)
+    session.flush()
+    after = {"label": row.label, "preset": named, "settings": row.settings, "sensors": len(places)}
+    audit.append(session, actor, "launched", _subject(row), None, after)
+    _queue(session, actor, row, places)
+    return row
+
+
+def _dry(
+    session: Session, places: Sequence[Place], label: str, preset: str | None, settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Say what a campaign would be."""
+    orders = [place.order for place in places if place.order is not None]
+    refused = [place for place in places if place.order is None]
+    return {
+        "label": label,
+        "preset": preset,
+        "settings": orders[0].settings.document() if orders else dict(settings),
+        "sensors": len(places),
+        "runs": len(orders),
+        "predicted_s": expected_s(session, orders),
+        "refused": [
+            {"sensor_id": place.sensor.id, "sensor": place.sensor.name, "refusal": place.refusal} for place in refused
+        ],
+    }
+
+
+def _queue(session: Session, actor: Actor, row: Campaign, places: Sequence[Place]) -> None:
+    """Add the runs and the places of a campaign, portion by portion, and put each run on record."""
+    for start in range(0, len(places), PORTION):
+        some = places[start : start + PORTION]
+        orders = [place.order for place in some if place.order is not None]
+        run_of = rows.add_runs(session, [{**order.columns(), "launched_by": actor.user_id} for order in orders])
+        named = [
+            {"sensor_id": place.sensor.id, "run_id": run_of.get(place.sensor.id), "refusal": place.refusal}
+            for place in some
+        ]
+        rows.add_places(session, [{"campaign_id": row.id, **one} for one in named])
+        for order in orders:
+            after = {**order.on_record(), "campaign": row.id}
+            audit.append(session, actor, "launched", f"runs/{run_of[order.sensor.id]}", None, after)
+        audit.head(session)  # written out now: the seals of this portion are in its own last record
+
+
+def cancel_campaign(session: Session, actor: Actor, campaign_id: int, reason: str = "") -> Campaign:
+    """Stop every run of a campaign that has not ended.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    NotFoundError
+        When there is no such campaign.
+    ConflictError
+        When all its runs have ended, or are stopping.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    refuse_control_characters(reason=reason)
+    row = get_campaign(session, campaign_id)
+    why = f"campaign {row.id} was cancelled by {actor.printed_name}" + (f": {reason.strip()}" if reason.strip() else "")
+    stopped = rows.cancel_all(session, row.id, why)
+    if not stopped:
+        raise ConflictError(f"No run of campaign {row.id} waits or computes; there is nothing to stop.")
+    row.cancelled_utc = utc_now()
+    audit.append(session, actor, "cancelled", _subject(row), None, {"runs": len(stopped)}, reason.strip() or None)
+    for run_id, state in stopped:
+        audit.append(session, actor, "cancelled", f"runs/{run_id}", None, {"state": state, "campaign": row.id})
+    return row
+
+
+def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaign:
+    """Launch again what failed, was lost, or could not be launched, with the sensor and the sets as they are now.
+
+    A run that failed keeps its sets; a sensor without a run takes its newest.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    NotFoundError
+        When there is no such campaign.
+    ConflictError
+        When nothing of it failed.
+    RefusedInputError
+        When none of them can have a run.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    row = get_campaign(session, campaign_id)
+    failed = [one for one in rows.standings(session, row.id) if one.state in AGAIN]
+    if not failed:
+        raise ConflictError(f"Nothing of campaign {row.id} failed; there is nothing to launch again.")
+    members = [
+        Member(one.sensor_id)
+        if one.telemetry_set_id is None
+        else Member(one.sensor_id, one.telemetry_set_id, one.validation_set_id)
+        for one in failed
+    ]
+    places = [place for place in places_of(session, members, row.settings, row.label) if place.order is not None]
+    audit.append(session, actor, "launched again", _subject(row), None, {"sensors": len(places)})
+    _queue(session, actor, row, places)
+    return row
+
+
+def get_campaign(session: Session, campaign_id: int) -> Campaign:
+    """Return a campaign.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none of this number.
+    """
+    row = rows.find_campaign(session, campaign_id)
+    if row is None:
+        raise NotFoundError(f"There is no campaign {campaign_id}; choose one of the list.")
+    return row
+
+
+def read_campaign(session: Session, campaign_id: int) -> CampaignView:
+    """Return a campaign with its counts.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none of this number.
+    """
+    row = get_campaign(session, campaign_id)
+    return view_of(row, rows.counts(session, [row.id])[row.id])
+
+
+def list_campaigns(session: Session, *, before_id: int | None = None, limit: int | None = None) -> list[CampaignView]:
+    """Return a page of campaigns with their counts, newest first; the next starts before the last one's id."""
+    found = lists.newest(session, Campaign, before_id=before_id, limit=limit)
+    counted = rows.counts(session, [row.id for row in found])
+    return [view_of(row, counted[row.id]) for row in found]
+
+
+def results(session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None) -> list[Standing]:
+    """Return where every sensor of a campaign stands, in the order of launch.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such campaign.
+    """
+    get_campaign(session, campaign_id)
+    return rows.standings(session, campaign_id, after_id=after_id, limit=limit)
+
+
+def _subject(row: Campaign) -> str:
+    """Name a campaign as the audit log does."""
+    return f"campaigns/{row.id}"

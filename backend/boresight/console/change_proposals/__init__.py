@@ -1,0 +1,1 @@
+"""Changes of gate limits and table layouts that wait for a second person."""

@@ -1,0 +1,96 @@
+"""Changes of gate limits and table layouts that wait for a second person: read, confirm, refuse, withdraw."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import Query
+from pydantic import BaseModel, ConfigDict, Field
+
+from boresight.console.access.dependencies import Reading, SeenVersion, Who, Writing
+from boresight.console.approvals import proposals
+from boresight.console.approvals import schemas as approval_schemas
+from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.change_proposals import service as second_person
+from boresight.console.operation import Answer, Beside, operations
+from boresight.console.uplinks.tables import TableDefinition
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+router = operations("/change-proposals", tags=["change proposals"])
+
+PROPOSED: dict[int | str, dict[str, Any]] = {
+    202: {
+        "model": approval_schemas.ChangeProposal,
+        "description": "The setting `second_person` is on: proposed, and in force when another person confirms it.",
+    }
+}
+
+
+class ProposalComment(BaseModel):
+    """A word to who proposed the change."""
+
+    model_config = ConfigDict(extra="forbid")
+    comment: str = Field("", max_length=4000, description="Needed to refuse.")
+
+
+def _shown(session: Session, row: ChangeProposal) -> Beside:
+    """Return a proposal with what it changes."""
+    return Beside(row, differences=second_person.differences(session, row))
+
+
+def in_force_or_proposed(
+    session: Session, row: GateProfile | TableDefinition | ChangeProposal
+) -> GateProfile | TableDefinition | Answer:
+    """Answer a change that is in force with its version, and one that waits with its proposal."""
+    if isinstance(row, ChangeProposal):
+        return Answer(_shown(session, row), 202, approval_schemas.ChangeProposal)
+    return row
+
+
+@router.get("", summary="List proposed changes", response_model=Page[approval_schemas.ChangeProposal])
+def list_change_proposals(
+    session: Reading,
+    page: Paged,
+    sensor_id: Id | None = None,
+    kind: Literal["gate-profile", "table-definition"] | None = None,
+    state: Annotated[
+        Literal["OPEN", "CONFIRMED", "REFUSED", "WITHDRAWN", "STALE", "EXPIRED"] | None, Query(examples=["OPEN"])
+    ] = None,
+) -> Listing[ChangeProposal]:
+    """List changes of gate limits and table layouts that were proposed, newest first."""
+    found = proposals.list_proposals(
+        session, sensor_id=sensor_id, kind=kind, state=state, before_id=page.last_id, limit=page.limit + 1
+    )
+    return page.cut(found, lambda row: _shown(session, row))
+
+
+@router.get("/{proposal_id}", summary="Read a proposed change", response_model=approval_schemas.ChangeProposal)
+def get_change_proposal(proposal_id: Id, session: Reading) -> Beside:
+    """Read a proposal with what it changes; the ETag is for deciding on it."""
+    return _shown(session, proposals.get_proposal(session, proposal_id))
+
+
+@router.post("/{proposal_id}:confirm", summary="Put it into force", response_model=approval_schemas.ChangeProposal)
+def confirm_change(
+    proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing, said: ProposalComment | None = None
+) -> Beside:
+    """Confirm a change as a second person: one who may make it, did not propose it, and is logged in; no API key.
+
+    The sensor's undecided requests for approval become STALE, as with every such change. A proposal that was made against a
+    version which is in force no more is STALE too, and answers 412.
+    """
+    comment = "" if said is None else said.comment
+    return _shown(session, second_person.confirm(session, actor, proposal_id, seen, comment))
+
+
+@router.post("/{proposal_id}:refuse", summary="Refuse it", response_model=approval_schemas.ChangeProposal)
+def refuse_change(proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+    """Refuse a change as a second person, with a comment."""
+    return _shown(session, second_person.refuse(session, actor, proposal_id, seen, said.comment))
+
+
+@router.post("/{proposal_id}:withdraw", summary="Take it back", response_model=approval_schemas.ChangeProposal)
+def withdraw_change(proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
+    """Take a proposal back, as who made it or as an administrator."""
+    return _shown(session, proposals.withdraw(session, actor, proposal_id, seen))

@@ -1,0 +1,225 @@
+"""A second person for gate limits and table layouts, where the policy asks for one.
+
+A change is then proposed, and takes effect when somebody else who may make such changes confirms it in person. Until then
+nothing moves: requests for approval stay bound to the limits and the layout in force, and become STALE when a confirmed
+change replaces them. A proposal was checked like a change, and is checked again when it is confirmed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from boresight.console.access.passwords import password_by
+from boresight.console.access.tables import User
+from boresight.console.approvals import gate_profiles, proposals
+from boresight.console.approvals import queries as gate_rows
+from boresight.console.approvals.proposals import MAY_CONFIRM, TITLES
+from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.transitions import require_seen, subject_of
+from boresight.console.uplinks import queries as table_rows
+from boresight.console.uplinks import table_definitions
+from boresight.console.uplinks.tables import TableDefinition
+from boresight.errors import ConflictError, ForbiddenError, RefusedInputError, StaleError
+from boresight.platform.actors import DAY_S, Actor, Policy, require_person, require_role, require_user
+from boresight.platform.audit import log as audit
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_after, utc_now
+from boresight.platform.web.words import refuse_control_characters
+
+Scalar = str | int | float | bool | None
+
+
+@dataclass(frozen=True)
+class Difference:
+    """An entry that a proposal changes.
+
+    Parameters
+    ----------
+    place
+        Where it is in the document: `gates[coverage].limit`.
+    before, after
+        What it is in the version that the proposal was made against, and what it would be; None where there is nothing.
+    """
+
+    place: str
+    before: Scalar
+    after: Scalar
+
+
+def change(
+    session: Session,
+    actor: Actor,
+    kind: str,
+    sensor_id: int,
+    document: Mapping[str, Any],
+    reason: str,
+    seen_number: int | None,
+    *,
+    policy: Policy,
+) -> GateProfile | TableDefinition | ChangeProposal:
+    """Put a change into force, or propose it where the policy asks for a second person.
+
+    Raises
+    ------
+    BoresightError
+        As `gate_profiles.set_profile` and `table_definitions.set_definition`.
+    """
+    if not policy.second_person:
+        change_now = gate_profiles.set_profile if kind == "gate-profile" else table_definitions.set_definition
+        return change_now(session, actor, sensor_id, document, reason, seen_number)
+    complete = _checked(session, actor, kind, sensor_id, document, reason, seen_number)
+    same = [row for row in proposals.open_proposals(session, sensor_id, kind) if row.sha256 == sha256_of(complete)]
+    if same:
+        raise ConflictError(f"Proposal {same[0].id} asks for this change already: have another person confirm it.")
+    row = ChangeProposal(
+        sensor_id=sensor_id,
+        kind=kind,
+        base_number=_in_force(session, kind, sensor_id),
+        document=complete,
+        sha256=sha256_of(complete),
+        reason=reason.strip(),
+        proposed_utc=utc_now(),
+        proposed_by=require_user(actor, "propose a change"),
+        expires_utc=utc_after(policy.approval_days * DAY_S),
+        state="OPEN",
+    )
+    session.add(row)
+    session.flush()
+    told = {"kind": kind, "sensor": f"sensors/{sensor_id}", "against": row.base_number, "sha256": row.sha256}
+    told |= {"document": complete, "expires_utc": row.expires_utc}
+    audit.append(session, actor, "proposed", subject_of(row), None, told, row.reason)
+    return row
+
+
+def why_not_decide(session: Session, actor: Actor, row: ChangeProposal) -> str | None:
+    """Say why this actor may neither confirm nor refuse a proposal; None when they may."""
+    try:
+        _refuse_decider(session, actor, row)
+    except ForbiddenError as refusal:
+        return str(refusal)
+    return proposals.why_closed(session, row)
+
+
+def confirm(
+    session: Session, actor: Actor, proposal_id: int, seen_version: int | None, comment: str = ""
+) -> ChangeProposal:
+    """Put a proposed change into force, as a second person.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor proposed it, has not the role, or is no person who is logged in.
+    NotFoundError, PreconditionRequiredError, ConflictError, RefusedInputError
+        When there is no such proposal, it is decided or expired, or it cannot be used any more.
+    StaleError
+        When it changed since it was seen, or another version came into force since it was made; then it is STALE.
+    """
+    row = proposals.get_proposal(session, proposal_id)
+    _refuse_decider(session, actor, row)
+    require_seen(session, row, seen_version)
+    proposals.require_open(session, row)
+    number = _in_force(session, row.kind, row.sensor_id)
+    if number != row.base_number:
+        proposals.make_stale(session, actor, row.sensor_id, row.kind, number)
+        keep_despite_refusal(session)
+        raise StaleError(
+            f"Proposal {row.id} was made against version {row.base_number} of the {TITLES[row.kind]}, and version "
+            f"{number} is in force by now. Propose the change anew."
+        )
+    refuse_control_characters(comment=comment)
+    told = password_by(session, require_person(actor, "confirm a change"))
+    row.number = number + 1
+    proposals.close(session, actor, row, "CONFIRMED", "confirmed", comment=comment, password_by=told)
+    put = gate_profiles.put_into_force if row.kind == "gate-profile" else table_definitions.put_into_force
+    put(session, actor, row.sensor_id, row.document, row.reason, proposal=row)
+    return row
+
+
+def refuse(session: Session, actor: Actor, proposal_id: int, seen_version: int | None, comment: str) -> ChangeProposal:
+    """Refuse a proposed change, as a second person, with a comment.
+
+    Raises
+    ------
+    ForbiddenError, NotFoundError, PreconditionRequiredError, StaleError, ConflictError
+        As `confirm`.
+    RefusedInputError
+        When no comment is given.
+    """
+    row = proposals.get_proposal(session, proposal_id)
+    _refuse_decider(session, actor, row)
+    require_seen(session, row, seen_version)
+    proposals.require_open(session, row)
+    if not comment.strip():
+        raise RefusedInputError("Say why you refuse: the comment is what the proposer learns from.")
+    told = password_by(session, require_person(actor, "refuse a change"))
+    proposals.close(session, actor, row, "REFUSED", "refused", comment=comment, password_by=told)
+    return row
+
+
+def differences(session: Session, row: ChangeProposal) -> list[Difference]:
+    """Return what a proposal changes in the version that it was made against."""
+    before, after = dict(_leaves(_base(session, row))), dict(_leaves(row.document))
+    places = [*before, *(place for place in after if place not in before)]
+    return [
+        Difference(place, before.get(place), after.get(place))
+        for place in places
+        if (place in before) != (place in after) or before[place] != after[place]
+    ]
+
+
+def _refuse_decider(session: Session, actor: Actor, row: ChangeProposal) -> None:
+    """Refuse whoever is not a second person for a proposal."""
+    user_id = require_person(actor, "confirm or refuse a change")
+    require_role(actor, *MAY_CONFIRM[row.kind])
+    if user_id == row.proposed_by:
+        raise ForbiddenError("You proposed this change; another person must confirm or refuse it.")
+    if session.get_one(User, user_id).must_change_password:
+        raise ForbiddenError("Somebody else set your password; set your own first, then decide.")
+
+
+def _checked(
+    session: Session,
+    actor: Actor,
+    kind: str,
+    sensor_id: int,
+    document: Mapping[str, Any],
+    reason: str,
+    seen_number: int | None,
+) -> dict[str, Any]:
+    """Return a document as it would be stored, if it could be put into force now."""
+    check = gate_profiles.checked if kind == "gate-profile" else table_definitions.checked
+    return check(session, actor, sensor_id, document, reason, seen_number)
+
+
+def _in_force(session: Session, kind: str, sensor_id: int) -> int:
+    """Return the number of the version in force; 0 for the default, or none."""
+    if kind == "gate-profile":
+        return gate_profiles.profile_in_force(session, sensor_id).number
+    row = table_definitions.definition_in_force(session, sensor_id)
+    return 0 if row is None else row.number
+
+
+def _base(session: Session, row: ChangeProposal) -> Mapping[str, Any]:
+    """Return the document of the version that a proposal was made against."""
+    asked = {"before_number": row.base_number + 1, "limit": 1}
+    if row.kind == "gate-profile":
+        profiles = gate_rows.profiles(session, row.sensor_id, **asked)
+        return profiles[0].document if profiles else gate_profiles.DEFAULT
+    definitions = table_rows.definitions(session, row.sensor_id, **asked)
+    return definitions[0].document if definitions else {}
+
+
+def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Scalar]]:
+    """Yield every entry of a document with its place; the items of a list by their names, where they have some."""
+    if isinstance(value, Mapping) and value:
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{place}.{key}" if place else str(key))
+    elif isinstance(value, list) and value:
+        for index, inner in enumerate(value):
+            name = inner.get("name", index) if isinstance(inner, Mapping) else index
+            yield from _leaves(inner, f"{place}[{name}]")
+    else:
+        yield place, json.dumps(value) if isinstance(value, Mapping | list) else value

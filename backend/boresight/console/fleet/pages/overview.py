@@ -1,0 +1,362 @@
+"""The fleet at a glance: every sensor's worst status with its reason, the queue, what waits for me, what happened."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse
+
+from boresight.console import lists
+from boresight.console.access.dependencies import Reading, Who
+from boresight.console.alarms import service as alarms
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals import proposals
+from boresight.console.approvals import service as approvals
+from boresight.console.audit.pages import line_of
+from boresight.console.change_proposals import service as second_person
+from boresight.console.fleet import status as fleet
+from boresight.console.fleet.status import SensorTile, Standing
+from boresight.console.pages.drawings import Sparkline, sparkline
+from boresight.console.pages.formats import LEVELS
+from boresight.console.pages.rendering import render
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.runs import service as runs
+from boresight.console.runs.tables import TERMINAL_RUN_STATES
+from boresight.platform.actors import Actor, Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.db.marks import Kept
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.keeping import same_for_one, tell_older
+from boresight.platform.web.ready import HELD_S
+
+RECENT_EVENTS = 12
+MOST_ACTIONS = 8
+MOST_TILES = 120
+RUNS_IN_A_SPARKLINE = 16
+CAME_BACK = ("STALE", "REJECTED")  # states of a request that its submitter is told of
+
+router = APIRouter()
+
+
+@dataclass(frozen=True)
+class Action:
+    """Something that waits for the person who looks."""
+
+    level: str
+    sentence: str
+    address: str
+    label: str
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """What of one kind waits: how much, and the first of it."""
+
+    count: int
+    first: Sequence[Action]
+
+
+NOTHING = Waiting(0, ())
+
+
+def _signatures(session: Session, actor: Actor, policy: Policy) -> Waiting:
+    """Find the open requests that this person may sign now."""
+    signatory = approvals.signatory(session, actor, policy=policy)
+    if signatory is None:
+        return NOTHING
+    return _requests(session, {"open_to": signatory}, "standby", "waits for your signature", "Review")
+
+
+def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> Waiting:
+    """Count the requests that a list is narrowed to, and write the newest of them."""
+    newest = lists.page_of(session, "approvals", where, "-request", limit=MOST_ACTIONS)
+    sets = parameter_sets.heads_of(session, [request.parameter_set_id for request in newest])
+    first = [
+        Action(level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}", label)
+        for request in newest
+    ]
+    return Waiting(lists.count(session, "approvals", where), first)
+
+
+def _proposals(session: Session, actor: Actor) -> Waiting:
+    """Find the proposed changes that this person may decide on."""
+    able = [
+        row for row in proposals.open_proposals(session) if second_person.why_not_decide(session, actor, row) is None
+    ]
+    first = [
+        Action(
+            "standby",
+            f"A change of the {proposals.TITLES[row.kind]} waits for a second person.",
+            f"/change-proposals/{row.id}",
+            "Review",
+        )
+        for row in able[:MOST_ACTIONS]
+    ]
+    return Waiting(len(able), first)
+
+
+def _alarms(session: Session, actor: Actor) -> Waiting:
+    """Find the alarms that wait for whoever may handle them."""
+    if not actor.roles.intersection(alarms.HANDLERS):
+        return NOTHING
+    newest = alarms.list_alarms(session, alarms.Sought(state="unacknowledged"), limit=MOST_ACTIONS)
+    first = []
+    for alarm in newest:
+        gist = alarm.sentence.split(". ", maxsplit=1)[0].rstrip(".")
+        first.append(Action(alarm.level, f"Alarm {alarm.id}: {gist}.", f"/alarms/{alarm.id}", "Handle"))
+    return Waiting(alarms.unacknowledged(session), first)
+
+
+def _promotions(session: Session, actor: Actor) -> Iterator[Waiting]:
+    """Yield what an operator may do: promote what is approved, record what became of a new baseline."""
+    if "operator" not in actor.roles:
+        return
+    yield _sets(session, {"state": "APPROVED"}, "is approved and can be promoted", "Promote")
+    unsent = {"state": "BASELINE", "board": "NOT SENT", "of_a_run": True}
+    yield _sets(session, unsent, "is the baseline; nothing is recorded of it on board", "Record")
+
+
+def _sets(session: Session, where: Mapping[str, Any], words: str, label: str) -> Waiting:
+    """Count the parameter sets that a list is narrowed to, and write the newest of them."""
+    newest = lists.page_of(session, "parameter-sets", where, "-set", limit=MOST_ACTIONS)
+    first = [Action("standby", f"{row.name} {words}.", f"/parameter-sets/{row.id}", label) for row in newest]
+    return Waiting(lists.count(session, "parameter-sets", where), first)
+
+
+def _own_requests(session: Session, actor: Actor) -> Iterator[Waiting]:
+    """Yield this person's requests that came back."""
+    if actor.user_id is None:
+        return
+    for state, words in zip(CAME_BACK, ("went stale: evaluate again", "was refused: read why"), strict=True):
+        yield _requests(session, {"state": state, "submitted_by": actor.user_id}, "caution", words, "Read")
+
+
+def _calibrations(session: Session, standings: Sequence[Standing], actor: Actor) -> Waiting:
+    """Find what an analyst may do about any sensor: launch a first run, look at a failed one, make a set of a good one."""
+    if "analyst" not in actor.roles:
+        return NOTHING
+    converged = {one.last_run.id for one in standings if _converged(one)}
+    unused = converged - parameter_sets.runs_with_sets(session, converged)
+    found = [action for one in _shown_first(standings) if (action := _next_step(one, unused)) is not None]
+    return Waiting(len(found), found[:MOST_ACTIONS])
+
+
+def _next_step(one: Standing, unused: Collection[int]) -> Action | None:
+    """Say what a sensor's newest run asks for; `unused` are converged runs that no set was made of."""
+    run = one.last_run
+    if run is None:
+        address = f"/runs/new?sensor={one.sensor_id}"
+        told = Action("standby", f"{one.name} has telemetry and no run yet.", address, "Launch")
+        return told if one.has_telemetry else None
+    if run.state in {"FAILED", "LOST"}:
+        return Action("serious", f"{one.name}: run {run.id} {run.state}.", f"/runs/{run.id}", "Look")
+    if run.id in unused:
+        return Action("standby", f"{one.name}: run {run.id} converged; judge it.", f"/runs/{run.id}", "Judge")
+    return None
+
+
+def _converged(one: Standing) -> bool:
+    """Tell whether a sensor's newest run came to rest."""
+    run = one.last_run
+    return run is not None and run.state == "SUCCEEDED" and (run.summary or {}).get("status") == "converged"
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a sensor's calibrations went lately.
+
+    Parameters
+    ----------
+    rms
+        Arc RMS of the newest runs, oldest first: of the tail where a run has one, else of all frames.
+    availability
+        Of the newest run with a validation set; None where there is none.
+    drift
+        The open alarm of its drift; None where there is none.
+    """
+
+    rms: Sparkline | None
+    availability: float | None
+    drift: Alarm | None
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened: somebody did it, or a run ended."""
+
+    at_utc: str
+    who: str
+    did: str
+    to: str
+    address: str | None
+    gist: str
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """What the overview shows to everybody; read once after a commit, whoever looks.
+
+    Parameters
+    ----------
+    standings
+        How every sensor stands, by name.
+    tiles
+        The sensors that are drawn: all, or of a large fleet those that stand worst.
+    courses, waiting
+        By sensor that is drawn: how its calibrations went lately, and the number of its open request.
+    queue
+        How many runs are in each state.
+    events
+        What happened last, newest first.
+    open_requests, open_proposals
+        How many wait for whoever may sign or decide.
+    submitters
+        Whose requests came back.
+    by_roles
+        What waits for those of the same roles; found for the first who looks.
+    """
+
+    standings: Sequence[Standing]
+    tiles: Sequence[SensorTile]
+    courses: Mapping[int, Course]
+    waiting: Mapping[int, int]
+    queue: Mapping[str, int]
+    events: Sequence[Event]
+    open_requests: int = 0
+    open_proposals: int = 0
+    submitters: Collection[int] = ()
+    by_roles: dict[frozenset[str], tuple[Waiting, Sequence[Waiting]]] = field(default_factory=dict)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every sensor is drawn."""
+        return len(self.tiles) == len(self.standings)
+
+    @property
+    def unjudged(self) -> int:
+        """Of how many sensors it is not known yet whether the ground calibration holds."""
+        return sum(not one.is_judged for one in self.standings)
+
+
+def drawn_of(standings: Sequence[Standing]) -> Sequence[Standing]:
+    """Choose the sensors that a page has room for: all by name, or of a large fleet those that stand worst, the worst first."""
+    return _shown_first(standings)[:MOST_TILES]
+
+
+def _shown_first(standings: Sequence[Standing]) -> Sequence[Standing]:
+    """Order the sensors as a page shows them."""
+    return standings if len(standings) <= MOST_TILES else sorted(standings, key=lambda one: -LEVELS.index(one.status))
+
+
+def _courses(session: Session, tiles: Sequence[SensorTile]) -> dict[int, Course]:
+    """Return how each sensor's calibrations went lately."""
+    summaries = fleet.recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
+    drifting = alarms.open_of_sensors(session, "DRIFT", [tile.sensor.id for tile in tiles])
+    return {tile.sensor.id: _course(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id)) for tile in tiles}
+
+
+def _course(summaries: Sequence[Mapping[str, Any]], drift: Alarm | None) -> Course:
+    rms = [it.get("tail_rms_rad") or it.get("rms_final_arc_rad") for it in summaries]
+    seen = [it["availability"] for it in summaries if it.get("availability") is not None]
+    return Course(sparkline([value for value in rms if value]), seen[-1] if seen else None, drift)
+
+
+def _recorded(session: Session) -> Iterator[Event]:
+    """Yield the newest records of the audit log, but for the ends of runs, which tell more by their rows."""
+    for record in audit.list_records(session, limit=RECENT_EVENTS):
+        if record.action == "ended":
+            continue
+        line = line_of(record)
+        yield Event(record.at_utc, record.actor, record.action, record.object, line.address, line.gist)
+
+
+def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[Event]:
+    """Yield the ends of the newest runs."""
+    for run in runs.list_runs(session, state=TERMINAL_RUN_STATES, limit=RECENT_EVENTS):
+        if run.ended_utc:
+            gist = " · ".join(filter(None, (names.get(run.sensor_id), run.label, run.reason)))
+            yield Event(run.ended_utc, "Boresight", run.state, f"runs/{run.id}", f"/runs/{run.id}", gist)
+
+
+def _events(session: Session, standings: Sequence[Standing]) -> list[Event]:
+    """Return what happened last, newest first."""
+    names = {one.sensor_id: one.name for one in standings}
+    found = [*_recorded(session), *_ended_runs(session, names)]
+    return sorted(found, key=lambda event: event.at_utc, reverse=True)[:RECENT_EVENTS]
+
+
+def _fleet(session: Session) -> Fleet:
+    """Read what everybody is shown."""
+    standings = fleet.standings(session)
+    tiles = fleet.tiles(session, drawn_of(standings), documents=False)
+    return Fleet(
+        standings,
+        tiles,
+        _courses(session, tiles),
+        approvals.newest_open(session, [tile.sensor.id for tile in tiles]),
+        runs.count_by_state(session),
+        _events(session, standings),
+        lists.count(session, "approvals", {"state": "OPEN"}),
+        proposals.count_open(session),
+        approvals.submitters(session, CAME_BACK),
+    )
+
+
+def _ours(session: Session, actor: Actor, desk: Fleet) -> tuple[Waiting, Sequence[Waiting]]:
+    """Gather what waits for everybody of the same roles: alarms, and promotions with the calibrations."""
+    found = desk.by_roles.get(actor.roles)
+    if found is None:
+        rest = (*_promotions(session, actor), _calibrations(session, desk.standings, actor))
+        found = desk.by_roles[actor.roles] = (_alarms(session, actor), rest)
+    return found
+
+
+def _mine(session: Session, actor: Actor, policy: Policy, desk: Fleet) -> tuple[Waiting, Waiting]:
+    """Gather what waits for a person: requests to sign, and everything, these among it.
+
+    What cannot be there, as everybody's look at the fleet tells, is not asked for.
+    """
+    signatures = _signatures(session, actor, policy) if desk.open_requests else NOTHING
+    own = _own_requests(session, actor) if actor.user_id in desk.submitters else ()
+    decisions = _proposals(session, actor) if desk.open_proposals else NOTHING
+    alarming, (*promotions, calibrations) = _ours(session, actor, desk)
+    kinds = [alarming, signatures, decisions, *promotions, *own, calibrations]
+    first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
+    return signatures, Waiting(sum(kind.count for kind in kinds), first)
+
+
+def _counts(standings: Sequence[Standing]) -> dict[str, int]:
+    """Count the sensors by level, worst first; every level, so that the strip keeps its shape."""
+    return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
+
+
+@router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
+def overview_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show the fleet."""
+    kept: Kept[Fleet] = request.app.state.overview
+    ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
+    desk, is_older = kept.answer_to(
+        ages, partial(_fleet, session), request.state.came_s
+    )  # before anything else is read
+    if is_older:
+        tell_older(request)
+    signatures, actions = _mine(session, actor, request.app.state.policy, desk)
+    workers = request.app.state.workers.state() if request.app.state.workers else None
+    return render(
+        request,
+        "fleet/overview.html",
+        follows_from=(desk, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
+        desk=desk,
+        counts=_counts(desk.standings),
+        actions=actions.first,
+        more_actions=actions.count - len(actions.first),
+        waiting_for_me=signatures.count,
+        events=desk.events,
+        workers=workers,
+        may_register=bool({"analyst", "administrator"} & actor.roles),
+    )

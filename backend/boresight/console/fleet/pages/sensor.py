@@ -1,0 +1,417 @@
+"""One sensor: what it is, what its baseline says, what was baseline when, its telemetry and its runs.
+
+The field of view follows from the baseline's focal length f and the detector, 2 atan(half a side / f), and one pixel
+at the centre sees pitch / f. The sketch shows the detector with the principal point where the baseline has it.
+
+What the newest calibration of a sensor would change: availability, matched stars and RMS, before and after, with intervals.
+
+The validation set is quoted where the run had one, for it took no part in the estimate; else the calibration set.
+
+A sensor over the mission: whether to recalibrate, whether it drifts, every parameter over time, and why what counts.
+
+One figure for the baseline's camera model, and one for each other model that was calibrated: they are not to be compared.
+
+A sensor's timeline: what held at a time and who said so, and under it everything that happened.
+
+The address holds the view: `?at=2026-11-21T03:04:05Z` asks, `&before=712` turns the page of the list.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.cameras import CAMERA_MODELS
+from boresight.console import lists
+from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.alarms import service as alarms
+from boresight.console.approvals import gates
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet import timeline
+from boresight.console.fleet.pages.sensors import read_document
+from boresight.console.fleet.tables import Sensor
+from boresight.console.fleet.timeline import AsOf as timeline_AsOf
+from boresight.console.fleet.trend import trend_of
+from boresight.console.fleet.trend_document import advise, trend_document
+from boresight.console.notes import service as notes
+from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import service as runs
+from boresight.console.runs.pages.list import line_of, read_names
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.tables import Uplink
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.figures.charts import trend as figure
+from boresight.platform.actors import Actor
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Session, reading, utc_now
+from boresight.platform.web.paging import row_number
+from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
+
+#: How many of the newest finished runs are looked at for one with a validation set.
+LOOKED_AT = 20
+
+
+@dataclass(frozen=True)
+class Score:
+    """One row: what it is, its unit, and before and after as printed, each with its 95 % interval or nothing."""
+
+    name: str
+    unit: str
+    before: str
+    before_interval: str
+    after: str
+    after_interval: str
+
+
+@dataclass(frozen=True)
+class BeforeAfter:
+    """The newest result of a sensor, judged on a set.
+
+    Parameters
+    ----------
+    run
+        The run it is of.
+    judged_on
+        `validation` or `calibration`.
+    scores
+        The table.
+    tolerance_urad
+        Of the simulated check of the flight code, as printed; a dash where there was none.
+    """
+
+    run: Run
+    judged_on: str
+    scores: Sequence[Score]
+    tolerance_urad: str
+
+
+def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAfter | None:
+    """Return what the newest finished run of a sensor would change, one with a validation set first; None without a run."""
+    for run in runs.newest_finished(session, sensor_id, LOOKED_AT):
+        try:
+            result = runs.result(session, blobs, run.id)
+        except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one
+            continue
+        if result is not None and (judged := judged_on(result)) is not None:
+            whose, evaluation = judged
+            return BeforeAfter(run, whose, scores(evaluation), urad(evaluation.get("flight_tolerance_rad"), 3))
+    return None
+
+
+def judged_on(result: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
+    """Return the set that a result is judged on and its scores, in the shape of an evaluation; None where nothing is."""
+    for key, whose in (("validation", "validation"), ("evaluation", "calibration")):
+        if result.get(key):
+            return whose, result[key]
+    if (result.get("rms_arc_rad") or {}).get("final") is None:
+        return None
+    return "calibration", {"rms_arc_rad": result["rms_arc_rad"]}
+
+
+def scores(evaluation: Mapping[str, Any]) -> list[Score]:
+    """Print the scores of an evaluation, those that it has."""
+    intervals = evaluation.get("intervals") or {}
+    available, rms = evaluation.get("availability") or {}, evaluation.get("rms_arc_rad") or {}
+    reach_available, reach_rms = intervals.get("availability") or {}, intervals.get("rms_arc_rad") or {}
+    ratio, reach = evaluation.get("matched_star_ratio"), intervals.get("matched_star_ratio")
+    rows = [
+        _score("Availability", "%", available, reach_available, 100.0, 1),
+        _score("Matched star ratio", "", {"initial": 1.0, "final": ratio}, {"final": reach}, 1.0, 2),
+        _score("RMS arc error", "µrad", rms, reach_rms, 1e6, 1),
+    ]
+    return [row for row in rows if row.after != MISSING]
+
+
+def _score(
+    name: str, unit: str, values: Mapping[str, Any], reach: Mapping[str, Any], factor: float, decimals: int
+) -> Score:
+    """Print one score, `factor` from SI to its unit."""
+    printed = [
+        text
+        for side in ("initial", "final")
+        for text in (_number(values.get(side), factor, decimals), _interval(reach.get(side), factor, decimals))
+    ]
+    return Score(name, unit, *printed)
+
+
+def _number(value: Any, factor: float, decimals: int) -> str:
+    return fixed(value * factor, decimals) if is_number(value) else MISSING
+
+
+def _interval(ends: Sequence[Any] | None, factor: float, decimals: int) -> str:
+    """Print an interval; nothing where none is known, one end where the other is not."""
+    if not ends or not is_number(ends[0]):
+        return ""
+    if not is_number(ends[1]):
+        return f"over {_number(ends[0], factor, decimals)}"
+    return f"{NARROW_SPACE}to{NARROW_SPACE}".join(_number(end, factor, decimals) for end in ends)
+
+
+router = APIRouter()
+
+LEVEL_OF_ANSWER = {"YES": "caution", "NOT YET": "normal", "MORE DATA NEEDED": "standby"}
+LEVEL_OF_DRIFT = {"DRIFT": "serious", "GROUND SHIFT": "caution", "HOLDS": "normal", "NOT TESTED": "off"}
+
+
+@router.get("/sensors/{sensor_id:int}/trend", response_class=HTMLResponse)
+def trend_page(request: Request, session: Reading, actor: Who, sensor_id: int) -> HTMLResponse:  # noqa: ARG001 - whoever is known may read
+    """Show a sensor over the mission."""
+    document = trend_document(session, sensor_id)
+    return render(
+        request,
+        "fleet/trend.html",
+        sensor=sensors.get_sensor(session, sensor_id),
+        trend=document,
+        models=[None, *dict.fromkeys(point["camera_model"] for point in document["others"])],
+        figure=figure,
+        rows=_rows(document),
+        points=[*document["points"], *document["others"]][::-1],
+        open_alarms=alarms.list_alarms(session, alarms.Sought(sensor_id=sensor_id)),
+        answer_level=LEVEL_OF_ANSWER[document["advice"]["answer"]],
+        drift_level=LEVEL_OF_DRIFT[document["drift"]["verdict"]],
+    )
+
+
+def _rows(document: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    """Return the drift of each tested parameter: the change with its sigma, and the slope with its own."""
+    drift = document["drift"]
+    if not drift["names"]:
+        return []
+    slope, sigma = drift["slope_per_day"] or {}, drift["slope_sigma_per_day"] or {}
+    return [
+        {
+            "name": name,
+            "difference": drift["difference"][name],
+            "sigma": drift["sigma"][name],
+            "worth": drift["difference"][name] / drift["sigma"][name],
+            "slope": slope.get(name),
+            "slope_sigma": sigma.get(name),
+        }
+        for name in drift["names"]
+    ]
+
+
+RUNS_SHOWN, SETS_SHOWN = 10, 100
+
+sensor_router = APIRouter(dependencies=[Depends(csrf)])
+
+
+@dataclass(frozen=True)
+class Optics:
+    """What a detector and a focal length see.
+
+    Parameters
+    ----------
+    rows_deg, columns_deg, diagonal_deg
+        Full field of view along each side and corner to corner.
+    pixel_urad
+        What one pixel sees at the centre.
+    principal_row_px, principal_col_px
+        Where the boresight meets the detector.
+    """
+
+    rows_deg: float
+    columns_deg: float
+    diagonal_deg: float
+    pixel_urad: float
+    principal_row_px: float
+    principal_col_px: float
+
+
+def optics_of(detector: Mapping[str, Any], parameters: Mapping[str, float]) -> Optics:
+    """Derive the field of view from a detector and camera parameters of either model."""
+    f_px = parameters["f_m"] / detector["pixel_pitch_m"]
+    rows, columns = detector["rows"], detector["columns"]
+
+    def degrees(side_px: float) -> float:
+        return 2.0 * math.degrees(math.atan(side_px / 2.0 / f_px))
+
+    return Optics(
+        rows_deg=degrees(rows),
+        columns_deg=degrees(columns),
+        diagonal_deg=degrees(math.hypot(rows, columns)),
+        pixel_urad=1e6 / f_px,
+        principal_row_px=parameters.get("m0_px", parameters.get("v0_px", (rows - 1) / 2.0)),
+        principal_col_px=parameters.get("n0_px", parameters.get("u0_px", (columns - 1) / 2.0)),
+    )
+
+
+@dataclass(frozen=True)
+class Value:
+    """One parameter of the baseline."""
+
+    name: str
+    value: float
+    sigma: float | None
+    ground: float | None
+    typical_sigma: float | None
+    truth: float | None
+
+
+def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[Value]:
+    """Lay out the baseline's parameters in model order; a ground calibration has no measured sigma."""
+    document = sensor.document
+    values = baseline.document["parameters"] if baseline else document["initial"]
+    measured = baseline is not None and baseline.run_id is not None
+    sigma = (baseline.document.get("sigma") or {}) if baseline and measured else {}
+    return [
+        Value(
+            name=name,
+            value=value,
+            sigma=sigma.get(name),
+            ground=document["initial"].get(name),
+            typical_sigma=document["typical_sigma"].get(name),
+            truth=(sensor.truth or {}).get(name),
+        )
+        for name in CAMERA_MODELS[document["camera_model"]].parameter_names
+        for value in (values[name],)
+    ]
+
+
+@dataclass(frozen=True)
+class AsOf:
+    """What was baseline and what was on board at a time, or why that cannot be said."""
+
+    time: str
+    baseline: ParameterSet | None
+    onboard: Sequence[tuple[ParameterSet, Uplink]]
+    refusal: str | None
+
+
+def _as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
+    """Answer the question of the form; None when nothing was asked."""
+    if not time.strip():
+        return None
+    try:
+        baseline = uplinks.baseline_at(session, sensor_id, time.strip())
+        return AsOf(time, baseline, uplinks.onboard_at(session, sensor_id, time.strip()), None)
+    except RefusedInputError as refusal:
+        return AsOf(time, None, (), str(refusal))
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the edit form left behind."""
+
+    text: str = ""
+    refusal: Refusal | None = None
+
+
+def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown) -> HTMLResponse:
+    """Render a sensor."""
+    with reading(request.app.state.engine) as session:
+        sensor, baseline = sensors.get_sensor(session, sensor_id), parameter_sets.baseline_of(session, sensor_id)
+        newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
+        names = read_names(session, newest)
+        sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN)
+        promotions = uplinks.promotions_of(session, sensor_id)
+        promoted = parameter_sets.heads_of(session, {one.parameter_set_id for one in promotions})
+        values = baseline_values(sensor, baseline)
+        advice = advise(trend_of(session, sensor_id))
+        return render(
+            request,
+            "fleet/sensor.html",
+            refused=shown.refusal,
+            sensor=sensor,
+            tile=sensors.fleet_overview(session, [sensor_id])[0],
+            names=names,
+            baseline=baseline,
+            verdict_of_baseline=gates.verdicts(session, [baseline.id]).get(baseline.id) if baseline else None,
+            values=values,
+            has_truth=bool(sensor.truth),
+            measured=baseline is not None and baseline.run_id is not None,
+            optics=optics_of(sensor.document["detector"], {it.name: it.value for it in values}),
+            sets=sets,
+            set_names={number: head.name for number, head in promoted.items()},
+            advice=advice,
+            answer_level=LEVEL_OF_ANSWER[advice.answer],
+            open_alarms=alarms.list_alarms(session, alarms.Sought(sensor_id=sensor_id)),
+            notes=notes.list_notes(session, actor, "sensors", sensor_id),
+            promotions=promotions,
+            telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN),
+            sets_in_all=lists.count(session, "parameter-sets", {"sensor": sensor_id}),
+            telemetry_in_all=lists.count(session, "telemetry", {"sensor": sensor_id, "in_use": True}),
+            runs=[line_of(run, names) for run in newest],
+            change=before_after(session, request.app.state.blobs, sensor_id),
+            as_of=_as_of(session, sensor_id, at),
+            now=utc_now()[:19] + "Z",
+            file_text=shown.text or json.dumps(sensor.document, indent=2),
+            may_edit=bool({"analyst", "administrator"} & actor.roles),
+            shown=shown,
+        )
+
+
+@sensor_router.get("/sensors/{sensor_id}", response_class=HTMLResponse)
+def sensor_page(request: Request, actor: Who, sensor_id: int, at: str = "") -> HTMLResponse:
+    """Show a sensor, and what was baseline and on board at a time where asked."""
+    return _page(request, actor, sensor_id, at, Shown())
+
+
+@sensor_router.post("/sensors/{sensor_id}", response_class=HTMLResponse)
+async def edit(
+    request: Request,
+    actor: Who,
+    sensor_id: int,
+    document: Annotated[str, Form()] = "",
+    version: Annotated[int | None, Form()] = None,
+) -> Response:
+    """Change what new runs of the sensor start from."""
+    outcome = await attempt(request, partial(_edit, actor, sensor_id, document, version))
+    if outcome.value is not None:
+        return redirect(f"/sensors/{sensor_id}", flash=f"{outcome.value.name} is changed; runs from now on start here.")
+    return await run_in_threadpool(_page, request, actor, sensor_id, "", Shown(document, outcome.refusal))
+
+
+def _edit(actor: Actor, sensor_id: int, text: str, version: int | None, session: Session) -> Sensor:
+    """Hand the typed document to the service."""
+    return sensors.edit_sensor(session, actor, sensor_id, read_document(text), version)
+
+
+EVENTS_A_PAGE = 50
+
+
+@router.get("/sensors/{sensor_id:int}/timeline", response_class=HTMLResponse)
+def timeline_page(
+    request: Request, session: Reading, actor: Who, sensor_id: int, at: str = "", before: str = ""
+) -> HTMLResponse:
+    """Show what held at a time, now where none is asked for, and the events."""
+    sensor = sensors.get_sensor(session, sensor_id)
+    answer, refusal = _answer(session, sensor_id, at.strip())
+    before_id = row_number(before)
+    found = timeline.events(session, sensor_id, before_id=before_id, limit=EVENTS_A_PAGE + 1)
+    events = found[:EVENTS_A_PAGE]
+    return render(
+        request,
+        "fleet/timeline.html",
+        status_code=422 if refusal else 200,
+        sensor=sensor,
+        at=at.strip(),
+        now=utc_now()[:19] + "Z",
+        known=answer,
+        refusal=refusal,
+        events=events,
+        later=before_id is not None,
+        older=events[-1].id if len(found) > EVENTS_A_PAGE else None,
+        names=read_names(session),
+        actor=actor,
+    )
+
+
+def _answer(session: Session, sensor_id: int, at: str) -> tuple[timeline_AsOf | None, str | None]:
+    """Answer the question of the form, or say why it cannot be."""
+    try:
+        return timeline.as_of(session, sensor_id, at or None), None
+    except RefusedInputError as error:
+        return None, str(error)

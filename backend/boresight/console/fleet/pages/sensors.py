@@ -1,0 +1,255 @@
+"""The list of sensors, page by page, and registering one: paste or upload its sensor file; a refused text comes back as typed.
+
+The sensors that a page's chooser offers: those of a link and of a form stay among them, whatever is sought.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+from starlette.datastructures import FormData, UploadFile
+
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet import status as fleet
+from boresight.console.fleet.service import Choices
+from boresight.console.fleet.status import SensorTile, Standing
+from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.formats import LEVELS
+from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.console.pages.tables import Column, Table, View, all_of, csv_of, is_text, one_of, page_of, read_view
+from boresight.errors import Fault, RefusedInputError
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session, reading
+from boresight.platform.web.keeping import Roles
+from boresight.platform.web.paging import row_number
+from boresight.telemetry.read.formats import parse_json, text_of
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+EXAMPLE = """{
+  "name": "ST16-7",
+  "detector": {
+    "rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6
+  },
+  "camera_model": "inverted_wang",
+  "parity": 1,
+  "centroid_sigma_px": 0.1,
+  "initial": {
+    "f_m": 0.016, "m0_px": 971.5, "n0_px": 1295.5,
+    "b4_per_m4": 0, "b2_per_m2": 0,
+    "a1_rad": 0, "a2_rad": 0, "g_y": 1
+  },
+  "typical_sigma": {
+    "f_m": 3e-5, "m0_px": 25, "n0_px": 25,
+    "b4_per_m4": 1e6, "b2_per_m2": 60,
+    "a1_rad": 0.005, "a2_rad": 0.005, "g_y": 0.0002
+  },
+  "magnitude_limit": 5.75
+}
+"""
+
+SENSORS = Table(
+    "sensors",
+    "Registered sensors",
+    (
+        Column("sensor", "Sensor", "sensor", "nowrap", head=True),
+        Column("status", "Status"),
+        Column("model", "Camera model", "model", "nowrap"),
+        Column("detector", "Detector", "-detector", "num", unit="px"),
+        Column("f", "f", "-f", "num", "Focal length of the baseline", "mm"),
+        Column("baseline", "Baseline", "baseline", "nowrap"),
+        Column("sets", "Sets", "-sets", "num", "Telemetry sets that are in use"),
+    ),
+    {"status": one_of(LEVELS), "q": is_text},
+    "sensor",
+    kind="dense",
+)
+CSV_FIELDS = {
+    "sensor": ("number", "sensor", "simulated"),
+    "status": ("status", "sentence"),
+    "model": ("camera_model",),
+    "detector": ("rows", "columns"),
+    "f": ("f_m",),
+    "baseline": ("baseline",),
+    "sets": ("telemetry_sets",),
+}
+ROWS_AT_ONCE = 500
+FIELDS = (
+    ("name", "Unique in the fleet; becomes part of PS-<sensor>-<n>."),
+    ("detector", "rows, columns, and pixel_pitch_m in metres."),
+    ("camera_model", "Which equations turn a pixel into a direction; it fixes the parameters' names."),
+    ("parity", "+1: rows, columns and boresight are right-handed. −1: an upright image."),
+    ("centroid_sigma_px", "One-axis noise of a centroid, where the telemetry gives none of its own."),
+    ("initial", "The ground calibration, in SI; becomes set 0 and the first baseline."),
+    ("typical_sigma", "How much each parameter differs from unit to unit, in SI."),
+    ("free", "Optional: the parameters to estimate; all of them where it is left out."),
+    ("magnitude_limit", "Optional: the faintest catalogue star that it sees."),
+)
+
+
+def read_document(text: str) -> dict[str, Any]:
+    """Read a typed sensor file.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is empty or no JSON object; names line and column.
+    """
+    if not text.strip():
+        raise RefusedInputError("There is no sensor file: paste its JSON or choose the file.")
+    try:
+        document = parse_json(text)
+    except json.JSONDecodeError as error:
+        fault = Fault(error.lineno, str(error.colno), f"{error.msg}; correct the JSON here.")
+        raise RefusedInputError(f"This is not JSON at line {error.lineno}: {error.msg}.", (fault,)) from error
+    if not isinstance(document, dict):
+        raise RefusedInputError("A sensor file is one JSON object, in braces; this is something else.")
+    return document
+
+
+async def typed_document(form: FormData) -> str:
+    """Return what the form holds as text: the chosen file where there is one, else what was typed.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file is no UTF-8 text; names what it is where its first bytes tell, an image say.
+    """
+    chosen = form.get("file")
+    if isinstance(chosen, UploadFile) and chosen.filename:
+        content = await chosen.read()
+        await chosen.close()
+        return text_of(chosen.filename, content).decode()
+    typed = form.get("document")
+    return typed if isinstance(typed, str) else ""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the form left behind: its text and its refusal."""
+
+    text: str = ""
+    refusal: Refusal | None = None
+
+
+@router.get("/sensors", response_class=HTMLResponse)
+def sensors_page(request: Request, roles: Roles, example: str = "") -> HTMLResponse:
+    """Show a page of sensors and the form, filled with the example when asked."""
+    return _page(request, roles, Shown(EXAMPLE if example else ""))
+
+
+@router.get("/sensors.csv")
+def sensors_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Give every sensor of a view as CSV, lengths in metres."""
+    view = read_view(request, SENSORS)
+    return csv_of(view, CSV_FIELDS, map(_csv_row, _every_tile(session, view)))
+
+
+def _standing(session: Session, view: View) -> dict[int, Standing] | None:
+    """Return the sensors that stand as a view asks, which only looking at each of the fleet tells; None where it does not ask."""
+    if (status := view.where.get("status")) is None:
+        return None
+    return {one.sensor_id: one for one in fleet.standings(session) if one.status == status}
+
+
+def _where(chosen: Mapping[int, Standing] | None) -> dict[str, Any]:
+    """Narrow a view to these sensors."""
+    return {} if chosen is None else {"status": None, "among": list(chosen)}
+
+
+def _tiles(session: Session, sensor_ids: Sequence[int], chosen: Mapping[int, Standing] | None) -> list[SensorTile]:
+    """Return the tiles of some sensors, in this order, as they were found to stand when they were chosen."""
+    stand = chosen or {one.sensor_id: one for one in fleet.standings(session, sensor_ids)}
+    return fleet.tiles(session, [stand[sensor_id] for sensor_id in sensor_ids])
+
+
+def _every_tile(session: Session, view: View) -> Iterator[SensorTile]:
+    """Yield the tile of every sensor of a view."""
+    chosen = _standing(session, view)
+    ids = iter([sensor.id for sensor in all_of(session, view, **_where(chosen))])
+    while some := list(islice(ids, ROWS_AT_ONCE)):
+        yield from _tiles(session, some, chosen)
+
+
+def _csv_row(tile: SensorTile) -> dict[str, Any]:
+    """Lay out a sensor for a program."""
+    sensor, baseline = tile.sensor, tile.baseline
+    document = sensor.document
+    return {
+        "number": sensor.id,
+        "sensor": sensor.name,
+        "simulated": bool(sensor.simulated),
+        "status": tile.status,
+        "sentence": tile.sentence,
+        "camera_model": document["camera_model"],
+        "rows": document["detector"]["rows"],
+        "columns": document["detector"]["columns"],
+        "f_m": (baseline.document["parameters"] if baseline else document["initial"])["f_m"],
+        "baseline": baseline.name if baseline else None,
+        "telemetry_sets": tile.telemetry_sets,
+    }
+
+
+def _page(request: Request, roles: frozenset[str], shown: Shown) -> HTMLResponse:
+    """Render the list and the form."""
+    view = read_view(request, SENSORS)
+    with reading(request.app.state.engine) as session:
+        chosen = _standing(session, view)
+        found = page_of(session, view, **_where(chosen))
+        return render(
+            request,
+            "fleet/sensors.html",
+            refused=shown.refusal,
+            view=view,
+            tiles=_tiles(session, [sensor.id for sensor in found.rows], chosen),
+            registered=sensors.count(session),
+            fitting=None if chosen is None or "q" in view.where else len(chosen),
+            last=found.last,
+            levels=tuple(reversed(LEVELS)),
+            may_register=bool({"analyst", "administrator"} & roles),
+            example=EXAMPLE,
+            fields=FIELDS,
+            models=_models(),
+            shown=shown,
+        )
+
+
+def _models() -> Sequence[tuple[str, Sequence[str]]]:
+    """Return every camera model with its parameters."""
+    return [(name, model.parameter_names) for name, model in CAMERA_MODELS.items()]
+
+
+@router.post("/sensors", response_class=HTMLResponse)
+async def register(request: Request, actor: Who) -> Response:
+    """Register a sensor from the form."""
+    try:
+        text = await typed_document(await request.form())
+    except RefusedInputError as error:
+        return await run_in_threadpool(_page, request, actor.roles, Shown(refusal=Refusal.of(error)))
+    outcome = await attempt(request, partial(_register, actor, text))
+    if outcome.value is not None:
+        sensor = outcome.value
+        flash = f"{sensor.name} is registered; its ground calibration PS-{sensor.name}-0 is the baseline."
+        return redirect(f"/sensors/{sensor.id}", flash=flash)
+    return await run_in_threadpool(_page, request, actor.roles, Shown(text, outcome.refusal))
+
+
+def _register(actor: Actor, text: str, session: Session) -> Sensor:
+    """Hand the typed document to the service."""
+    return sensors.register_sensor(session, actor, read_document(text))
+
+
+def choices_of(session: Session, view: View, *, find: str = "", keep: Iterable[int] = ()) -> Choices:
+    """Return what the filter by sensor of a list offers, the one that the view is narrowed to among it."""
+    narrowed = row_number(view.where.get("sensor", ""))
+    return sensors.choices(session, find=find, keep=[*keep, *([narrowed] if narrowed else [])])

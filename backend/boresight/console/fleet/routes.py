@@ -1,0 +1,175 @@
+"""Sensors: register, read, edit; what was baseline and what was on board at a time.
+
+A sensor's history: what held at a time and who said so, and every event in order.
+
+A sensor over the mission: every calibration at the time of its data, the drift test and the advice; figure and CSV.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import Body, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.cameras import CAMERA_MODELS
+from boresight.console import lists
+from boresight.console import schemas as console_schemas
+from boresight.console.access.dependencies import Reading, SeenVersion, Who, Writing
+from boresight.console.fleet import schemas, timeline
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.fleet.timeline import Event
+from boresight.console.fleet.trend_document import trend_document
+from boresight.console.operation import Beside, json_response, operations
+from boresight.console.runs import schemas as run_schemas
+from boresight.console.uplinks import schemas as uplink_schemas
+from boresight.console.uplinks import service as uplinks
+from boresight.errors import RefusedInputError
+from boresight.figures import figure_json
+from boresight.figures.charts import trend
+from boresight.platform.web.keeping import SAME_FOR_ALL, whole_tag
+from boresight.platform.web.media import CsvFile, csv_response
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+router = operations("/sensors", tags=["sensors"])
+
+EXAMPLE = {
+    "name": "ST-1",
+    "detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6},
+    "camera_model": "pinhole_radial",
+    "parity": 1,
+    "centroid_sigma_px": 0.15,
+    "initial": {"s": 1.0, "f_m": 0.016, "u0_px": 1295.5, "v0_px": 971.5, "k1": 0.0, "k2": 0.0},
+    "typical_sigma": {"s": 1e-3, "f_m": 1e-4, "u0_px": 20.0, "v0_px": 20.0, "k1": 0.05, "k2": 0.5},
+}
+SensorFile = Annotated[console_schemas.Document, Body(description="The sensor file.", examples=[EXAMPLE])]
+
+
+@router.get("", summary="List the fleet", response_model=Page[schemas.Sensor], dependencies=[SAME_FOR_ALL])
+def list_sensors(session: Reading, page: Paged) -> Listing[Sensor]:
+    """List the fleet by name."""
+    return page.cut(lists.page_of(session, "sensors", {}, "sensor", before_id=page.last_id, limit=page.limit + 1))
+
+
+@router.post("", summary="Register a sensor", status_code=201, response_model=schemas.Sensor)
+def register_sensor(document: SensorFile, actor: Who, session: Writing) -> Sensor:
+    """Add a star tracker. Its initial parameters become `PS-<sensor>-0`, the baseline."""
+    return sensors.register_sensor(session, actor, document)
+
+
+@router.get("/{sensor_id}", summary="Read a sensor", response_model=schemas.Sensor, dependencies=[SAME_FOR_ALL])
+def get_sensor(sensor_id: Id, session: Reading, request: Request) -> Sensor:
+    """Read a sensor with its file; the ETag is for `PUT`."""
+    whole_tag(request)
+    return sensors.get_sensor(session, sensor_id)
+
+
+@router.put("/{sensor_id}", summary="Edit a sensor", response_model=schemas.Sensor)
+def edit_sensor(sensor_id: Id, document: SensorFile, actor: Who, seen: SeenVersion, session: Writing) -> Sensor:
+    """Replace the sensor file for runs launched from now on. Name, model, detector and parity stay."""
+    return sensors.edit_sensor(session, actor, sensor_id, document, seen)
+
+
+@router.get(
+    "/{sensor_id}/history",
+    summary="What held at a time",
+    response_model=schemas.SensorAt,
+    dependencies=[SAME_FOR_ALL],
+)
+def get_sensor_at(
+    sensor_id: Id,
+    at: Annotated[str, Query(description="ISO 8601, UTC.", examples=["2026-11-21T03:04:05Z"])],
+    session: Reading,
+) -> dict[str, Any]:
+    """Say what was the sensor's baseline at a time, and what was recorded on board."""
+    sensors.get_sensor(session, sensor_id)
+    baseline, onboard = uplinks.baseline_at(session, sensor_id, at), uplinks.onboard_at(session, sensor_id, at)
+    records = [{"parameter_set": row.name, "sha256": row.sha256, "record": record} for row, record in onboard]
+    return {"at": at, "baseline": baseline, "onboard": records}
+
+
+Time = Annotated[str | None, Query(description="ISO 8601, UTC; now when left out.", examples=["2026-11-21T03:04:05Z"])]
+
+
+@router.get(
+    "/{sensor_id}/as-of",
+    summary="What held at a time, and who said so",
+    response_model=uplink_schemas.AsOf,
+)
+def get_sensor_as_of(sensor_id: Id, session: Reading, time: Time = None) -> dict[str, Any]:
+    """Say what was baseline, what was on board, and the gate profile and table definition in force, as recorded by then.
+
+    With the promotion, its request and signatures, and the records on board with their sources.
+    """
+    known = timeline.as_of(session, sensor_id, time)
+    return {
+        "sensor_id": known.sensor.id,
+        "time_utc": known.time_utc,
+        "sentence": known.sentence,
+        "differs": known.differs,
+        "baseline": known.baseline,
+        "promotion": known.promotion,
+        "approval": known.approval and Beside(known.approval, signatures=known.signatures),
+        "on_board": _on_board(known.on_board),
+        "learned_later": _on_board(known.learned_later),
+        "gate_profile": known.profile,
+        "table_definition": known.definition,
+    }
+
+
+def _on_board(records: timeline.Records) -> list[dict[str, Any]]:
+    return [{"parameter_set": row.name, "sha256": row.sha256, "record": record} for row, record in records]
+
+
+@router.get("/{sensor_id}/timeline", summary="List what happened", response_model=Page[uplink_schemas.Event])
+def list_sensor_timeline(
+    sensor_id: Id,
+    session: Reading,
+    page: Paged,
+    until: Annotated[str | None, Query(description="Leave out what was recorded after this time.")] = None,
+) -> Listing[Event]:
+    """List what happened to a sensor, newest first.
+
+    Promotions and roll-backs, requests and signatures, waivers, packages, records on board and read-backs, gate profiles and
+    table definitions.
+    """
+    return page.cut(timeline.events(session, sensor_id, until=until, before_id=page.last_id, limit=page.limit + 1))
+
+
+trend_router = operations("/sensors/{sensor_id}/trend", tags=["sensors"])
+
+MODELS = ", ".join(CAMERA_MODELS)
+Model = Annotated[str | None, Query(description=f"A camera model; the baseline's when left out. One of {MODELS}.")]
+IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a calibration, numbers in SI."}}
+
+
+def _known(model: str | None) -> str | None:
+    """Refuse a camera model that does not exist."""
+    if model is not None and model not in CAMERA_MODELS:
+        raise RefusedInputError(f"There is no camera model {model!r}; choose from {MODELS}.")
+    return model
+
+
+@trend_router.get("", summary="A sensor over the mission", response_model=schemas.Trend)
+def get_sensor_trend(sensor_id: Id, session: Reading) -> Response:
+    """Read every calibration at the time of its data, with the baselines and the records on board.
+
+    `drift` says whether the baseline still holds, at 0.1 % false alarms for each look, and whether the parameters move with
+    time; `advice` whether to recalibrate now. What takes no part in the tests says why in `left_out`.
+    """
+    return json_response(trend_document(session, sensor_id))
+
+
+@trend_router.get("/figure", summary="Read its figure", response_model=run_schemas.PlotlyFigure)
+def get_sensor_trend_figure(sensor_id: Id, session: Reading, model: Model = None) -> Response:
+    """Read the trend as Plotly JSON."""
+    document = trend_document(session, sensor_id)
+    return Response(figure_json(trend.draw(document, _known(model))), media_type="application/json")
+
+
+@trend_router.get("/data", summary="Read its numbers", response_class=CsvFile, responses=IN_CSV)
+def get_sensor_trend_data(sensor_id: Id, session: Reading, model: Model = None) -> Response:
+    """Read the numbers behind the figure as CSV."""
+    return csv_response(trend.table(trend_document(session, sensor_id), _known(model)), f"sensor-{sensor_id}-trend.csv")

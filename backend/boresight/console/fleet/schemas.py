@@ -1,0 +1,141 @@
+"""Star trackers and their telemetry.
+
+Documents that are computed when they are read: figures, trends, comparisons, conversions, what held at a time.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from boresight.console.parameter_sets.schemas import ParameterSet
+from boresight.console.schemas import Document, Row, Values, _Shape
+from boresight.console.uplinks.schemas import OnBoard
+
+
+class Sensor(Row):
+    """A star tracker."""
+
+    versioned_by = ("version",)
+    location = "/sensors/{row.id}"
+
+    id: int
+    name: str
+    version: int = Field(description='Counts edits; the ETag is `"v<version>"`.')
+    document: Document = Field(description="The sensor file.")
+    simulated: bool = Field(description="Whether its telemetry was made here.")
+    truth: Document | None = Field(description="True parameters of a simulated sensor.")
+    created_utc: str
+    created_by: int | None
+
+
+class SensorAt(_Shape):
+    """What held for a sensor at a time."""
+
+    at: str
+    baseline: ParameterSet | None
+    onboard: list[OnBoard]
+
+
+class DriftTest(_Shape):
+    """A test at the false-alarm rate of the document."""
+
+    statistic: float
+    dof: int
+    limit: float
+    p: float
+    rejects: bool
+
+
+class Drift(_Shape):
+    """Whether the baseline still holds, and whether the parameters move with time."""
+
+    verdict: str
+    sentence: str
+    false_alarm_rate: float
+    run_id: int | None
+    names: list[str]
+    difference: Values | None
+    sigma: Values | None
+    baseline_holds: DriftTest | None
+    slope: DriftTest | None
+    calibrations_on_the_line: int
+    slope_per_day: Values | None
+    slope_sigma_per_day: Values | None
+    change_per_c: Values | None
+
+
+class TrendPoint(_Shape):
+    """A calibration at the time of its data."""
+
+    run_id: int
+    label: str
+    method: str
+    camera_model: str
+    telemetry_set_id: int
+    telemetry: str
+    begins_utc: str
+    at_utc: str
+    ends_utc: str
+    timed: bool = Field(description="Whether the times are the telemetry's own, and not the upload's.")
+    temperature_c: float | None
+    parameters: Values
+    sigma: Values
+    stars: int
+    rms_arc_rad: float | None
+    counted: bool
+    left_out: str | None
+    said: str | None
+
+
+class TrendBaseline(_Shape):
+    """A baseline's time."""
+
+    parameter_set_id: int
+    name: str
+    from_utc: str
+    to_utc: str | None
+    measured: bool
+    parameters: Values
+    sigma: Values
+
+
+class SetName(_Shape):
+    """A parameter set by number and name."""
+
+    parameter_set_id: int
+    name: str
+
+
+class OnBoardMark(SetName):
+    """A record on board."""
+
+    at_utc: str
+    state: str
+
+
+class Advice(_Shape):
+    """Whether to recalibrate now."""
+
+    answer: Literal["YES", "NOT YET", "MORE DATA NEEDED"]
+    sentence: str
+    reasons: list[str]
+
+
+class Trend(_Shape):
+    """A sensor over the mission."""
+
+    document_schema: Literal["boresight.trend/1"] = Field(alias="schema")
+    sensor_id: int
+    sensor: str
+    camera_model: str
+    parameter_names: list[str]
+    baseline: SetName | None
+    points: list[TrendPoint]
+    others: list[TrendPoint] = Field(description="Calibrations under another camera model.")
+    baselines: list[TrendBaseline]
+    on_board: list[OnBoardMark]
+    truth: Document | None
+    drift: Drift
+    advice: Advice

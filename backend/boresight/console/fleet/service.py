@@ -1,0 +1,191 @@
+"""Sensors: registering star trackers, choosing among them, and the state of the fleet at a glance.
+
+A chooser names every sensor of a fleet that one can look over; of a larger one, the first by name that hold what is
+sought. However large the fleet, it costs a few short queries of at most `MOST_CHOICES` names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from boresight.console.fleet import queries as rows
+from boresight.console.fleet.status import SensorTile, fleet_overview
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.service import create_ground_calibration
+from boresight.console.transitions import get_sensor, require_seen, subject_of
+from boresight.errors import ConflictError, RefusedInputError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.web.words import refuse_control_characters
+from boresight.telemetry.sensors import parse_sensor, sensor_document
+
+__all__ = [
+    "MOST_CHOICES",
+    "Choices",
+    "SensorTile",
+    "choices",
+    "count",
+    "edit_sensor",
+    "fleet_overview",
+    "get_sensor",
+    "list_sensors",
+    "names_of",
+    "register_sensor",
+]
+
+MOST_CHOICES = 200  # beyond it a list is searched, not looked over
+LONGEST_NAME = 64
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,63}")  # becomes part of PS-<sensor>-<n> and of file names
+LASTING = ("name", "camera_model", "detector", "parity")  # a parameter set means nothing with another
+
+
+def register_sensor(
+    session: Session,
+    actor: Actor,
+    document: Mapping[str, Any],
+    *,
+    simulated: bool = False,
+    truth: Mapping[str, float] | None = None,
+) -> Sensor:
+    """Add a star tracker, with its ground calibration `PS-<sensor>-0` as baseline.
+
+    Parameters
+    ----------
+    document
+        The contract's sensor file.
+    simulated, truth
+        Whether its telemetry is made here, and from which parameters; pages show them beside the estimates.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is neither analyst nor administrator.
+    RefusedInputError
+        When the document cannot be used; names the field.
+    ConflictError
+        When the name is taken.
+    """
+    require_role(actor, "analyst", "administrator")
+    require_scope(actor, "sensors")
+    description = parse_sensor(document)
+    if not NAME.fullmatch(description.name):
+        raise RefusedInputError(
+            f"{description.name!r} is no sensor name: use up to 64 letters, digits, spaces and . _ -."
+        )
+    if rows.sensor_named(session, description.name) is not None:
+        raise ConflictError(f"There is a sensor {description.name} already; edit it, or choose another name.")
+    row = Sensor(
+        name=description.name,
+        document=sensor_document(description),
+        created_utc=utc_now(),
+        created_by=actor.user_id,
+        simulated=int(simulated),
+        truth=None if truth is None else dict(truth),
+    )
+    session.add(row)
+    session.flush()
+    audit.append(session, actor, "registered", subject_of(row), None, row.document)
+    create_ground_calibration(session, actor, row, description)
+    return row
+
+
+def edit_sensor(
+    session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], seen_version: int | None
+) -> Sensor:
+    """Change what runs launched from now on start from; runs and parameter sets of before stay as they are.
+
+    Raises
+    ------
+    ForbiddenError, PreconditionRequiredError, StaleError
+        When the actor or the version does not allow it.
+    RefusedInputError
+        When the document cannot be used, or changes what a sensor keeps for life.
+    """
+    require_role(actor, "analyst", "administrator")
+    require_scope(actor, "sensors")
+    row = get_sensor(session, sensor_id)
+    require_seen(session, row, seen_version)
+    before, after = row.document, sensor_document(parse_sensor(document))
+    for field in LASTING:
+        if before[field] != after[field]:
+            raise RefusedInputError(f"The {field} of {row.name} cannot change; register a new sensor for it.")
+    row.document = after
+    row.version += 1
+    audit.append(session, actor, "edited", subject_of(row), before, after)
+    return row
+
+
+def list_sensors(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[Sensor]:
+    """Return the fleet, or the sensors of these numbers, by name."""
+    return rows.sensors(session, sensor_ids)
+
+
+def names_of(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
+    """Return the names of these sensors by their numbers; of the whole fleet where None is given."""
+    return rows.names(session, sensor_ids)
+
+
+def count(session: Session) -> int:
+    """Count the fleet."""
+    return rows.count_holding(session, "")
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The sensors that a chooser offers.
+
+    Parameters
+    ----------
+    names
+        Theirs, by their numbers: first those that are only kept, then those found, each by name.
+    is_all
+        Whether they are the whole fleet; `find` then narrowed nothing.
+    find
+        What was sought.
+    found
+        How many of `names` it found.
+    fitting
+        How many sensors of the fleet hold it.
+    fleet
+        How many there are.
+    """
+
+    names: Mapping[int, str]
+    is_all: bool
+    find: str
+    found: int
+    fitting: int
+    fleet: int
+
+
+def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Choices:
+    """Return what a chooser offers: a small fleet whole; of a larger one what is kept and the first that hold `find`.
+
+    Parameters
+    ----------
+    find
+        Sought in the names, in letters of either case; empty is in every name.
+    keep
+        Numbers of sensors that are offered whatever is sought; one that there is not is left out.
+
+    Raises
+    ------
+    RefusedInputError
+        When `find` has control characters.
+    """
+    refuse_control_characters(find=find)
+    find = find.strip()[:LONGEST_NAME]
+    first = rows.names_holding(session, "", MOST_CHOICES + 1)
+    if len(first) <= MOST_CHOICES:
+        return Choices(first, is_all=True, find=find, found=len(first), fitting=len(first), fleet=len(first))
+    found = dict(list((rows.names_holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
+    kept = rows.names(session, set(keep) - found.keys())
+    kept = dict(sorted(kept.items(), key=lambda one: one[1]))
+    fleet = count(session)
+    fitting = rows.count_holding(session, find) if find else fleet
+    return Choices(kept | found, is_all=False, find=find, found=len(found), fitting=fitting, fleet=fleet)

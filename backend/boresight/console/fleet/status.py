@@ -1,0 +1,339 @@
+"""The state of the fleet: for every sensor the worst thing that is known, and why it is said.
+
+Status words, from worst to best: critical, serious, caution, normal, standby, off. Each finding below is a word with
+its sentence; a sensor shows the worst of its findings.
+
+Whether each sensor drifts, remembered: every page and every round of the upkeep asks, and an answer takes reading every run.
+
+A trend changes when a run succeeds, when another set becomes the baseline, or when the sensor's document does, and by nothing
+else: telemetry and finished runs are never rewritten. So a judgement rests on three values that cost one query for the whole
+fleet, and is made anew when one of them is another. What is remembered is small and belongs to one store.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from boresight.console.alarms import queries as alarms_queries
+from boresight.console.alarms.tables import Alarm
+from boresight.console.fleet import drift
+from boresight.console.fleet import queries as rows
+from boresight.console.fleet import queries as trends
+from boresight.console.fleet.drift import GROUND_SHIFTED
+from boresight.console.fleet.tables import Sensor
+from boresight.console.fleet.trend import trends_of
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
+
+TOGETHER = 16  # sensors whose runs are held in memory at once
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What `drift.judge` said: its verdict, its sentence, and the figures as JSON."""
+
+    verdict: str
+    sentence: str
+    document: dict[str, Any]
+
+
+#: By store and sensor: what a judgement rests on, and the judgement.
+_known: WeakKeyDictionary[Any, dict[int, tuple[Any, Judgement]]] = WeakKeyDictionary()
+
+
+def judgements(
+    session: Session,
+    sensors: Sequence[Any],
+    baselines: Mapping[int, Any],
+    stamps: Mapping[int, Any],
+    *,
+    most: int | None = None,
+) -> dict[int, Judgement]:
+    """Return whether some sensors drift, by their ids; those that must be asked anew are, `TOGETHER` at a time.
+
+    Parameters
+    ----------
+    sensors, baselines
+        Rows or heads of rows (`console.fleet.queries`); the sets that their runs are held against, by sensor.
+    stamps
+        Of their runs, as `console.fleet.queries.stamps` gives them; a sensor of which none succeeded has none.
+    most
+        How many are asked anew; of those beyond the answer is the last that is known, or none.
+    """
+    of_store = _known.setdefault(session.get_bind().engine.pool, {})  # an engine with options is another object
+    rests_on = {sensor.id: _rests_on(sensor, baselines.get(sensor.id), stamps.get(sensor.id)) for sensor in sensors}
+    unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
+    anew = unknown if most is None else unknown[:most]
+    for start in range(0, len(anew), TOGETHER):
+        asked = rows.sensors(session, anew[start : start + TOGETHER])
+        for sensor_id, trend in trends_of(session, asked).items():
+            found = drift.judge(trend)
+            of_store[sensor_id] = rests_on[sensor_id], Judgement(found.verdict, found.sentence, drift.document(found))
+    return {sensor.id: of_store[sensor.id][1] for sensor in sensors if sensor.id in of_store}
+
+
+def _rests_on(sensor: Any, baseline: Any, stamp: Any) -> tuple[Any, ...]:
+    """Return what changes when a sensor's trend does."""
+    return None if baseline is None else baseline.id, sensor.version, stamp
+
+
+STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
+WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
+OLD_DAYS = 180.0  # a baseline older than this deserves a look
+SECONDS_PER_DAY = 86400.0
+MOST_JUDGED = 100  # ground calibrations that a look asks of anew: a fifth of a second
+
+
+@dataclass(frozen=True)
+class SensorTile:
+    """What the overview shows of a sensor.
+
+    Parameters
+    ----------
+    sensor, baseline, last_run
+        The rows; no run when none was launched.
+    active
+        The set that was read back as active on board, None when that is not known.
+    telemetry_sets
+        How many are in use.
+    days_since_calibration
+        Days since the baseline was promoted; of a ground calibration, since the sensor was registered.
+    status, sentence
+        The worst status word and why.
+    """
+
+    sensor: Sensor
+    baseline: ParameterSet | None
+    active: ParameterSet | None
+    last_run: Run | None
+    telemetry_sets: int
+    days_since_calibration: float | None
+    status: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How a sensor stands.
+
+    Parameters
+    ----------
+    status, sentence
+        The worst status word and why.
+    is_judged
+        Whether it was asked if its ground calibration holds.
+    has_telemetry
+        Whether any set of it is in use.
+    last_run
+        Id, state, reason and summary of its newest run; None where none was launched.
+    """
+
+    sensor_id: int
+    name: str
+    status: str
+    sentence: str
+    is_judged: bool = True
+    has_telemetry: bool = False
+    last_run: Any = None
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of one sensor; `baseline`, `last_run` and `onboard` are rows or their heads (`console.fleet.queries`)."""
+
+    baseline: Any
+    last_run: Any
+    onboard: tuple[Any, ...]
+    waiting: str | None
+    telemetry_sets: int
+    days: float | None
+    drift: Alarm | None = None
+    ground_shifted: bool | None = False  # None where its runs have not been asked yet
+
+
+def standings(session: Session, sensor_ids: Collection[int] | None = None) -> list[Standing]:
+    """Return how every sensor of the fleet stands, or some, by name; a fraction of what their tiles cost."""
+    heads = trends.sensor_heads(session, sensor_ids)
+    baselines, runs = trends.baseline_heads(session, sensor_ids), trends.last_run_heads(session, sensor_ids)
+    onboard, counts = trends.onboard_heads(session, sensor_ids), trends.set_counts(session, sensor_ids)
+    waiting, drifting = trends.waiting_approvals(session, sensor_ids), _drifting(session)
+    known = {
+        head.id: Known(
+            baseline=baselines.get(head.id),
+            last_run=runs.get(head.id),
+            onboard=tuple(onboard.get(head.id, ())),
+            waiting=waiting.get(head.id),
+            telemetry_sets=counts.get(head.id, 0),
+            days=days_since(baselines.get(head.id)),
+            drift=drifting.get(head.id),
+        )
+        for head in heads
+    }
+    for sensor_id, shifted in _ground_shifted(session, heads, known):
+        known[sensor_id] = replace(known[sensor_id], ground_shifted=shifted)
+    return [
+        Standing(
+            head.id,
+            head.name,
+            *_worst(one := known[head.id]),
+            is_judged=one.ground_shifted is not None,
+            has_telemetry=one.telemetry_sets > 0,
+            last_run=one.last_run,
+        )
+        for head in heads
+    ]
+
+
+def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorTile]:
+    """Return a tile for every sensor, or for some, by name."""
+    return tiles(session, standings(session, sensor_ids))
+
+
+def tiles(session: Session, stand: Sequence[Standing], *, documents: bool = True) -> list[SensorTile]:
+    """Return the tiles of sensors that stand so, in their order: what a page counts and what it draws are one look.
+
+    On request sensors and baselines come without their documents.
+    """
+    ids = [one.sensor_id for one in stand]
+    sensors = {sensor.id: sensor for sensor in trends.sensors(session, ids, documents=documents)}
+    baselines, runs = trends.baselines(session, ids, documents=documents), trends.last_runs(session, ids)
+    onboard, counts = trends.onboard_sets(session, ids), trends.set_counts(session, ids)
+    return [
+        SensorTile(
+            sensor=sensors[one.sensor_id],
+            baseline=baselines.get(one.sensor_id),
+            active=next((row for row in onboard.get(one.sensor_id, ()) if row.onboard_state == "ACTIVE"), None),
+            last_run=runs.get(one.sensor_id),
+            telemetry_sets=counts.get(one.sensor_id, 0),
+            days_since_calibration=days_since(baselines.get(one.sensor_id)),
+            status=one.status,
+            sentence=one.sentence,
+        )
+        for one in stand
+    ]
+
+
+def _is_on_the_ground(known: Known) -> bool:
+    """Whether a sensor flies by its ground calibration and nothing worse is known, that would hide what its runs say of that."""
+    if known.baseline is None or known.baseline.run_id is not None:
+        return False
+    return not any(word in WORSE_THAN_NORMAL for word, _ in findings(known))
+
+
+def _ground_shifted(
+    session: Session, heads: Sequence[Any], known: Mapping[int, Known]
+) -> Iterator[tuple[int, bool | None]]:
+    """Yield of the sensors that are asked whether the ground calibration does not hold; None where that is not known yet.
+
+    A look asks of `MOST_JUDGED` sensors anew, as many as it can without anybody waiting; the others of a large fleet stand by what
+    is known of them until a later look, or the watch, which judges every sensor in its rounds, has asked.
+    """
+    asked = [head for head in heads if _is_on_the_ground(known[head.id])]
+    stamps = trends.stamps(session, [head.id for head in asked])
+    asked = [head for head in asked if head.id in stamps]
+    baselines = {head.id: known[head.id].baseline for head in asked}
+    judged = judgements(session, asked, baselines, stamps, most=MOST_JUDGED)
+    for head in asked:
+        found = judged.get(head.id)
+        yield head.id, None if found is None else found.verdict == "GROUND SHIFT"
+
+
+def _drifting(session: Session) -> dict[int | None, Alarm]:
+    """Return the alarms of sensors that drift now, by sensor; one on the shelf waits for its time."""
+    found = [row for row in alarms_queries.open_alarms(session).values() if row.kind == "DRIFT" and row.active]
+    return {row.sensor_id: row for row in found if not (row.shelved_until_utc or "") > utc_now()}
+
+
+def recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
+    """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
+    return trends.recent_summaries(session, sensor_ids, limit)
+
+
+def _worst(known: Known) -> tuple[str, str]:
+    """Return the worst finding; of equally bad ones the one that is looked for first."""
+    return min(findings(known), key=lambda finding: STATUS_WORDS.index(finding[0]))
+
+
+def days_since(baseline: Any) -> float | None:
+    """Return the days since a set became baseline."""
+    if baseline is None or baseline.baseline_from_utc is None:
+        return None
+    since = datetime.now(UTC) - datetime.fromisoformat(baseline.baseline_from_utc)
+    return max(0.0, since.total_seconds() / SECONDS_PER_DAY)
+
+
+def findings(known: Known) -> Iterator[tuple[str, str]]:
+    """Yield every finding on a sensor as a status word and its sentence; there is always one."""
+    yield from _onboard_findings(known)
+    yield from _run_findings(known.last_run)
+    if known.drift is not None:
+        yield known.drift.level, f"It drifts: alarm {known.drift.id}."
+    if known.ground_shifted:
+        yield "caution", GROUND_SHIFTED
+    if known.waiting is not None:
+        yield "caution", f"{known.waiting} waits for a signature."
+    if known.baseline is None:
+        yield "serious", "There is no baseline; register the sensor again."
+    elif known.days is not None and known.days > OLD_DAYS:
+        yield "caution", f"The baseline {known.baseline.name} is {known.days:.0f} days old; recalibrate."
+    elif known.baseline.run_id is not None:
+        yield "normal", f"{known.baseline.name} is the baseline."
+    if known.telemetry_sets == 0:
+        yield "off", "There is no telemetry yet; upload a set."
+    elif known.last_run is None:
+        yield "standby", "There is telemetry and no calibration yet; launch a run."
+
+
+def _onboard_findings(known: Known) -> Iterator[tuple[str, str]]:
+    """Yield what the read-backs say about the baseline."""
+    for row in known.onboard:
+        if row.onboard_state == "MISMATCH":
+            yield "critical", f"The read-back of {row.name} does not match what was sent."
+        elif known.baseline is not None and row.id != known.baseline.id:
+            yield "caution", f"{row.name} is active on board, and the baseline is {known.baseline.name}."
+
+
+def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
+    """Yield what the newest run says."""
+    if run is None:
+        return
+    if run.state in {"FAILED", "LOST"}:
+        yield "serious", f"Run {run.id} {run.state.lower()}: {run.reason or 'no cause was recorded'}"
+    elif run.state == "SUCCEEDED":
+        yield _result_finding(run.id, run.summary or {})
+    elif run.state == "CANCELLED":
+        yield "standby", f"Run {run.id} was cancelled."
+    else:
+        yield "standby", f"Run {run.id} is {run.state.lower()}."
+
+
+def _result_finding(run_id: int, summary: Mapping[str, Any]) -> tuple[str, str]:
+    """Say what a finished calibration means for the sensor; critical is kept for what is on board."""
+    level = level_of_result(summary)
+    status, advice = str(summary.get("status") or "converged"), _first_sentence(summary)
+    if level == "normal":
+        return level, f"Run {run_id} converged."
+    if status == "converged":
+        return level, f"Run {run_id} converged, with reservations: {advice}"
+    verb = "stopped at" if status == "max_iterations" else "ended"
+    return "caution" if level == "caution" else "serious", f"Run {run_id} {verb} {status.replace('_', ' ')}: {advice}"
+
+
+def level_of_result(summary: Mapping[str, Any]) -> str:
+    """Judge a finished run by its summary: the verdict of its page, and no better than caution where it gave advice."""
+    status = str(summary.get("status") or "converged")
+    level = str(summary.get("level") or LEVEL_OF_STATUS.get(status, "serious"))
+    doubted = summary.get("advice") or summary.get("weak_directions") or summary.get("chi2_consistent") is False
+    return max(level, "caution" if doubted else "normal", key=LEVELS.index)
+
+
+def _first_sentence(summary: Mapping[str, Any]) -> str:
+    """Return the first sentence of a run's advice; where the summary has none, where to look."""
+    advice = str(summary.get("advice") or "look at its page.")
+    return f"{advice.split('. ', maxsplit=1)[0].rstrip('.')}."

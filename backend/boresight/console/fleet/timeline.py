@@ -1,0 +1,398 @@
+"""What was in force at a time, and who said so; and everything that ever happened to a sensor, in order.
+
+History is rows that are only ever added, so the state at a time T needs no replay: it is, of each kind, the newest row
+that is not after T,
+
+    baseline(T) = the newest promotion,      on board(T) = of every set the newest record,
+    limits(T) = the newest gate profile,     table(T) = the newest table definition.
+
+`as_of` asks for these rows; `events` lists all of them. That the first is the fold of the second is a test.
+
+T is the time at which a thing was recorded here: what people could know at T, and acted upon. Where a record says that
+its event happened earlier (`happened_utc`), an answer for a time between the two also names it under `learned_later`.
+
+An event of a sensor's history in words: what happened, to which set, who did it and in whose words.
+
+One reader a kind of `boresight.console.fleet.queries.KINDS`; a row is told in the same way wherever it is listed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from boresight.console.approvals import queries as approval_rows
+from boresight.console.approvals.tables import Approval, GateProfile, Signature, Waiver
+from boresight.console.fleet import queries as rows
+from boresight.console.fleet import queries as sensor_rows
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.transitions import get_sensor
+from boresight.console.uplinks import queries as uplink_rows
+from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
+from boresight.errors import RefusedInputError
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.db.times import read_time
+
+METHODS = {"bytes": "compared byte by byte", "crc": "compared by CRC"}
+
+
+@dataclass(frozen=True)
+class Event:
+    """One line of a sensor's timeline.
+
+    Parameters
+    ----------
+    id
+        Stands for the event in cursors; grows within a kind, not over all kinds.
+    at_utc
+        When it was recorded.
+    kind
+        `table definition`, `gate profile`, `request`, `waiver`, `signature`, `ground calibration`, `promotion`,
+        `roll-back`, `package`, `uplink` or `read-back`.
+    state
+        The state word that it brought; None where it brought none.
+    parameter_set_id, parameter_set
+        The set that it is about; None of what holds for the sensor.
+    who
+        Printed name; None where nobody in person did it.
+    sentence
+        What happened.
+    said
+        Reason, meaning, comment or source, in the person's words.
+    sha256
+        What it stands for: the document, the package or what was shown when it was signed.
+    happened_utc
+        When it happened, where its source puts that before `at_utc`.
+    subject
+        Address of the thing in the REST interface: `approvals/3`.
+    """
+
+    id: int
+    at_utc: str
+    kind: str
+    state: str | None
+    parameter_set_id: int | None
+    parameter_set: str | None
+    who: str | None
+    sentence: str
+    said: str | None
+    sha256: str | None
+    happened_utc: str | None
+    subject: str | None
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a kind's reader makes of a row."""
+
+    kind: str
+    sentence: str
+    set_id: int | None = None
+    person: int | None = None
+    state: str | None = None
+    said: str | None = None
+    sha256: str | None = None
+    subject: str | None = None
+
+
+@dataclass(frozen=True)
+class Reader:
+    """What the rows of a sensor's events refer to."""
+
+    names: Mapping[int, str]
+    people: Mapping[int, str]
+    requests: Mapping[int, Approval]
+    first_promotions: Mapping[int, int]
+
+    @classmethod
+    def of_sensor(cls, session: Session, sensor_id: int) -> Reader:
+        """Read the names that a sensor's events speak of."""
+        return cls(
+            rows.set_names(session, sensor_id),
+            rows.printed_names(session),
+            rows.requests_of(session, sensor_id),
+            rows.first_promotions(session, sensor_id),
+        )
+
+    def read(self, key: rows.Key, row: Any) -> Event:
+        """Tell the row behind a key."""
+        told = READERS[rows.KINDS[key.kind]](self, row)
+        return Event(
+            id=key.row_id * len(rows.KINDS) + key.kind,
+            at_utc=key.at_utc,
+            kind=told.kind,
+            state=told.state,
+            parameter_set_id=told.set_id,
+            parameter_set=None if told.set_id is None else self.names[told.set_id],
+            who=getattr(row, "printed_name", None) or (None if told.person is None else self.people.get(told.person)),
+            sentence=told.sentence,
+            said=told.said or None,
+            sha256=told.sha256,
+            happened_utc=(getattr(row, "evidence", None) or {}).get("happened_utc"),
+            subject=told.subject,
+        )
+
+    def name(self, set_id: int) -> str:
+        """Return a set's name."""
+        return self.names[set_id]
+
+
+def _definition(reader: Reader, row: TableDefinition) -> Told:  # noqa: ARG001 - every reader is asked alike
+    sentence = f"Table definition {row.number} came into force."
+    return Told("table definition", sentence, None, row.created_by, None, row.reason, row.sha256)
+
+
+def _profile(reader: Reader, row: GateProfile) -> Told:  # noqa: ARG001 - every reader is asked alike
+    sentence = f"Gate profile {row.number} came into force."
+    return Told("gate profile", sentence, None, row.created_by, None, row.reason, row.sha256)
+
+
+def _request(reader: Reader, row: Approval) -> Told:
+    name = reader.name(row.parameter_set_id)
+    asked = f"rolling back to {name}" if row.kind == "ROLLBACK" else f"making {name} the baseline"
+    told = Told("request", f"Request {row.id} asked for {asked}; it is {row.state}.", row.parameter_set_id)
+    return replace(told, person=row.submitted_by, said=row.reason, subject=f"approvals/{row.id}")
+
+
+def _waiver(reader: Reader, row: Waiver) -> Told:
+    sentence = f"The gate {row.gate} was waived for {reader.name(row.parameter_set_id)} until {row.expires_utc[:10]}."
+    return Told("waiver", sentence, row.parameter_set_id, row.made_by, None, f"{row.code}: {row.reason}")
+
+
+def _signature(reader: Reader, row: Signature) -> Told:
+    set_id = reader.requests[row.approval_id].parameter_set_id
+    did = "approved" if row.decision == "APPROVE" else "refused"
+    where = f", at the console of {row.console}" if row.console else ""
+    told = Told(
+        "signature", f"Request {row.approval_id} for {reader.name(set_id)} was {did}{where}.", set_id, row.user_id
+    )
+    said = f"{row.meaning}: {row.comment}" if row.comment else row.meaning
+    return replace(told, state=row.decision, said=said, sha256=row.shown_sha256, subject=f"approvals/{row.approval_id}")
+
+
+def _promotion(reader: Reader, row: Promotion) -> Told:
+    name, request = reader.name(row.parameter_set_id), reader.requests.get(row.approval_id or 0)
+    told = Told("promotion", f"{name} became the baseline.", row.parameter_set_id, row.promoted_by, "BASELINE")
+    if request is None:
+        return replace(told, kind="ground calibration", sentence=f"{name} is the baseline that came with the sensor.")
+    told = replace(told, said=request.reason, subject=f"approvals/{request.id}", sha256=request.bound.get("set_sha256"))
+    if reader.first_promotions[row.parameter_set_id] != row.id:
+        return replace(told, kind="roll-back", sentence=f"{name} became the baseline again.")
+    return told
+
+
+def _package(reader: Reader, row: Package) -> Told:
+    sentence = f"Package {row.id} of {reader.name(row.parameter_set_id)} was built."
+    told = Told("package", sentence, row.parameter_set_id, row.created_by, None, None, row.sha256)
+    return replace(told, subject=f"packages/{row.id}")
+
+
+def _uplink(reader: Reader, row: Uplink) -> Told:
+    name, evidence = reader.name(row.parameter_set_id), row.evidence or {}
+    said = evidence.get("sentence") if row.method else None
+    sentence = f"{name} was recorded as {row.onboard_state} on board, {how_known(row)}. {said or ''}".rstrip()
+    told = Told("read-back" if row.method else "uplink", sentence, row.parameter_set_id, row.recorded_by)
+    return replace(told, state=row.onboard_state, said=row.source, sha256=evidence.get("shown_sha256"))
+
+
+def how_known(row: Uplink) -> str:
+    """Say what a record rests on: a comparison, a signature, or somebody's word."""
+    if row.method is not None:
+        return METHODS[row.method]
+    return "signed" if row.printed_name else "by statement"
+
+
+READERS: Mapping[str, Callable[[Reader, Any], Told]] = {
+    "table definition": _definition,
+    "gate profile": _profile,
+    "request": _request,
+    "waiver": _waiver,
+    "signature": _signature,
+    "promotion": _promotion,
+    "package": _package,
+    "uplink": _uplink,
+}
+
+
+Records = Sequence[tuple[ParameterSet, Uplink]]
+
+
+@dataclass(frozen=True)
+class AsOf:
+    """What held for a sensor at a time, as it was recorded by then.
+
+    Parameters
+    ----------
+    time_utc
+        T, as the store writes times.
+    baseline, promotion
+        The baseline and the promotion that made it so; None before there was one.
+    approval, signatures
+        The request that the promotion carried out and who had signed it; none of a ground calibration.
+    on_board
+        Every set of which anything was recorded, with its newest record, in the order of recording.
+    learned_later
+        What was recorded after T of something that its source puts before T.
+    profile, definition
+        The gate profile and the table definition in force; None where none was given yet.
+    """
+
+    sensor: Sensor
+    time_utc: str
+    baseline: ParameterSet | None
+    promotion: Promotion | None
+    approval: Approval | None
+    signatures: Sequence[Signature]
+    on_board: Records
+    learned_later: Records
+    profile: GateProfile | None
+    definition: TableDefinition | None
+
+    @property
+    def active(self) -> tuple[ParameterSet, Uplink] | None:
+        """The set that was recorded as ACTIVE, with the record; None when that was not known."""
+        return next((pair for pair in self.on_board if pair[1].onboard_state == "ACTIVE"), None)
+
+    @property
+    def differs(self) -> bool:
+        """Whether another set was active on board than was baseline on the ground."""
+        return self.active is not None and (self.baseline is None or self.active[0].id != self.baseline.id)
+
+    @property
+    def sentence(self) -> str:
+        """Ground and board in one line: two facts that are never merged."""
+        ground = "no baseline" if self.baseline is None else f"baseline {self.baseline.name}"
+        mismatched = ", ".join(
+            f"{row.name} MISMATCH" for row, known in self.on_board if known.onboard_state == "MISMATCH"
+        )
+        if self.active is not None:
+            board = f"{self.active[0].name} ACTIVE: {'differs' if self.differs else 'the same'}"
+        else:
+            board = "no set known to be active"
+        return f"{ground}, on board {board}{'; ' + mismatched if mismatched else ''}"
+
+
+def as_of(session: Session, sensor_id: int, time: str | None = None) -> AsOf:
+    """Say what was baseline and what was on board at a time, and who said so.
+
+    Parameters
+    ----------
+    time
+        ISO 8601, UTC when it names no zone; None is now.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the time cannot be read.
+    """
+    time_utc = utc_now() if time is None else read_time(time)
+    sensor = get_sensor(session, sensor_id)
+    promotion = sensor_rows.promotion_at(session, sensor_id, time_utc)
+    approval = (
+        None if promotion is None or promotion.approval_id is None else session.get(Approval, promotion.approval_id)
+    )
+    return AsOf(
+        sensor=sensor,
+        time_utc=time_utc,
+        baseline=None if promotion is None else session.get_one(ParameterSet, promotion.parameter_set_id),
+        promotion=promotion,
+        approval=approval,
+        signatures=[] if approval is None else approval_rows.signatures(session, approval.id),
+        on_board=uplink_rows.records_until(session, sensor_id, time_utc),
+        learned_later=_learned_later(session, sensor_id, time_utc),
+        profile=sensor_rows.in_force_at(session, GateProfile, sensor_id, time_utc),
+        definition=sensor_rows.in_force_at(session, TableDefinition, sensor_id, time_utc),
+    )
+
+
+@dataclass(frozen=True)
+class Board:
+    """Ground and board of one sensor as numbers and states: what orders a fleet, without what each line says.
+
+    Parameters
+    ----------
+    baseline_id
+        The set that is baseline; None where there is none.
+    on_board
+        Every set of which anything was recorded, with what was recorded last, in the order of recording.
+    """
+
+    sensor_id: int
+    name: str
+    baseline_id: int | None
+    on_board: Sequence[tuple[int, str]]
+
+
+def boards(session: Session) -> list[Board]:
+    """Return ground and board of every sensor now, by name, in three queries for the whole fleet."""
+    baselines, recorded = sensor_rows.baseline_heads(session), uplink_rows.newest_states(session)
+    return [
+        Board(head.id, head.name, baselines[head.id].id if head.id in baselines else None, recorded.get(head.id, ()))
+        for head in sensor_rows.sensor_heads(session)
+    ]
+
+
+def _learned_later(session: Session, sensor_id: int, time_utc: str) -> Records:
+    """Return the records made after a time of what happened before it."""
+    return [
+        (row, record)
+        for row, record in sensor_rows.records_after(session, sensor_id, time_utc)
+        if ((record.evidence or {}).get("happened_utc") or record.recorded_utc) <= time_utc
+    ]
+
+
+def events(
+    session: Session,
+    sensor_id: int,
+    *,
+    until: str | None = None,
+    before_id: int | None = None,
+    limit: int | None = None,
+) -> list[Event]:
+    """Return what happened to a sensor, newest first; the next page starts before the last one's id.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the time cannot be read, or no event has the id to go on from.
+    """
+    get_sensor(session, sensor_id)
+    found = sensor_rows.keys(
+        session,
+        sensor_id,
+        until_utc=None if until is None else read_time(until),
+        before=None if before_id is None else _key(session, sensor_id, before_id),
+        limit=limit,
+    )
+    reader = Reader.of_sensor(session, sensor_id)
+    return [reader.read(key, row) for key, row in sensor_rows.rows_at(session, sensor_id, found).items()]
+
+
+def _key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Key:
+    """Return where an event stands."""
+    row_id, kind = divmod(event_id, len(sensor_rows.KINDS))
+    if (key := sensor_rows.key_of(session, sensor_id, kind, row_id)) is None:
+        raise RefusedInputError("This sensor has no event to go on from; begin again without a cursor.")
+    return key
+
+
+def happened_on(time: str | None) -> dict[str, str]:
+    """Return what a record keeps of when its event happened; nothing where no time was given.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is no time, or still to come.
+    """
+    if time is None or not time.strip():
+        return {}
+    happened_utc = read_time(time)
+    if happened_utc > utc_now():
+        raise RefusedInputError(f"{time.strip()} is still to come; record what has happened, with its time in UTC.")
+    return {"happened_utc": happened_utc}

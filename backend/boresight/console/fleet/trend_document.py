@@ -1,0 +1,238 @@
+"""A sensor's trend as one JSON document, SI: what the REST interface gives and `figures.charts.trend` draws.
+
+Recalibrate now? One answer for a sensor, from what drifts and from the data at hand.
+
+Answers, the first that fits:
+
+- `YES`: the sensor drifts, or its ground calibration does not hold; or its baseline is a ground calibration and there is
+  telemetry to replace it; or the baseline is over its age and newer telemetry is there; or newer telemetry would at least halve
+  the sigmas.
+- `MORE DATA NEEDED`: nothing is newer than the baseline's own data, or what is there would be too coarse to see a change of
+  three of the baseline's sigmas.
+- `NOT YET`: the newest calibration agrees with the baseline.
+
+Sigmas of a calibration with further data are foretold from the newest one by its number of stars S_0,
+sigma = sigma_0 sqrt(S_0 / S): exact where stars and field are of the same kind, as those of one sensor are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.fleet import drift as drifts
+from boresight.console.fleet.drift import GROUND_SHIFTED, Drift, judge
+from boresight.console.fleet.status import OLD_DAYS, days_since
+from boresight.console.fleet.trend import Period, Point, Trend, span_of, trend_of
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.db.sessions import Session
+from boresight.verdicts.numbers import count, fixed
+
+HALVED = 0.5
+TOO_COARSE = 3.0  # of the baseline's sigmas
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Whether to recalibrate now.
+
+    Parameters
+    ----------
+    answer
+        `YES`, `NOT YET` or `MORE DATA NEEDED`.
+    sentence
+        The answer with its main reason.
+    reasons
+        The others, a sentence each.
+    """
+
+    answer: str
+    sentence: str
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class AtHand:
+    """The telemetry that the baseline has not seen.
+
+    Parameters
+    ----------
+    sets
+        Sets for calibration, newer than the baseline's data and in use.
+    untried
+        Those of them that no counted calibration is of.
+    ratio
+        Foretold sigma with all of them over the baseline's, the largest of all parameters; None where nothing says.
+    """
+
+    sets: Sequence[TelemetrySet]
+    untried: Sequence[TelemetrySet]
+    ratio: float | None
+
+    @property
+    def stars(self) -> int:
+        """How many stars they have."""
+        return sum(row.stars for row in self.sets)
+
+
+def advise(trend: Trend, drift: Drift | None = None) -> Advice:
+    """Say whether to recalibrate a sensor now: the first of the rules above that fits."""
+    drift = drift or judge(trend)
+    if trend.baseline is None:
+        return Advice("MORE DATA NEEDED", "There is no baseline; register the sensor again.")
+    data, age_d = at_hand(trend), days_since(trend.baseline)
+    answer, sentence = next(_rules(drift, data, trend.baseline, age_d))
+    return Advice(answer, sentence, tuple(_reasons(drift, data, trend.baseline, age_d)))
+
+
+def _rules(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | None) -> Iterator[tuple[str, str]]:
+    """Yield the answers that fit, the gravest first; there is always one."""
+    name, ratio = baseline.name, data.ratio
+    if drift.verdict == "DRIFT":
+        yield "YES", f"Recalibrate: {name} does not hold any more."
+    if drift.verdict == "GROUND SHIFT":
+        yield "YES", GROUND_SHIFTED
+    if not data.sets:
+        yield "MORE DATA NEEDED", f"No telemetry is newer than what {name} was made of: upload a pass for calibration."
+    if baseline.run_id is None:
+        yield "YES", f"Recalibrate: {name} was made on the ground, and there is telemetry to replace it."
+    if ratio is not None and ratio > TOO_COARSE:
+        coarse = f"With the {count(data.stars)} stars at hand a sigma would be {fixed(ratio, 1)} times the baseline's"
+        yield "MORE DATA NEEDED", f"{coarse}: wait for more frames."
+    if age_d is not None and age_d > OLD_DAYS:
+        yield "YES", f"Recalibrate: {name} is older than {OLD_DAYS:.0f} days and newer data are here."
+    if ratio is not None and ratio <= HALVED:
+        yield (
+            "YES",
+            f"Recalibrate: with the data at hand every sigma would be {fixed(ratio, 2)} times the baseline's or less.",
+        )
+    if drift.verdict == "NOT TESTED":
+        yield "YES", f"Calibrate {data.sets[-1].name}: nothing newer than {name} was looked at yet."
+    yield "NOT YET", f"{name} holds, and newer data would not sharpen it much."
+
+
+def at_hand(trend: Trend) -> AtHand:
+    """Return the telemetry that the baseline has not seen, and what it would be good for."""
+    own = trend.of_run(trend.baseline.run_id) if trend.baseline else None
+    sets = [
+        row
+        for row in trend.telemetry.values()
+        if row.purpose == "calibration" and row.archived_utc is None and _is_newer(row, own, trend.baseline)
+    ]
+    sets.sort(key=span_of)
+    tried = {point.telemetry_set_id for point in trend.points if point.names}
+    untried = [row for row in sets if row.id not in tried]
+    return AtHand(sets, untried, _ratio(trend, own, sum(row.stars for row in sets)))
+
+
+def _is_newer(row: TelemetrySet, own: Point | None, baseline: ParameterSet | None) -> bool:
+    """Whether a set's data begin after those of the baseline end."""
+    if baseline is None or baseline.run_id is None:
+        return True
+    begins_utc, _, timed = span_of(row)
+    if own is None or not (timed and own.timed):
+        return row.uploaded_utc > baseline.created_utc
+    return begins_utc > own.ends_utc
+
+
+def _ratio(trend: Trend, own: Point | None, stars: int) -> float | None:
+    """Foretell the sigma with so many stars over the baseline's, the largest of all parameters."""
+    if trend.baseline is None or not trend.independent or not stars:
+        return None
+    like = own or trend.independent[-1]
+    sigma = trend.baseline.document.get("sigma") or {}
+    shared = [like.sigma[name] / sigma[name] for name in like.names if sigma.get(name)]
+    return max(shared) * (like.stars / stars) ** 0.5 if shared and like.stars else None
+
+
+def _reasons(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | None) -> Sequence[str]:
+    """Return what the answer rests on."""
+    said = [drift.sentence]
+    if data.sets:
+        kinds = f"{len(data.sets)} set{'s' * (len(data.sets) > 1)} of {count(data.stars)} stars"
+        untried = f", {len(data.untried)} not calibrated yet" if data.untried else ""
+        said.append(f"Newer than the baseline's data: {kinds}{untried}.")
+    if data.ratio is not None:
+        said.append(f"With them a sigma is foretold at {fixed(data.ratio, 2)} times the baseline's at most.")
+    if age_d is not None:
+        said.append(f"{baseline.name} became baseline {age_d:.0f} days ago; the limit is {OLD_DAYS:.0f}.")
+    return said
+
+
+SCHEMA = "boresight.trend/1"
+
+
+def trend_document(session: Session, sensor_id: int) -> dict[str, Any]:
+    """Return a sensor over the mission, with the drift tests and the advice.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    """
+    trend = trend_of(session, sensor_id)
+    found = judge(trend)
+    return document_of(trend, found, advise(trend, found))
+
+
+def document_of(trend: Trend, found: Drift, advice: Advice) -> dict[str, Any]:
+    """Write a trend."""
+    baseline = trend.baseline
+    return {
+        "schema": SCHEMA,
+        "sensor_id": trend.sensor.id,
+        "sensor": trend.sensor.name,
+        "camera_model": trend.camera_model,
+        "parameter_names": list(CAMERA_MODELS[trend.camera_model].parameter_names),
+        "baseline": None if baseline is None else {"parameter_set_id": baseline.id, "name": baseline.name},
+        "points": [_point(point) for point in trend.points],
+        "others": [_point(point) for point in trend.others],
+        "baselines": [_period(period) for period in trend.periods],
+        "on_board": [
+            {"at_utc": mark.at_utc, "state": mark.state, "parameter_set_id": mark.set_id, "name": mark.name}
+            for mark in trend.marks
+        ],
+        "truth": trend.sensor.truth,
+        "drift": drifts.document(found),
+        "advice": {"answer": advice.answer, "sentence": advice.sentence, "reasons": list(advice.reasons)},
+    }
+
+
+def _point(point: Point) -> dict[str, Any]:
+    """Write a calibration."""
+    return {
+        "run_id": point.run_id,
+        "label": point.label,
+        "method": point.method,
+        "camera_model": point.camera_model,
+        "telemetry_set_id": point.telemetry_set_id,
+        "telemetry": point.telemetry,
+        "begins_utc": point.begins_utc,
+        "at_utc": point.at_utc,
+        "ends_utc": point.ends_utc,
+        "timed": point.timed,
+        "temperature_c": point.temperature_c,
+        "parameters": {name: point.parameters[name] for name in point.names},
+        "sigma": point.sigma,
+        "stars": point.stars,
+        "rms_arc_rad": point.rms_arc_rad,
+        "counted": not point.left_out,
+        "left_out": point.left_out or None,
+        "said": point.said or None,
+    }
+
+
+def _period(period: Period) -> dict[str, Any]:
+    """Write a baseline's time."""
+    return {
+        "parameter_set_id": period.set_id,
+        "name": period.name,
+        "from_utc": period.from_utc,
+        "to_utc": period.to_utc,
+        "measured": period.measured,
+        "parameters": dict(period.parameters),
+        "sigma": dict(period.sigma),
+    }

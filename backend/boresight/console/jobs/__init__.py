@@ -1,0 +1,1 @@
+"""Background services of a server: event broadcast, upkeep, heartbeat, webhook delivery."""

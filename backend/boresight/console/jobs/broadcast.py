@@ -1,0 +1,391 @@
+"""The event feed of one server: what changed, told to every listener, with nothing lost and nobody held up.
+
+One thread follows the rows, at once when it is nudged and every half second otherwise, so changes made by other processes
+(the command line, another server on the same store) are told too, after half a second at most. Progress comes from the worker
+engine; the last few hundred events of it are kept, so that who comes back after a break of seconds misses none.
+
+Hundreds of listeners cost one task each and nothing else: no thread, no query, and no work for an event but handing it on. Every
+event is written once, with the place in the feed after it, and what happened since the last telling goes out to all as one piece
+of bytes. Between two tellings lies a pause that grows with the number of listeners, 0.1 ms for each, so that a burst of events
+costs many listeners more patience instead of the server more than part of one processor. What waits for a listener is bounded;
+who reads too slowly is told so and let go, and comes back with their place.
+
+What the event feed tells, and the places in it.
+
+What is told of runs and of the audit log are rows: `run_events` and `audit`, both numbered in the order of their
+commits. Progress is not a row; its events are numbered as they pass, from the milliseconds of the server's start on, so
+that a number of an earlier server lies below all of this one. A place in the feed is therefore three numbers, written
+`<run event>.<audit record>.<progress>`, and is the id of every event; whoever comes back with a place is told all the
+rows after it, and the progress after it as far as it is still kept.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import orjson
+
+from boresight.console.access import queries as login_sessions
+from boresight.console.runs import run_events
+from boresight.console.runs.tables import RunEvent
+from boresight.platform.actors import Actor
+from boresight.platform.audit import queries as audit
+from boresight.platform.db.marks import Mark, Marks
+from boresight.platform.db.sessions import Engine, Session, reading, utc_now
+from boresight.platform.jobs.rounds import Rounds
+from boresight.platform.web.paging import row_number
+
+PAGE = 500
+LINE_LENGTH = 400  # of a log line that is told; the log has it whole
+
+
+@dataclass(frozen=True)
+class Place:
+    """How far somebody has been told: the newest run event, audit record and progress."""
+
+    run_event: int
+    record: int
+    progress: int = 0
+
+    def __str__(self) -> str:
+        """Write the place as an event id."""
+        return f"{self.run_event}.{self.record}.{self.progress}"
+
+    def covers(self, other: Place) -> bool:
+        """Whether everything before another place is before this one too."""
+        return self.run_event >= other.run_event and self.record >= other.record and self.progress >= other.progress
+
+    @classmethod
+    def parse(cls, text: str) -> Place | None:
+        """Read an event id; None when it is none of ours."""
+        numbers = [number for part in text.split(".") if (number := row_number(part)) is not None]
+        return cls(*numbers) if len(numbers) in {2, 3} and len(numbers) == text.count(".") + 1 else None
+
+    @classmethod
+    def now(cls, session: Session, progress: int = 0) -> Place:
+        """Return the place after everything stored, and after this progress."""
+        return cls(run_events.newest_event_id(session), audit.newest_id(session), progress)
+
+
+PART_OF_KIND = {"run": "run_event", "log": "run_event", "audit": "record", "progress": "progress"}
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event.
+
+    Parameters
+    ----------
+    kind
+        `run` (a change of state), `log` (another line of a run's log), `progress` or `audit`.
+    data
+        What is told to everybody.
+    number
+        The row's, or that of the progress.
+    history
+        The new points of a running run's course: told only to who follows that run.
+    """
+
+    kind: str
+    data: dict[str, Any]
+    number: int
+    history: dict[str, Any] | None = None
+
+    def is_after(self, place: Place) -> bool:
+        """Whether somebody at a place has not been told this yet."""
+        told: int = getattr(place, PART_OF_KIND[self.kind])
+        return self.number > told
+
+    def move(self, place: Place) -> Place:
+        """Return the place of somebody who has now been told this."""
+        return replace(place, **{PART_OF_KIND[self.kind]: self.number})
+
+    @cached_property
+    def text(self) -> str:
+        """The event as JSON, written once for all listeners."""
+        return orjson.dumps(self.data).decode()
+
+    @cached_property
+    def text_with_history(self) -> str:
+        """The same for those who follow the run."""
+        return orjson.dumps(self.data | {"history": self.history}).decode()
+
+    def wire(self, place: Place, *, with_history: bool = False) -> bytes:
+        """Write it as a server-sent event, its id the place after it."""
+        text = self.text_with_history if with_history and self.history is not None else self.text
+        return f"event: {self.kind}\ndata: {text}\nid: {place}\n\n".encode()
+
+
+class Ring:
+    """The newest progress events, numbered.
+
+    Parameters
+    ----------
+    length
+        How many are kept.
+    """
+
+    def __init__(self, length: int) -> None:
+        self._kept: deque[Event] = deque(maxlen=length)
+        self.newest = int(1000 * time.time())
+
+    def add(self, data: dict[str, Any], history: dict[str, Any] | None) -> Event:
+        """Give a progress event its number, and keep it."""
+        self.newest += 1
+        self._kept.append(Event("progress", data, self.newest, history))
+        return self._kept[-1]
+
+    def after(self, number: int) -> list[Event] | None:
+        """Return what came after a number; None when some of it is kept no more, or the number is another server's."""
+        oldest = self._kept[0].number if self._kept else self.newest + 1
+        if not oldest - 1 <= number <= self.newest:
+            return None
+        return [event for event in self._kept if event.number > number]
+
+
+def events_after(session: Session, place: Place) -> list[Event]:
+    """Return the rows after a place as events, those of either kind in their order, at most a page of each."""
+    lines = [_line(row) for row in run_events.events_after(session, place.run_event, PAGE)]
+    records = [_told(row) for row in audit.heads_after(session, place.record, PAGE)]
+    return list(heapq.merge(lines, records, key=lambda event: str(event.data["at_utc"])))
+
+
+def _line(row: RunEvent) -> Event:
+    """Tell a line of a run's log: a change of state as such, any other as a line."""
+    told = {"run_id": row.run_id, "attempt": row.attempt, "at_utc": row.at_utc, "message": row.message[:LINE_LENGTH]}
+    if row.kind == "state":
+        return Event("run", told | {"state": row.state}, row.id)
+    return Event("log", told | {"kind": row.kind}, row.id)
+
+
+def _told(row: Mapping[str, Any]) -> Event:
+    """Tell an audit record as an event; what it changed is left to the log itself."""
+    return Event("audit", dict(row), row["id"])
+
+
+QUEUE_LENGTH = 4096  # events; they are shared by all who wait for them
+KEPT = 512  # progress events: about a minute of two runs
+LOOK_EVERY_S = 0.5
+LOOK_AFTER_S = 0.1  # after a look that found something or not, however many commit
+PAUSE_A_LISTENER_S = 1e-4
+
+
+@dataclass(frozen=True)
+class Told:
+    """An event with the place of the feed after it."""
+
+    event: Event
+    place: Place
+
+    @cached_property
+    def wire(self) -> bytes:
+        """The event as it is sent."""
+        return self.event.wire(self.place)
+
+
+class Telling:
+    """What is told at once; written once for all who hear everything."""
+
+    def __init__(self, told: Sequence[Told]) -> None:
+        self.told = told
+
+    @cached_property
+    def wire(self) -> bytes:
+        """All of it as it is sent."""
+        return b"".join(one.wire for one in self.told)
+
+
+class Listener:
+    """What waits for one listener; filled and emptied on the event loop. None ends the stream."""
+
+    def __init__(self, actor: Actor) -> None:
+        self.actor = actor
+        self.dropped = False
+        self.doubted = False  # whether the credential under which it listens may have ended
+        self._waiting: list[Telling | None] = []
+        self._events = 0
+        self._something = asyncio.Event()
+
+    def put(self, telling: Telling | None) -> None:
+        """Let something wait, and let go of a listener that is too far behind."""
+        if self.dropped:
+            return
+        self._events += 0 if telling is None else len(telling.told)
+        if self._waiting and self._events > QUEUE_LENGTH:
+            self.dropped = True
+            telling = None  # the end of the stream takes the place of what does not fit
+        self._waiting.append(telling)
+        self._something.set()
+
+    def doubt(self) -> None:
+        """Have the stream ask whether its credential still holds."""
+        self.doubted = True
+        self._something.set()
+
+    async def next(self, timeout_s: float) -> Sequence[Telling | None]:
+        """Wait for something and return all that waits; nothing when none came in time."""
+        if not self._waiting:
+            try:
+                await asyncio.wait_for(self._something.wait(), timeout_s)
+            except TimeoutError:
+                return []
+        found, self._waiting, self._events = self._waiting, [], 0
+        self._something.clear()
+        return found
+
+
+class Broadcast:
+    """The feed of one server."""
+
+    def __init__(self, database: Engine) -> None:
+        self._database = database
+        self._listeners: set[Listener] = set()
+        self._lock = threading.Lock()
+        self._ring = Ring(KEPT)
+        self._found = Place(0, 0, self._ring.newest)  # how far events were found
+        self.place = self._found  # how far they were told
+        self._pending: list[Told] = []
+        self._told_s = 0.0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._marks = Marks(database)
+        self._mark: Mark | None = None
+        self._ended_utc = utc_now()  # the newest end of a log-in that was noticed
+        self._revoked: tuple[str | None, str | None] = (None, None)  # when a key was last revoked, a person disabled
+        self._rounds = Rounds("event feed", [self._follow], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
+        self._is_closed = False
+
+    def start(self) -> None:
+        """Begin to follow the rows, from where they end now."""
+        self._is_closed = False
+        with reading(self._database) as session:
+            self.place = self._found = Place.now(session, self._ring.newest)
+            self._revoked = login_sessions.newest_revocation(session)
+        self._ended_utc = utc_now()
+        self._rounds.start()
+
+    def close(self) -> None:
+        """End every stream and stop following; safe to call twice."""
+        self._is_closed = True
+        self._on_the_loop(self._end)
+        self._rounds.close()
+        self._marks.close()
+
+    def hear(self, event: dict[str, Any]) -> None:
+        """Take an event of the worker engine: progress is passed on, a change of state is a row to be looked up."""
+        if event.get("kind") != "progress":
+            self.nudge()
+            return
+        data = {name: value for name, value in event.items() if name not in {"kind", "history"}}
+        with self._lock:
+            self._find([self._ring.add(data, event.get("history"))])
+
+    def nudge(self) -> None:
+        """Look at the rows now."""
+        self._rounds.nudge()
+
+    @property
+    def listeners(self) -> int:
+        """How many streams are open."""
+        return len(self._listeners)
+
+    @property
+    def progress(self) -> int:
+        """The number of the newest progress."""
+        return self._ring.newest
+
+    def progress_after(self, number: int) -> list[Event] | None:
+        """Return the progress after a number; None when some of it is kept no more, or was another server's."""
+        with self._lock:
+            return self._ring.after(number)
+
+    @contextmanager
+    def listening(self, actor: Actor) -> Iterator[Listener]:
+        """Hear everything after `place` from now on, as who acts; to be called on the event loop."""
+        self._loop = asyncio.get_running_loop()
+        listener = Listener(actor)
+        self._listeners.add(listener)
+        if self._is_closed:
+            listener.put(None)
+        try:
+            yield listener
+        finally:
+            self._listeners.discard(listener)
+
+    def _follow(self) -> None:
+        """Tell the rows that are new, page by page until there is none, where anything was committed."""
+        mark = self._marks.look()
+        found = mark is None or mark != self._mark
+        if found:
+            self._find_endings()
+        while found and not self._is_closed:
+            with reading(self._database) as session:
+                events = events_after(session, self._found)
+            found = len(events) >= PAGE  # otherwise neither kind has more
+            with self._lock:
+                self._find(events)
+        self._mark = mark
+
+    def _find_endings(self) -> None:
+        """Have the streams ask again whose log-in has ended, and all of them after a key was revoked or a person disabled."""
+        with reading(self._database) as session:
+            ended = login_sessions.ended_since(session, self._ended_utc)
+            revoked = login_sessions.newest_revocation(session)
+        if ended:
+            self._ended_utc = max(ended.values())
+        if ended or revoked != self._revoked:
+            self._on_the_loop(self._doubt, set(ended), revoked != self._revoked)
+        self._revoked = revoked
+
+    def _doubt(self, ended: set[int], keys: bool) -> None:
+        """Have the streams of ended log-ins ask whether they may go on, and where keys may have ended those of keys."""
+        for listener in self._listeners:
+            if listener.actor.session_id in ended or (keys and listener.actor.is_key):
+                listener.doubt()
+
+    def _find(self, events: Sequence[Event]) -> None:
+        """Give events, under the lock and so in one order, the places after them, and hand them to the event loop."""
+        told = []
+        for event in events:
+            self._found = event.move(self._found)
+            told.append(Told(event, self._found))
+        if told and not self._on_the_loop(self._take, told):
+            self.place = self._found  # nobody has listened yet
+
+    def _on_the_loop(self, act: Callable[..., None], *given: Any) -> bool:
+        """Let something be done on the event loop; whether there is one."""
+        if self._loop is None or self._loop.is_closed():
+            return False
+        self._loop.call_soon_threadsafe(act, *given)
+        return True
+
+    def _take(self, told: Sequence[Told]) -> None:
+        """Tell events now, or together with what comes before the pause is over."""
+        if not self._pending:
+            pause_s = PAUSE_A_LISTENER_S * len(self._listeners)
+            asyncio.get_running_loop().call_later(max(0.0, self._told_s + pause_s - time.monotonic()), self._tell)
+        self._pending += told
+
+    def _tell(self) -> None:
+        """Tell everybody what waits; what was due may have been told when the feed was closed."""
+        if not self._pending:
+            return
+        telling, self._pending = Telling(self._pending), []
+        self.place = telling.told[-1].place
+        for listener in self._listeners:
+            listener.put(telling)
+        self._told_s = time.monotonic()
+
+    def _end(self) -> None:
+        """Tell what waits, then end every stream."""
+        self._tell()
+        for listener in self._listeners:
+            listener.put(None)

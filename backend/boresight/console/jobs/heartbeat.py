@@ -1,0 +1,85 @@
+"""The server's heartbeat: what happens because time passes, and nobody asks for it.
+
+Every few seconds it looks for requests for approval and proposed changes whose time is over, in a reading transaction
+that holds nobody up, and writes only when there are any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from boresight.console.alarms import watch as clock
+from boresight.console.approvals import proposals
+from boresight.console.approvals import service as approvals
+from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.jobs.rounds import Rounds
+
+BEAT_S = 5.0
+
+
+class Heartbeat:
+    """The heartbeat of one server.
+
+    Parameters
+    ----------
+    database
+        Where the requests are.
+    tell
+        Called after something was written, for those who follow the store.
+    seen_file
+        Whose time of writing is when a server of this installation was last seen to run; None keeps it nowhere.
+    """
+
+    def __init__(self, database: Engine, tell: Callable[[], None], seen_file: Path | None = None) -> None:
+        self._database = database
+        self._tell = tell
+        self._seen_file = seen_file
+        self._looked_back = False
+        self._rounds = Rounds("heartbeat", [self.beat], lambda: BEAT_S)
+
+    def start(self) -> None:
+        """Begin to beat; the first beat is at once, for what became due while no server ran."""
+        self._rounds.start()
+
+    def close(self) -> None:
+        """Stop; safe to call twice."""
+        self._rounds.close()
+
+    def look_at_clock(self) -> None:
+        """Raise an alarm where the clock jumped, and let it be over once somebody has acknowledged it."""
+        seen_s = None if self._looked_back else self._seen_s()
+        with reading(self._database) as session:
+            held, acknowledged = clock.is_up(session, clock.CLOCK), clock.is_acknowledged(session)
+        found = None if held else clock.condition_now(seen_s)
+        if found is not None or acknowledged:
+            with writing(self._database) as session:
+                clock.watch_installation(session, {clock.CLOCK: found})
+            self._tell()
+        if found is not None or held:
+            clock.OURS.agree()  # the alarm holds what would expire from now on
+        self._looked_back = True
+        if self._seen_file is not None:
+            with suppress(OSError):
+                self._seen_file.write_text(str(clock.OURS.now_s()), encoding="ascii")
+
+    def _seen_s(self) -> float | None:
+        """Return when a server of this installation was last seen to run."""
+        try:
+            return None if self._seen_file is None else float(self._seen_file.read_text(encoding="ascii"))
+        except (OSError, ValueError):
+            return None
+
+    def beat(self) -> None:
+        """Let everything expire whose time is over, unless the clock that says so jumped."""
+        self.look_at_clock()
+        with reading(self._database) as session:
+            if clock.is_held(session):
+                return
+            waiting = approvals.any_due(session) or proposals.any_due(session)
+        if waiting:
+            with writing(self._database) as session:
+                approvals.expire_due(session)
+                proposals.expire_due(session)
+            self._tell()

@@ -1,0 +1,181 @@
+"""The live feed as server-sent events, resumable with `Last-Event-ID`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import orjson
+from fastapi import Header, Query
+from fastapi.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import StreamingResponse
+
+from boresight.console.access.credentials import still_known
+from boresight.console.access.dependencies import Who
+from boresight.console.jobs.broadcast import Broadcast, Event, Listener, Place, Telling, events_after
+from boresight.console.operation import operations
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Engine, reading
+
+router = operations("/events", tags=["events"])
+
+PING_S = 15.0
+ASK_AGAIN_S = 30.0  # what ends by the clock alone, or is noticed by no commit, ends a stream within this time
+RETRY_MS = 2000
+HEADERS = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
+PING = b": ping\n\n"
+
+
+class EventStream(StreamingResponse):
+    """Server-sent events, written by the feed itself: the framework's own writer would write each anew for each listener."""
+
+    media_type = "text/event-stream"
+
+
+@dataclass(frozen=True)
+class _Wish:
+    """What one listener wants to hear: of one run or of all, and whose course is to be drawn."""
+
+    run: int | None
+    history: int | None
+
+    @property
+    def is_everything(self) -> bool:
+        """Whether it is what is written once for all."""
+        return self.run is None and self.history is None
+
+    def written(self, event: Event, place: Place) -> bytes:
+        """Write an event, with the new points of its course for who draws it; nothing where it is not wished for."""
+        about = event.data.get("run_id") == self.run or event.data.get("object") == f"runs/{self.run}"
+        if self.run is not None and not about:
+            return b""
+        return event.wire(place, with_history=event.data.get("run_id") == self.history)
+
+
+@router.get("", summary="Follow what happens", response_class=EventStream)
+async def stream_events(
+    actor: Who,
+    request: Request,
+    run: Annotated[int | None, Query(description="Only what concerns this run.")] = None,
+    history: Annotated[
+        int | None, Query(description="Let the progress of this run carry the new points of its course.")
+    ] = None,
+    last_event_id: Annotated[
+        str | None, Header(description="The last `id` heard; what came after is told first.")
+    ] = None,
+) -> EventStream:
+    """Follow the feed: `run` (a change of state), `log` (another line of a run's log), `progress`, `audit`.
+
+    Every event carries an id and is told again after a break. Progress is kept for a short time only: after `missed` some of
+    it was lost, so read the run again. A listener that falls too far behind gets `dropped` and the stream ends; come back
+    with `Last-Event-ID` and nothing is missed. When the log-in or the key ends, the stream says `logged-out` and ends.
+    """
+    return EventStream(_stream(request, actor, _Wish(run, history), last_event_id), headers=HEADERS)
+
+
+async def _stream(request: Request, actor: Actor, wish: _Wish, last_event_id: str | None) -> AsyncIterator[bytes]:
+    """Write a stream: where it begins, what was missed, then what happens."""
+    broadcast: Broadcast = request.app.state.broadcast
+    with broadcast.listening(actor) as listener:
+        brought, newest, told = Place.parse(last_event_id or ""), broadcast.progress, broadcast.place
+        place = brought or told
+        yield f": connected\nid: {place}\nretry: {RETRY_MS}\n\n".encode()
+        if brought is not None:
+            async for event in _past(request.app.state.engine, broadcast, place):
+                place = event.move(place)
+                yield wish.written(event, place)
+            if place.progress < newest or place.progress > broadcast.progress:
+                place = replace(place, progress=newest)
+                yield _said("missed", place)
+        async for piece in _live(request, listener, _Live(place, wish, told)):
+            yield piece
+
+
+def _said(word: str, place: Place) -> bytes:
+    """Write a word to the listener alone."""
+    return f"event: {word}\ndata: {orjson.dumps({'id': str(place)}).decode()}\nid: {place}\n\n".encode()
+
+
+async def _past(database: Engine, broadcast: Broadcast, place: Place) -> AsyncIterator[Event]:
+    """Return the rows after a place, page by page, and the progress after it, none where some is kept no more."""
+    while events := await run_in_threadpool(_missed, database, place):
+        for event in events:
+            place = event.move(place)
+            yield event
+    for event in broadcast.progress_after(place.progress) or ():
+        yield event
+
+
+def _missed(database: Engine, place: Place) -> Iterable[Event]:
+    """Return a page of the rows after a place."""
+    with reading(database) as session:
+        return events_after(session, place)
+
+
+class _Live:
+    """Writes what is told for one listener.
+
+    What a listener heard of the past may lie ahead of what the feed has told: until the feed has caught up, each event is held
+    against the listener's own place. From then on the feed's places are the listener's, and its bytes are sent as they are.
+
+    Parameters
+    ----------
+    place
+        How far the listener was told.
+    told
+        How far the feed had told when the listener began to hear.
+    """
+
+    def __init__(self, place: Place, wish: _Wish, told: Place) -> None:
+        self.place = place
+        self._wish = wish
+        self._is_level = told.covers(place)
+
+    def written(self, telling: Telling) -> bytes:
+        """Write a telling."""
+        if self._is_level and self._wish.is_everything:
+            self.place = telling.told[-1].place
+            return telling.wire
+        return b"".join(self._each(telling))
+
+    def _each(self, telling: Telling) -> Iterable[bytes]:
+        """Write each event that was not heard yet."""
+        for one in telling.told:
+            if self._is_level:
+                self.place = one.place
+            elif one.event.is_after(self.place):
+                self.place = one.event.move(self.place)
+            else:
+                continue
+            yield self._wish.written(one.event, self.place)
+            self._is_level = self._is_level or one.place.covers(self.place)
+
+
+async def _live(request: Request, listener: Listener, live: _Live) -> AsyncIterator[bytes]:
+    """Tell what happens from here on, until the server stops, the listener is too slow, or the log-in ends."""
+    asked_s = said_s = time.monotonic()
+    while True:
+        found = await listener.next(min(PING_S, ASK_AGAIN_S))
+        piece = _piece(live, found)
+        if found and found[-1] is None:
+            yield piece + _said("dropped" if listener.dropped else "closing", live.place)
+            return
+        if not piece and time.monotonic() - said_s >= PING_S:
+            piece = PING
+        if piece:
+            yield piece
+            said_s = time.monotonic()
+        if listener.doubted or time.monotonic() - asked_s > ASK_AGAIN_S:
+            listener.doubted = False
+            if not await run_in_threadpool(still_known, request):
+                yield _said("logged-out", live.place)
+                return
+            asked_s = time.monotonic()
+
+
+def _piece(live: _Live, found: Sequence[Telling | None]) -> bytes:
+    """Write all that was told before an end."""
+    return b"".join(live.written(telling) for telling in found if telling is not None)

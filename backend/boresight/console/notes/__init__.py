@@ -1,0 +1,1 @@
+"""Notes on runs, sensors and parameter sets."""

@@ -1,0 +1,69 @@
+"""Notes on one thing: the page by itself, and where the form of every notes panel goes.
+
+A note that was written leads back to the page of its thing; a refused one comes back here with its text.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.console.access.dependencies import Who, csrf
+from boresight.console.notes import service as notes
+from boresight.console.notes.tables import Note
+from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session, reading
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+WORDS = {"runs": "run", "sensors": "sensor", "parameter-sets": "parameter set"}
+
+
+def address_of(kind: str, subject_id: int) -> str:
+    """Return where the notes of a thing are shown."""
+    part = "?part=notes" if kind == "runs" else ""
+    return f"/{kind}/{subject_id}{part}#notes"
+
+
+@router.get("/notes/{kind}/{subject_id:int}", response_class=HTMLResponse)
+def notes_page(request: Request, actor: Who, kind: str, subject_id: int) -> HTMLResponse:
+    """Show the notes on a thing."""
+    return _page(request, actor, kind, subject_id)
+
+
+def _page(
+    request: Request, actor: Actor, kind: str, subject_id: int, typed: str = "", refusal: Refusal | None = None
+) -> HTMLResponse:
+    """Render the notes, with what a refused form left behind."""
+    with reading(request.app.state.engine) as session:
+        return render(
+            request,
+            "notes/notes.html",
+            refused=refusal,
+            notes=notes.list_notes(session, actor, kind, subject_id),
+            kind=kind,
+            subject_id=subject_id,
+            subject=f"{WORDS.get(kind, kind)} {subject_id}",
+            address=address_of(kind, subject_id),
+            typed=typed,
+            refusal=refusal.sentence if refusal else "",
+        )
+
+
+@router.post("/notes/{kind}/{subject_id:int}", response_class=HTMLResponse)
+async def add(request: Request, actor: Who, kind: str, subject_id: int, text: Annotated[str, Form()] = "") -> Response:
+    """Add a note."""
+    outcome = await attempt(request, partial(_add, actor, kind, subject_id, text))
+    if outcome.value is not None:
+        return redirect(address_of(kind, subject_id), flash="Your note is kept.")
+    return await run_in_threadpool(_page, request, actor, kind, subject_id, text, outcome.refusal)
+
+
+def _add(actor: Actor, kind: str, subject_id: int, text: str, session: Session) -> Note:
+    """Hand the text to the service."""
+    return notes.add_note(session, actor, kind, subject_id, text)

@@ -1,0 +1,22 @@
+"""Queries on notes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from boresight.console.notes.tables import Note
+from boresight.platform.db.sessions import Session
+
+
+def notes(session: Session, subject_kind: str, subject_id: int) -> Sequence[Note]:
+    """Return the notes on a thing, in order."""
+    query = sa.select(Note).where(Note.subject_kind == subject_kind, Note.subject_id == subject_id)
+    return session.scalars(query.order_by(Note.id)).all()
+
+
+def count_notes(session: Session, subject_kind: str, subject_id: int) -> int:
+    """Count the notes on a thing."""
+    of_it = (Note.subject_kind == subject_kind, Note.subject_id == subject_id)
+    return session.scalar(sa.select(sa.func.count()).select_from(Note).where(*of_it)) or 0

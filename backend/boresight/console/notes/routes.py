@@ -1,0 +1,68 @@
+"""Notes on runs, sensors and parameter sets: read them, add one. Nothing edits a note."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from boresight.console.access.dependencies import Reading, Who, Writing
+from boresight.console.notes import schemas
+from boresight.console.notes import service as notes
+from boresight.console.notes.tables import Note
+from boresight.console.operation import operations
+from boresight.platform.web.paging import Id, Listing, Page
+
+router = operations(tags=["notes"])
+
+
+class NewNote(BaseModel):
+    """What is to be kept."""
+
+    model_config = ConfigDict(extra="forbid")
+    text: str = Field(examples=["Taken through the South Atlantic Anomaly; expect more spurious centroids."])
+
+
+@router.get("/runs/{run_id}/notes", summary="Read the notes on a run", response_model=Page[schemas.Note])
+def list_run_notes(run_id: Id, actor: Who, session: Reading) -> Listing[Note]:
+    """Read the notes on a run, in order."""
+    return Listing(notes.list_notes(session, actor, "runs", run_id))
+
+
+@router.post("/runs/{run_id}/notes", summary="Write a note on a run", status_code=201, response_model=schemas.Note)
+def add_run_note(run_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
+    """Add a note to a run; it is never edited."""
+    return notes.add_note(session, actor, "runs", run_id, new.text)
+
+
+@router.get("/sensors/{sensor_id}/notes", summary="Read the notes on a sensor", response_model=Page[schemas.Note])
+def list_sensor_notes(sensor_id: Id, actor: Who, session: Reading) -> Listing[Note]:
+    """Read the notes on a sensor, in order."""
+    return Listing(notes.list_notes(session, actor, "sensors", sensor_id))
+
+
+@router.post(
+    "/sensors/{sensor_id}/notes", summary="Write a note on a sensor", status_code=201, response_model=schemas.Note
+)
+def add_sensor_note(sensor_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
+    """Add a note to a sensor; it is never edited."""
+    return notes.add_note(session, actor, "sensors", sensor_id, new.text)
+
+
+@router.get(
+    "/parameter-sets/{parameter_set_id}/notes",
+    summary="Read the notes on a parameter set",
+    response_model=Page[schemas.Note],
+)
+def list_parameter_set_notes(parameter_set_id: Id, actor: Who, session: Reading) -> Listing[Note]:
+    """Read the notes on a parameter set, in order."""
+    return Listing(notes.list_notes(session, actor, "parameter-sets", parameter_set_id))
+
+
+@router.post(
+    "/parameter-sets/{parameter_set_id}/notes",
+    summary="Write a note on a parameter set",
+    status_code=201,
+    response_model=schemas.Note,
+)
+def add_parameter_set_note(parameter_set_id: Id, new: NewNote, actor: Who, session: Writing) -> Note:
+    """Add a note to a parameter set; it is never edited."""
+    return notes.add_note(session, actor, "parameter-sets", parameter_set_id, new.text)

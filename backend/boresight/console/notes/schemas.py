@@ -1,0 +1,19 @@
+"""Alarms, what became of them, and notes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from boresight.console.schemas import Row
+
+
+class Note(Row):
+    """What a person wrote down about a run, a sensor or a parameter set; never edited."""
+
+    id: int
+    subject_kind: Literal["runs", "sensors", "parameter-sets"]
+    subject_id: int
+    user_id: int
+    printed_name: str
+    text: str
+    made_utc: str

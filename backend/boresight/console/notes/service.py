@@ -1,0 +1,88 @@
+"""Notes on runs, sensors and parameter sets: what a person saw or meant, for whoever comes next. Only ever added."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from boresight.console.fleet.tables import Sensor
+from boresight.console.notes import queries
+from boresight.console.notes.tables import NOTE_SUBJECTS, Note
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, require_person, require_role
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.web.words import refuse_control_characters
+
+LONGEST_NOTE = 4000
+WRITERS = ("analyst", "operator", "approver", "administrator")
+TABLES: dict[str, tuple[type[Run | Sensor | ParameterSet], str]] = {
+    "runs": (Run, "run"),
+    "sensors": (Sensor, "sensor"),
+    "parameter-sets": (ParameterSet, "parameter set"),
+}
+
+
+def list_notes(session: Session, actor: Actor, kind: str, subject_id: int) -> Sequence[Note]:  # noqa: ARG001 - whoever is known may read
+    """Return the notes on a thing, in order.
+
+    Parameters
+    ----------
+    kind
+        `runs`, `sensors` or `parameter-sets`.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such thing.
+    """
+    _require_subject(session, kind, subject_id)
+    return queries.notes(session, kind, subject_id)
+
+
+def count_notes(session: Session, kind: str, subject_id: int) -> int:
+    """Count the notes on a thing."""
+    return queries.count_notes(session, kind, subject_id)
+
+
+def add_note(session: Session, actor: Actor, kind: str, subject_id: int, text: str) -> Note:
+    """Write a note; nobody can change it afterwards.
+
+    Raises
+    ------
+    ForbiddenError
+        When a key or a mere viewer writes.
+    NotFoundError
+        When there is no such thing.
+    RefusedInputError
+        When nothing is said, or too much.
+    """
+    user_id = require_person(actor, "write a note")
+    require_role(actor, *WRITERS)
+    _require_subject(session, kind, subject_id)
+    refuse_control_characters(note=text)
+    said = text.strip()
+    if not said or len(said) > LONGEST_NOTE:
+        raise RefusedInputError(f"A note has 1 to {LONGEST_NOTE} characters; this one has {len(said)}.")
+    row = Note(
+        subject_kind=kind,
+        subject_id=subject_id,
+        user_id=user_id,
+        printed_name=actor.printed_name,
+        text=said,
+        made_utc=utc_now(),
+    )
+    session.add(row)
+    session.flush()
+    audit.append(session, actor, "noted", f"{kind}/{subject_id}/notes/{row.id}", None, {"text": said})
+    return row
+
+
+def _require_subject(session: Session, kind: str, subject_id: int) -> None:
+    """Refuse a thing that is not there."""
+    if kind not in NOTE_SUBJECTS:
+        raise NotFoundError(f"There are no notes on {kind}; on {', '.join(NOTE_SUBJECTS)} there are.")
+    table, word = TABLES[kind]
+    if session.get(table, subject_id) is None:
+        raise NotFoundError(f"There is no {word} {subject_id}.")

@@ -1,0 +1,28 @@
+"""Notes that people leave on runs, sensors and parameter sets."""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.platform.db.declared import STRICT, Base, one_of
+
+NOTE_SUBJECTS = ("runs", "sensors", "parameter-sets")
+
+
+class Note(Base):
+    """What a person wrote down about a run, a sensor or a parameter set; never edited."""
+
+    __tablename__ = "notes"
+    __table_args__ = (
+        one_of("subject_kind", NOTE_SUBJECTS),
+        sa.Index("ix_notes_subject", "subject_kind", "subject_id"),
+        STRICT,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    subject_kind: Mapped[str] = mapped_column(sa.Text)
+    subject_id: Mapped[int]
+    user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    printed_name: Mapped[str] = mapped_column(sa.Text)
+    text: Mapped[str] = mapped_column(sa.Text)
+    made_utc: Mapped[str] = mapped_column(sa.Text)

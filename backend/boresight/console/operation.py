@@ -1,0 +1,277 @@
+"""The one route class of the API: what every operation has besides its own work.
+
+An operation reads its request, calls one service, and returns the row. From the route this class makes
+
+- who acts: nobody unknown gets in, unless the router is `open_to_all`; unsafe requests repeat the CSRF token;
+- the answer: the row in the shape of `response_model`, with the `ETag` and the `Location` that the shape declares;
+- idempotency of every POST that writes: with `Idempotency-Key` the answer is stored under (key, actor) in the transaction of the
+  effect, together with the SHA-256 of the request: method, address and body. The same request again within a day is answered from
+  the store, with `Idempotent-Replayed: true`; another request under the same key is refused. A refusal is not stored, for it had no
+  effect. What is older than a day is deleted in the transaction that stores a new answer;
+- dry runs: with `validate_only` the transaction is a trial, and the answer says so;
+- the refusals that its dependencies can make, in the documentation (`boresight.platform.web.openapi.refuses`).
+
+All of it happens in the thread and in the transaction of the operation.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from typing import Annotated, Any
+
+import orjson
+from fastapi import APIRouter, Depends, Header, Security
+from fastapi.datastructures import DefaultPlaceholder
+from fastapi.routing import APIRoute
+from fastapi.security import APIKeyCookie, HTTPBearer
+from pydantic import TypeAdapter
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.console.access.credentials import SESSION_COOKIE, who_acts
+from boresight.console.access.dependencies import OnlyAsked, Who, Writing, csrf
+from boresight.console.idempotent_responses import forget_responses, response_under
+from boresight.console.schemas import Row
+from boresight.errors import RefusedInputError
+from boresight.platform.actors import Actor
+from boresight.platform.audit.tables import IdempotentResponse
+from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.web.openapi import dependency_refusals, refusals
+
+PREFIX = "/api/v1"
+KEPT_FOR_S = 24 * 3600.0
+LONGEST_KEY = 200
+PASSWORDS = ("password", "current")
+NUMBERS = orjson.OPT_SERIALIZE_NUMPY
+FORM_CONTENT = "form_content"  # in the request's state, of who reads a form: returns what it carries, as bytes
+CREDENTIALS = (
+    Security(HTTPBearer(scheme_name="ApiKey", description="`bs_...`, from POST /api/v1/api-keys", auto_error=False)),
+    Security(APIKeyCookie(name=SESSION_COOKIE, scheme_name="LogInCookie", auto_error=False)),
+)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An answer that a row alone does not make."""
+
+    body: Any
+    status: int | None = None  # other than the route's
+    shape: Any = None  # other than the route's
+    headers: Mapping[str, str] = field(default_factory=dict)  # besides the shape's
+    shown_once: tuple[str, ...] = ()  # members that hold a secret: null in a replay, and in a trial
+    is_trial: bool = False  # of a dry run that the body asked for
+
+
+class Beside:
+    """A row, and what is shown beside its columns."""
+
+    def __init__(self, row: Any, **more: Any) -> None:
+        self._row = row
+        self.__dict__.update(more)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._row, name)
+
+
+def json_response(body: Any, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+    """Write a document as JSON; numbers in full, NaN and infinity as null."""
+    content = b"" if status == HTTPStatus.NO_CONTENT else orjson.dumps(body, option=NUMBERS)
+    return Response(content, status, headers, "application/json")
+
+
+@dataclass(frozen=True)
+class Written:
+    """An answer as it is sent, before it is bytes."""
+
+    body: dict[str, Any]
+    status: int
+    headers: dict[str, str]
+    shown_once: tuple[str, ...] = ()
+    is_trial: bool = False
+
+    @property
+    def kept(self) -> dict[str, Any]:
+        """The body without what is shown once."""
+        return self.body | dict.fromkeys(self.shown_once)
+
+
+@dataclass(frozen=True)
+class Once:
+    """Who asks, under which key if there is one, the digest of the request, and whether it only asks."""
+
+    actor: Actor
+    key: str | None
+    request_sha256: str
+    tried: bool
+
+    def answer(self, session: Session, act: Callable[[], Written | Response]) -> Response:
+        """Act and remember the answer, or give the answer that was remembered."""
+        owner = f"{self.actor.name} {self.actor.credential}"
+        if self.key is not None:
+            forget_responses(session, before_utc=utc_after(-KEPT_FOR_S))
+            if (known := response_under(session, self.key, owner)) is not None:
+                return self._replay(known)
+        made = act()
+        if isinstance(made, Response):
+            return made
+        if self.tried or made.is_trial:
+            return json_response(made.kept, headers={"X-Validate-Only": "true"})
+        if self.key is not None:
+            session.add(
+                IdempotentResponse(
+                    key=self.key,
+                    actor=owner,
+                    request_sha256=self.request_sha256,
+                    status=made.status,
+                    headers=made.headers,
+                    body=made.kept,
+                    created_utc=utc_now(),
+                )
+            )
+        return json_response(made.body, made.status, made.headers)
+
+    def _replay(self, known: IdempotentResponse) -> Response:
+        """Give the remembered answer to the same request."""
+        if known.request_sha256 != self.request_sha256:
+            raise RefusedInputError(
+                "This Idempotency-Key was used for another request; use a new key for a new request."
+            )
+        return json_response(known.body, known.status, {**known.headers, "Idempotent-Replayed": "true"})
+
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        min_length=1,
+        max_length=LONGEST_KEY,
+        description="Send the same key again to get the same answer without a second effect.",
+    ),
+]
+
+
+async def once(request: Request, actor: Who, asked: OnlyAsked, idempotency_key: IdempotencyKey = None) -> Once:
+    """Read the key, and digest the request if there is one."""
+    if idempotency_key is None or asked:
+        return Once(actor, None, "", asked)
+    form = getattr(request.state, FORM_CONTENT, None)
+    content, only_asks = (await run_in_threadpool(form), False) if form is not None else _read(await request.body())
+    if only_asks:
+        return Once(actor, None, "", tried=True)
+    address = f"{request.method} {request.url.path}?{request.url.query}\n"
+    return Once(actor, idempotency_key, hashlib.sha256(address.encode() + content).hexdigest(), asked)
+
+
+def _read(content: bytes) -> tuple[bytes, bool]:
+    """Return a JSON body without its passwords, for what is kept must not help to guess one, and whether it only asks."""
+    try:
+        body = orjson.loads(content)
+    except orjson.JSONDecodeError:
+        return content, False
+    if not isinstance(body, dict):
+        return content, False
+    return orjson.dumps({name: value for name, value in body.items() if name not in PASSWORDS}), (
+        body.get("validate_only") is True
+    )
+
+
+class Operation(APIRoute):
+    """A route of the API."""
+
+    def __init__(
+        self,
+        path: str,
+        endpoint: Callable[..., Any],
+        *,
+        name: str | None = None,
+        methods: set[str] | list[str] | None = None,
+        status_code: int | None = None,
+        response_model: Any = None,
+        responses: dict[int | str, dict[str, Any]] | None = None,
+        **options: Any,
+    ) -> None:
+        name = name or endpoint.__name__
+        if isinstance(response_model, DefaultPlaceholder):
+            response_model = None
+        posts, signature = "POST" in (methods or ()), inspect.signature(endpoint, eval_str=True)
+        writes = next((one.name for one in signature.parameters.values() if one.annotation == Writing), None)
+        if response_model is not None or (posts and writes):
+            status = status_code or HTTPStatus.OK
+            endpoint = _answered(endpoint, signature, _Writer(response_model, status), writes if posts else None)
+        options["operation_id"] = name
+        super().__init__(
+            path,
+            endpoint,
+            name=name,
+            methods=methods,
+            status_code=status_code,
+            response_model=response_model,
+            responses=responses,
+            **options,
+        )
+        self.responses = {**dependency_refusals(self.dependant), **self.responses}
+
+
+class _Writer:
+    """Writes what an endpoint returns in the shape of its route."""
+
+    def __init__(self, shape: Any, status: int) -> None:
+        self._shape = shape
+        self._status = status
+        self._adapters: dict[Any, TypeAdapter[Any]] = {}
+
+    def write(self, made: Any) -> Written:
+        """Write an answer, with the headers that its shape declares."""
+        answer = made if isinstance(made, Answer) else Answer(made)
+        shape, status = answer.shape or self._shape, answer.status or self._status
+        if shape is None:
+            return Written({}, status, dict(answer.headers))
+        if shape not in self._adapters:
+            self._adapters[shape] = TypeAdapter(shape)
+        adapter = self._adapters[shape]
+        body = adapter.dump_python(adapter.validate_python(answer.body, from_attributes=True), mode="json")
+        headers = shape.headers(answer.body, status) if isinstance(shape, type) and issubclass(shape, Row) else {}
+        return Written(body, status, {**headers, **answer.headers}, answer.shown_once, answer.is_trial)
+
+
+def _answered(
+    endpoint: Callable[..., Any], signature: inspect.Signature, writer: _Writer, transaction: str | None
+) -> Callable[..., Response]:
+    """Let an endpoint answer with its row; once for a key, where the name of its writing transaction is given."""
+
+    @functools.wraps(endpoint)
+    def answered(**given: Any) -> Response:
+        asked: Once | None = given.pop("once", None)
+
+        def act() -> Written | Response:
+            made = endpoint(**given)
+            return made if isinstance(made, Response) else writer.write(made)
+
+        if asked is not None and transaction is not None:
+            return asked.answer(given[transaction], act)
+        made = act()
+        return made if isinstance(made, Response) else json_response(made.body, made.status, made.headers)
+
+    parameters = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
+    if transaction is not None:  # solved last: whatever is checked before a transaction is checked before this too
+        key = inspect.Parameter("once", inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[Once, Depends(once)])
+        parameters.append(key)
+    answered.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what the framework reads
+    return answered
+
+
+def operations(prefix: str = "", *, tags: Sequence[str], open_to_all: bool = False) -> APIRouter:
+    """Return a router for the operations of a noun, under the version and guarded; `open_to_all`: also to who is not known."""
+    guards = [*CREDENTIALS, Depends(csrf), *(() if open_to_all else (Depends(who_acts),))]
+    return APIRouter(
+        prefix=PREFIX + prefix,
+        tags=list(tags),
+        route_class=Operation,
+        dependencies=guards,
+        responses=refusals(401, 403, 422),
+    )

@@ -1,0 +1,38 @@
+"""The pages: what all of them share, and the one place that finds every noun's pages and joins them to a server."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from pkgutil import walk_packages
+from types import ModuleType
+
+from fastapi import APIRouter, Depends
+from fastapi.responses import HTMLResponse
+
+from boresight import console
+from boresight.console.pages.frame import know_fleet
+from boresight.console.pages.rendering import check_numbers
+
+
+def modules() -> Iterator[ModuleType]:
+    """Yield every module of pages: `pages` of a noun, or each in a noun's folder `pages`."""
+    prefix = f"{console.__name__}."
+    for found in walk_packages(console.__path__, prefix):
+        if "pages" in found.name.removeprefix(prefix).split(".")[1:]:
+            yield import_module(found.name)
+
+
+def routers(module: ModuleType) -> Iterator[APIRouter]:
+    """Yield every router that a module of pages declares, in the order in which it declares them."""
+    yield from (value for value in vars(module).values() if isinstance(value, APIRouter))
+
+
+def join(routes: APIRouter) -> None:
+    """Join the routers of every module of pages to the routes of a server."""
+    first = [Depends(check_numbers), Depends(know_fleet)]
+    for page in modules():
+        for router in routers(page):
+            routes.include_router(
+                router, include_in_schema=False, default_response_class=HTMLResponse, dependencies=first
+            )

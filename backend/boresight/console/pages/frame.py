@@ -1,0 +1,270 @@
+"""What every page shows around its content: mode, fleet, approvals, the audit's light, person, navigation, flash line.
+
+The values come from `request.state` (who is logged in), the settings, and one short read of the store, made by
+`know_fleet` before a page opens its own transaction: a page that held one connection while it waited for a second could
+take the last of them from another that does the same. A page that reports a failure must not fail for the same cause:
+where the store cannot be read, the frame says so and goes on.
+
+How the fleet stands, for the top bar of every page: as its worst sensor does, that sensor named.
+
+It takes a look at every sensor, so it is remembered while nothing is committed (`platform.db.marks`), and no longer than `HELD_S`,
+for
+baselines age by the clock; who asked before the look began is given it too, whatever was committed since. Of a fleet of more than
+`LARGE` sensors it is remembered `REST` times as long as the look took, whatever is committed: so the top bar of thousands of
+sensors takes a fixed share of one processor, and most pages wait for none of it. One page looks for all that ask meanwhile.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+from urllib.parse import unquote
+
+from fastapi import Request
+from fastapi.concurrency import run_in_threadpool
+
+from boresight.console import lists
+from boresight.console.access.credentials import who_acts
+from boresight.console.alarms import service as alarms
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet import status as fleet
+from boresight.console.jobs.upkeep import Light
+from boresight.console.pages.formats import LEVELS, day_of_year
+from boresight.errors import PasswordDueError, UnauthenticatedError
+from boresight.platform.actors import Actor
+from boresight.platform.db.marks import Mark, Marks
+from boresight.platform.db.sessions import Engine, Session, reading
+from boresight.platform.web.keeping import has_gaps, tell_older
+from boresight.platform.web.sheets import NAME_GAP, TOKEN_GAP
+
+HELD_S = 30.0
+LARGE, REST = 200, 5.0
+
+WORD_OF_LEVEL = {level: level.upper() for level in LEVELS} | {"off": "NO DATA"}
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A consolidated status: colour and shape, a word, and why."""
+
+    level: str
+    word: str
+    sentence: str
+
+
+def worst_standing(standings: Sequence[fleet.Standing]) -> Standing:
+    """Return how a fleet stands."""
+    if not standings:
+        return Standing("off", "NO SENSORS", "No sensors yet: register one.")
+    worst = max(standings, key=lambda one: LEVELS.index(one.status))
+    alike = sum(one.status == worst.status for one in standings)
+    more = f" {alike - 1} more alike." if alike > 1 else ""
+    return Standing(worst.status, WORD_OF_LEVEL[worst.status], f"{worst.name}: {worst.sentence}{more}")
+
+
+def fleet_standing(session: Session) -> tuple[Standing, int, int]:
+    """Return how the fleet stands, how many requests wait for a signature, and how many alarms to be acknowledged."""
+    waiting = lists.count(session, "approvals", {"state": "OPEN"})
+    return worst_standing(fleet.standings(session)), waiting, alarms.unacknowledged(session)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What `fleet_standing` found, and whether that was before the newest commit."""
+
+    found: tuple[Standing, int, int]
+    is_older: bool = False
+
+
+class FleetMemory:
+    """What the top bar says, read anew only after a commit, and of a large fleet less often; by one thread for all that ask.
+
+    Parameters
+    ----------
+    engine
+        The store.
+    marks
+        Tells whether anything was committed.
+    """
+
+    def __init__(self, engine: Engine, marks: Marks) -> None:
+        self._engine, self._marks = engine, marks
+        self._looking = threading.Lock()
+        self._known: tuple[Mark, float, float, tuple[Standing, int, int]] | None = None  # when its look began and ended
+        self._resting_until_s = 0.0
+
+    def known_now(self, asked_s: float) -> Look | None:
+        """Return what `standing` would without a look at the fleet; None where it takes one, or to tell takes a thread."""
+        return self._remembered(self._marks.look(), asked_s) if self._marks.at_once else None
+
+    def _remembered(self, mark: Mark | None, asked_s: float) -> Look | None:
+        """Return what the last look found, where that holds for who asked at a time of the monotonic clock."""
+        now_s = time.monotonic()
+        if self._known is None:
+            return None
+        of_mark, began_s, ended_s, found = self._known
+        if now_s - ended_s >= HELD_S:
+            return None
+        if mark == of_mark or now_s < self._resting_until_s:
+            return Look(found)
+        return Look(found, is_older=True) if began_s > asked_s else None
+
+    def standing(self, asked_s: float) -> Look:
+        """Return what `fleet_standing` does, from a look that began after it was asked for or that no commit came after.
+
+        Of a large fleet the look may be older.
+        """
+        with self._looking:
+            now_s = time.monotonic()
+            mark = self._marks.look()
+            if (remembered := self._remembered(mark, asked_s)) is not None:
+                return remembered
+            with reading(self._engine) as session:
+                found = fleet_standing(session)
+                is_large = sensors.count(session) > LARGE
+            ended_s = time.monotonic()
+            took_s = ended_s - now_s
+            self._known = None if mark is None else (mark, now_s, ended_s, found)
+            self._resting_until_s = ended_s + min(HELD_S, REST * took_s) if is_large else 0.0
+            return Look(found)
+
+
+log = logging.getLogger(__name__)
+
+FLASH_COOKIE = "boresight_flash"
+UNREAD = Standing("off", "UNKNOWN", "The store could not be read.")
+
+
+@dataclass(frozen=True)
+class Destination:
+    """One line of the navigation; `key` opens it after `g`, and no `roles` means everybody."""
+
+    path: str
+    label: str
+    key: str
+    roles: frozenset[str] = frozenset()
+
+
+NAVIGATION = (
+    Destination("/", "Overview", "o"),
+    Destination("/sensors", "Sensors", "s"),
+    Destination("/telemetry", "Telemetry", "t"),
+    Destination("/runs", "Runs", "r"),
+    Destination("/campaigns", "Campaigns", "n"),
+    Destination("/compare", "Compare", "c"),
+    Destination("/parameter-sets", "Parameter sets", "p"),
+    Destination("/approvals", "Approvals", "a"),
+    Destination("/uplink", "Uplink", "u"),
+    Destination("/alarms", "Alarms", "l"),
+    Destination("/audit", "Audit", "h"),
+    Destination("/webhooks", "Webhooks", "w"),
+    Destination("/users", "Users and keys", "k"),
+    Destination("/administration", "Administration", "m"),
+)
+
+# What keys do within a page; `keys.js` acts on them. None signs, promotes, rolls back, cancels or deletes.
+KEYS = (
+    (("/",), "the search field, or the first filter"),
+    (("j", "k"), "next row, previous row"),
+    (("Enter",), "open the row"),
+    (("x", "Shift+x"), "select the row, or all from the last one selected"),
+    (("c",), "compare what is selected"),
+    (("[", "]"), "previous, next: run, or page of the list"),
+    (("1", "…", "9"), "tab of the page"),
+    (("d",), "only what differs, or everything"),
+    (("e",), "the list or the run as a file"),
+    (("y",), "copy the address of this view"),
+    (("Esc",), "close what is open, leave a field"),
+    (("?",), "this list"),
+)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The values that `frame.html` prints."""
+
+    mode: str
+    actor: Actor | None
+    csrf_token: str
+    path: str
+    now: str
+    fleet: Standing
+    approvals_waiting: int | None
+    alarms_unacknowledged: int | None
+    light: Light
+    four_eyes: bool
+    flash: tuple[str, str] | None
+    navigation: tuple[Destination, ...]
+    keys: tuple[tuple[tuple[str, ...], str], ...] = KEYS
+
+
+def _read_flash(request: Request) -> tuple[str, str] | None:
+    """Return the (level, sentence) that the last POST left, if it can be read."""
+    try:
+        level, sentence = json.loads(unquote(request.cookies.get(FLASH_COOKIE, "")))
+    except (ValueError, TypeError):
+        return None
+    return (level, str(sentence)) if level in LEVELS else None
+
+
+def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None, int | None]:
+    """Read the fleet's standing, how many requests wait and how many alarms; nobody logged in learns any of it."""
+    if actor is None:
+        return UNREAD, None, None
+    known: tuple[Standing, int, int] | None = getattr(request.state, "fleet", None)
+    if known is not None:
+        return known
+    try:
+        memory: FleetMemory = request.app.state.fleet
+        return _taken(request, memory.standing(request.state.came_s))
+    except Exception:
+        log.exception("The frame could not read the store")
+        return UNREAD, None, None
+
+
+def _taken(request: Request, look: Look) -> tuple[Standing, int, int]:
+    """Take what was found, and say where something was committed since."""
+    if look.is_older:
+        tell_older(request)
+    return look.found
+
+
+async def know_fleet(request: Request) -> None:
+    """Read what the frame shows of the store, for a request by somebody who is logged in."""
+    memory: FleetMemory = request.app.state.fleet
+    with suppress(UnauthenticatedError, PasswordDueError):
+        actor = await who_acts(request)
+        known = memory.known_now(request.state.came_s)
+        request.state.fleet = (
+            await run_in_threadpool(_fleet, request, actor) if known is None else _taken(request, known)
+        )
+
+
+def frame_of(request: Request, *, is_answer: bool = True) -> Frame:
+    """Gather the frame's values for a request; `is_answer` where the page is what was asked for, and no refusal."""
+    actor: Any = getattr(request.state, "actor", None)
+    fleet, waiting, alarms = _fleet(request, actor)
+    flash, token = _read_flash(request), getattr(request.state, "csrf_token", "")
+    if is_answer and flash is None and has_gaps(request):  # whoever writes the page is not told more than the roles
+        actor, token = Actor(None, NAME_GAP, NAME_GAP, actor.roles, ""), TOKEN_GAP
+    return Frame(
+        mode=request.app.state.settings.mode,
+        actor=actor,
+        csrf_token=token,
+        path=request.url.path,
+        now=day_of_year(datetime.now(UTC)),
+        fleet=fleet,
+        approvals_waiting=waiting,
+        alarms_unacknowledged=alarms,
+        light=request.app.state.upkeep.light(),
+        four_eyes=request.app.state.policy.four_eyes,
+        flash=flash,
+        navigation=NAVIGATION if actor else (),
+    )

@@ -1,0 +1,258 @@
+"""Turning a template and its values into a page; answering a form.
+
+`render(request, "runs/run.html", run=row)` is all a page file needs: the frame around the content fills itself. After a POST
+a page answers with `redirect(location, flash="...")`; the line travels in a short-lived cookie and is shown once on the
+next page. Undefined names are errors, and everything is escaped.
+
+Making a change on a person's behalf and getting a refusal back as a value, to be shown where the person is.
+
+The transaction is the request's own (`boresight.console.access.dependencies.write_session`): a refusal passes through it first, so
+nothing of a refused change is kept, and only then becomes words on the page.
+
+What a form sent: its texts, and the version that its page showed.
+
+The numbers in a page's address: one greater than any row's is the number of nothing, and the store is not asked.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
+from http import HTTPStatus
+from typing import Any, Generic, TypeVar
+from urllib.parse import quote
+
+from fastapi import Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, RedirectResponse
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from starlette.datastructures import FormData
+
+import boresight
+from boresight.console.access.dependencies import check_own, write_session
+from boresight.console.fleet.timeline import how_known
+from boresight.console.pages import formats
+from boresight.console.pages.formats import LEVELS, level_of, worst
+from boresight.console.pages.frame import FLASH_COOKIE, frame_of
+from boresight.errors import BoresightError, Fault, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor
+from boresight.platform.web.keeping import GAPS
+from boresight.platform.web.paging import row_number
+from boresight.platform.web.problems import problem_of
+from boresight.resources import folder
+
+T = TypeVar("T")
+_transaction = asynccontextmanager(write_session)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a change was not made: the sentence, the places it names, and how HTTP says it.
+
+    `render` takes status and headers from here for every page that shows a refusal.
+    """
+
+    error: BoresightError
+    sentence: str
+    faults: tuple[Fault, ...]
+    status: int
+    headers: Mapping[str, str]
+
+    @classmethod
+    def of(cls, error: BoresightError) -> Refusal:
+        """Turn a refusal that was raised into one to show."""
+        problem = problem_of(error)
+        return cls(error, str(error), tuple(getattr(error, "faults", ())), problem.status, problem.headers or {})
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether the server lacks something, such as room on its disk, and not what was asked is at fault."""
+        return self.status >= HTTPStatus.INTERNAL_SERVER_ERROR
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[T]):
+    """What came of an attempt: the value, or the refusal."""
+
+    value: T | None
+    refusal: Refusal | None
+
+    @property
+    def made(self) -> T:
+        """The value, where nothing was refused."""
+        if self.value is None:
+            raise ValueError("there is no value: read the refusal first")
+        return self.value
+
+
+async def attempt(
+    request: Request, change: Callable[..., T], prepare: Callable[[], Awaitable[Sequence[object]]] | None = None
+) -> Outcome[T]:
+    """Make a change in the request's writing transaction.
+
+    Parameters
+    ----------
+    change
+        `(session, *prepared) -> value`.
+    prepare
+        What is slow and needs no transaction, such as checking a password; done before the transaction begins.
+
+    Raises
+    ------
+    NotFoundError
+        Passed on: there is no page to show the refusal on.
+    """
+    try:
+        prepared = () if prepare is None else await prepare()
+        async with _transaction(request) as session:
+            return Outcome(await run_in_threadpool(change, session, *prepared), None)
+    except NotFoundError:
+        raise
+    except BoresightError as error:
+        return Outcome(None, Refusal.of(error))
+
+
+def proof_of_own(request: Request, actor: Actor, password: str) -> Callable[[], Awaitable[Sequence[object]]]:
+    """Return what checks the password of who acts, for `attempt` to do first."""
+
+    async def prepare() -> Sequence[object]:
+        return (await check_own(request, actor, password),)
+
+    return prepare
+
+
+FLASH_SECONDS = 60
+MOST_WRITTEN = 8  # pages
+
+
+def _environment() -> Environment:
+    """Build the template environment with every filter of `formats`."""
+    environment = Environment(
+        loader=FileSystemLoader(folder("frontend") / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {function.__name__: function for function in formats.FILTERS}
+    environment.filters |= {"level_of": level_of, "worst": worst, "how_known": how_known}
+    environment.globals |= {"LEVELS": LEVELS, "version": boresight.__version__}
+    return environment
+
+
+TEMPLATES = _environment()
+
+
+def render(
+    request: Request,
+    template: str,
+    *,
+    status_code: int = 200,
+    headers: Mapping[str, str] | None = None,
+    refused: Refusal | None = None,
+    follows_from: Hashable = None,
+    **values: Any,
+) -> HTMLResponse:
+    """Render a template inside the frame.
+
+    Parameters
+    ----------
+    template
+        File name in `frontend/templates`.
+    status_code, headers
+        Of the answer.
+    refused
+        The refusal that the page shows, where a form came back: it has status and headers.
+    follows_from
+        What all values follow from, where the page is worth being written once for those to whom the same is shown.
+    values
+        What the template names, besides `frame` and `request`.
+    """
+    if refused is not None:
+        status_code, headers = refused.status, refused.headers
+    frame = frame_of(request, is_answer=status_code == HTTPStatus.OK)
+    given = (template, replace(frame, now=""), follows_from)  # the clock in the page goes by itself
+    written: OrderedDict[Hashable, str] = request.app.state.written
+    shared = follows_from is not None and request.scope["state"].get(GAPS)
+    page = written.get(given) if shared else None
+    if page is None:
+        page = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
+        if shared:
+            written[given] = page
+            while len(written) > MOST_WRITTEN:
+                written.popitem(last=False)
+    response = HTMLResponse(page, status_code=status_code, headers={**(headers or {}), "Cache-Control": "no-store"})
+    if frame.flash:
+        response.delete_cookie(FLASH_COOKIE, path="/")
+    return response
+
+
+def redirect(location: str, *, flash: str = "", level: str = "normal") -> RedirectResponse:
+    """Answer a POST: send the browser to a page by GET, with one line to show there."""
+    response = RedirectResponse(location, status_code=303)
+    if flash:
+        value = quote(json.dumps([level, flash]))
+        response.set_cookie(FLASH_COOKIE, value, max_age=FLASH_SECONDS, path="/", httponly=True, samesite="lax")
+    return response
+
+
+def redirect_refused(location: str, refusal: Refusal) -> RedirectResponse:
+    """Show why a form was refused as a line on the page that it stands on.
+
+    What the server itself lacks is raised again, so that the answer says so by its status, and when to come back.
+    """
+    if refusal.is_ours:
+        raise refusal.error
+    return redirect(location, flash=refusal.sentence, level="serious")
+
+
+def texts_of(form: FormData) -> dict[str, str]:
+    """Return the texts of a form, without its files."""
+    return {name: value for name, value in form.items() if isinstance(value, str)}
+
+
+async def read_texts(request: Request) -> dict[str, str]:
+    """Read the texts of the form that a request carries."""
+    return texts_of(await request.form())
+
+
+def seen_version(form: Mapping[str, str]) -> int:
+    """Return the version that the page showed.
+
+    Raises
+    ------
+    RefusedInputError
+        When the form does not carry it.
+    """
+    version = row_number(form.get("version", ""))
+    if version is None:
+        raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
+    return version
+
+
+GREATEST_NUMBER = 2**63 - 1  # of a row: SQLite's and PostgreSQL's greatest integer
+MOST_DIGITS = len(str(GREATEST_NUMBER))
+NUMBERED = frozenset({"sensor", "set", "clone", "before", "runs", "reference"})
+
+
+async def check_numbers(request: Request) -> None:
+    """Refuse an address with a number that no row can have.
+
+    Raises
+    ------
+    NotFoundError
+        When a number of the path or of the query is too great.
+    """
+    for text in _numbers(request):
+        if len(text) > MOST_DIGITS or int(text) > GREATEST_NUMBER:
+            raise NotFoundError("There is nothing of this number; choose one of the list.")
+
+
+def _numbers(request: Request) -> Iterator[str]:
+    """Yield every number of the address in digits, without leading zeros."""
+    queried = [value for name, value in request.query_params.multi_items() if name in NUMBERED]
+    parts = (part.strip() for value in [*map(str, request.path_params.values()), *queried] for part in value.split(","))
+    yield from (part.lstrip("0") or "0" for part in parts if part.isdecimal())

@@ -1,0 +1,229 @@
+"""One table for every long list: its columns, its order, its page and what is chosen, all in the address.
+
+`?state=FAILED&sort=-rms&columns=run,state,rms&before=812&runs=7,9` is a whole view: the runs that failed, the greatest
+RMS first, three columns, the page after run 812, two of them chosen. A page declares a `Table`; `read_view` reads the
+address against it, nonsense being left out as an empty choice of the form is; `list_table.html` draws it; `csv_of` gives
+the same view, every page of it, as a file in SI. It all works without scripts.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlencode
+
+from fastapi import Request
+from fastapi.responses import Response
+
+from boresight.console import lists
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.paging import row_number
+
+LONGEST_FILTER = 200
+MOST_CHOSEN = 200
+Accepts = Callable[[str], bool]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Parameters
+    ----------
+    name
+        In the address.
+    title
+        Over the column; empty where only listeners are told.
+    sort
+        The order of a first press, `-` before it where that is the greatest first; empty: it is not sorted by.
+    kind
+        Classes of its cells.
+    hint, unit
+        What the title leaves out.
+    head
+        It names the row and is always shown.
+    optional
+        It is shown only when it is picked.
+    """
+
+    name: str
+    title: str
+    sort: str = ""
+    kind: str = ""
+    hint: str = ""
+    unit: str = ""
+    head: bool = False
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A list: its name in `boresight.console.lists` and in the address, its columns, its filters and its first order.
+
+    `filters` maps what may stand in the address to whether a value is one; `chosen` names the rows' check boxes.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    filters: Mapping[str, Accepts]
+    sort: str
+    kind: str = ""
+    chosen: str = ""
+    rows_a_page: int = 50
+    path: str = ""
+
+    @property
+    def address(self) -> str:
+        """Where it is."""
+        return self.path or f"/{self.name}"
+
+
+def is_number(text: str) -> bool:
+    """Accept a row's number."""
+    return row_number(text) is not None
+
+
+def is_text(text: str) -> bool:
+    """Accept any words that a store can hold."""
+    return bool(text.strip()) and "\0" not in text
+
+
+def one_of(words: Iterable[str]) -> Accepts:
+    """Accept one of these words."""
+    return frozenset(words).__contains__
+
+
+@dataclass(frozen=True)
+class View:
+    """What of a table is looked at."""
+
+    table: Table
+    where: Mapping[str, str] = field(default_factory=dict)
+    sort: str = ""
+    columns: tuple[Column, ...] = ()
+    before: int | None = None
+    chosen: tuple[int, ...] = ()
+
+    @property
+    def picked(self) -> str:
+        """The names of the columns; empty where they are those of a first visit."""
+        usual = tuple(column for column in self.table.columns if not column.optional)
+        return "" if self.columns == usual else ",".join(column.name for column in self.columns)
+
+    def kept(self, **changes: Any) -> dict[str, Any]:
+        """Return what the address of this view holds, with changes; what is empty is left out."""
+        held = dict(self.where) | {
+            "sort": self.sort if self.sort != self.table.sort else "",
+            "columns": self.picked,
+            "before": self.before,
+            self.table.chosen or "chosen": ",".join(map(str, self.chosen)),
+        }
+        return {name: value for name, value in (held | changes).items() if value not in {"", None}}
+
+    def query(self, **changes: Any) -> str:
+        """Return the query of the address of this view, with changes."""
+        return urlencode(self.kept(**changes), safe=",")
+
+    def address(self, **changes: Any) -> str:
+        """Return the address of this view, with changes."""
+        query = self.query(**changes)
+        return self.table.address + (f"?{query}" if query else "")
+
+    @property
+    def unfiltered(self) -> str:
+        """The address without filters, from the first page on."""
+        return self.address(before=None, **dict.fromkeys(self.table.filters))
+
+    def pressed(self, column: Column) -> str:
+        """Return the order that a press on a column's title gives: its own first, then that turned round."""
+        name = column.sort.removeprefix("-")
+        return (name if self.sort.startswith("-") else f"-{name}") if self.direction(column) else column.sort
+
+    def direction(self, column: Column) -> str:
+        """Say how the list is sorted by a column, as `aria-sort` does; empty where it is not."""
+        if not column.sort or self.sort.removeprefix("-") != column.sort.removeprefix("-"):
+            return ""
+        return "descending" if self.sort.startswith("-") else "ascending"
+
+
+@dataclass(frozen=True)
+class Page:
+    """The rows that are shown, and the last of them where more follow."""
+
+    rows: Sequence[Any]
+    last: int | None
+
+
+def read_view(request: Request, table: Table) -> View:
+    """Read the address; what is no filter, column or order of the table is left out."""
+    asked = request.query_params
+    given = {name: asked.get(name, "").strip()[:LONGEST_FILTER] for name in table.filters}
+    orders = {column.sort.removeprefix("-") for column in table.columns if column.sort}
+    sort, before = asked.get("sort", ""), asked.get("before", "")
+    return View(
+        table,
+        {name: text for name, text in given.items() if text and table.filters[name](text)},
+        sort if sort.removeprefix("-") in orders else table.sort,
+        _columns(table, _several(request, "columns")),
+        row_number(before),
+        tuple(number for text in _several(request, table.chosen) if (number := row_number(text)))[:MOST_CHOSEN],
+    )
+
+
+def _several(request: Request, name: str) -> list[str]:
+    """Return the values of a parameter that is repeated, or has commas, or both."""
+    return [text for value in request.query_params.getlist(name) for text in value.split(",") if text]
+
+
+def _columns(table: Table, picked: Sequence[str]) -> tuple[Column, ...]:
+    """Return the columns picked, those that name the row among them; all usual ones where none was."""
+    if not any(column.name in picked for column in table.columns):
+        return tuple(column for column in table.columns if not column.optional)
+    return tuple(column for column in table.columns if column.head or column.name in picked)
+
+
+def page_of(session: Session, view: View, **where: Any) -> Page:
+    """Read the rows of a view; `where` narrows it by more, or by other values, than the address says; None by nothing."""
+    narrowed = {name: value for name, value in ({**view.where} | where).items() if value is not None}
+    rows = view.table.rows_a_page
+    found = lists.page_of(session, view.table.name, narrowed, view.sort, before_id=view.before, limit=rows + 1)
+    return Page(found[:rows], found[rows - 1].id if len(found) > rows else None)
+
+
+def all_of(session: Session, view: View, **where: Any) -> Iterable[Any]:
+    """Yield every row that fits a view, from its first page on."""
+    narrowed = {name: value for name, value in ({**view.where} | where).items() if value is not None}
+    return lists.all_of(session, view.table.name, narrowed, view.sort)
+
+
+def csv_of(view: View, fields: Mapping[str, Sequence[str]], rows: Iterable[Mapping[str, Any]]) -> Response:
+    """Give a view as CSV.
+
+    Parameters
+    ----------
+    fields
+        The names of the fields that stand for each column; a column without any is not in the file.
+    rows
+        The values of every field, a row each.
+    """
+    names = [name for column in view.columns for name in fields.get(column.name, ())]
+    return csv_file(view.table.name, names, rows)
+
+
+def csv_file(title: str, names: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Response:
+    """Give rows as the CSV `<title>.csv`, with these of their values."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(names)
+    writer.writerows([_plain(row[name]) for name in names] for row in rows)
+    headers = {"Content-Disposition": f'attachment; filename="{title}.csv"'}
+    return Response(text.getvalue(), media_type="text/csv", headers=headers)
+
+
+def _plain(value: Any) -> Any:
+    """Keep a spreadsheet from taking a person's words for a formula."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@", "\t"} else value

@@ -1,0 +1,365 @@
+"""The list of parameter sets: what each is on the ground and on board, its gates and where it comes from.
+
+A parameter set with its two states, its values against the baseline, its lineage and what may be done.
+
+The ground state and the on-board state are two symbols side by side and never one word: a set that is baseline on the
+ground says nothing about what the sensor uses.
+
+A parameter set in every other camera model, as its page shows it: values and misfit, or the reason why there are none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.cameras import CAMERA_MODELS
+from boresight.console import transitions
+from boresight.console.access.credentials import who_acts
+from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.approvals import gates, promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.measured import measured
+from boresight.console.approvals.pages.gates import panel_of
+from boresight.console.approvals.tables import Approval
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.pages.sensors import choices_of
+from boresight.console.pages.rendering import Refusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.tables import (
+    Column,
+    Table,
+    View,
+    all_of,
+    csv_of,
+    is_number,
+    is_text,
+    one_of,
+    page_of,
+    read_view,
+)
+from boresight.console.parameter_sets import service
+from boresight.console.parameter_sets.service import conversion_of
+from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATES, ParameterSet
+from boresight.console.runs import service as runs
+from boresight.console.runs.pages.list import Names, read_names
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.uplinks import service as uplinks
+from boresight.errors import RefusedInputError
+from boresight.figures.tables.parameter_table import set_rows
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.keeping import same_for_roles
+
+READ_AT_ONCE = 500
+SETS = Table(
+    "parameter-sets",
+    "Parameter sets",
+    (
+        Column("set", "Set, of sensor", "-set", "named", head=True),
+        Column("ground", "Ground", "ground"),
+        Column("board", "On board", "board"),
+        Column("gates", "Gates", "", "verdict-words"),
+        Column("run", "From run", "-run"),
+        Column("hash", "SHA-256"),
+        Column("by", "Made by", "by", "named"),
+        Column("baseline", "Baseline since", "-baseline"),
+    ),
+    {
+        "sensor": is_number,
+        "sensor_name": is_text,
+        "state": one_of(GROUND_STATES),
+        "board": one_of(ONBOARD_STATES),
+        "q": is_text,
+    },
+    "-set",
+    kind="sets",
+)
+CSV_FIELDS = {
+    "set": ("number", "set", "sensor"),
+    "ground": ("ground_state",),
+    "board": ("onboard_state",),
+    "gates": ("verdict",),
+    "run": ("run",),
+    "hash": ("sha256",),
+    "by": ("created_by", "created_utc"),
+    "baseline": ("baseline_from_utc", "baseline_to_utc"),
+}
+
+router = APIRouter(dependencies=[Depends(who_acts)])
+
+
+@router.get("/parameter-sets", response_class=HTMLResponse, dependencies=[Depends(same_for_roles)])
+def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
+    """Show a page of sets."""
+    view = read_view(request, SETS)
+    found = page_of(session, view)
+    return render(
+        request,
+        "parameter_sets/parameter_sets.html",
+        view=view,
+        sets=found.rows,
+        last=found.last,
+        names=read_names(session, sensors_of=found.rows),
+        choices=choices_of(session, view),
+        states=GROUND_STATES,
+        on_board=ONBOARD_STATES,
+        verdicts=gates.verdicts(session, {row.id for row in found.rows}),
+    )
+
+
+@router.get("/parameter-sets.csv")
+def parameter_sets_csv(request: Request, session: Reading) -> Response:
+    """Give every set of a view as CSV."""
+    view = read_view(request, SETS)
+    return csv_of(view, CSV_FIELDS, _csv_rows(session, view, read_names(session, sensors_of=None)))
+
+
+def _csv_rows(session: Session, view: View, names: Names) -> Iterator[dict[str, Any]]:
+    """Lay out the sets of a view for a program; the verdicts of many are read at once."""
+    rows = iter(all_of(session, view))
+    while some := list(islice(rows, READ_AT_ONCE)):
+        verdicts = gates.verdicts(session, {row.id for row in some})
+        yield from (_csv_row(row, names) | {"verdict": verdicts.get(row.id)} for row in some)
+
+
+def _csv_row(row: ParameterSet, names: Names) -> dict[str, Any]:
+    """Lay out a set for a program."""
+    return {
+        "number": row.id,
+        "set": row.name,
+        "sensor": names.sensors[row.sensor_id],
+        "ground_state": row.ground_state,
+        "onboard_state": row.onboard_state,
+        "run": row.run_id,
+        "sha256": row.sha256,
+        "created_by": names.person(row.created_by),
+        "created_utc": row.created_utc,
+        "baseline_from_utc": row.baseline_from_utc,
+        "baseline_to_utc": row.baseline_to_utc,
+    }
+
+
+@dataclass(frozen=True)
+class Converted:
+    """A set in another model: its document, or why there is none."""
+
+    model: str
+    document: dict[str, Any] | None
+    refusal: str | None
+
+
+def conversions_of(session: Session, row: ParameterSet) -> list[Converted]:
+    """Try every other camera model on a set."""
+    return [_tried(session, row.id, model) for model in sorted(CAMERA_MODELS) if model != row.document["camera_model"]]
+
+
+def _tried(session: Session, set_id: int, model: str) -> Converted:
+    try:
+        return Converted(model, conversion_of(session, set_id, model), None)
+    except RefusedInputError as error:
+        return Converted(model, None, str(error))
+
+
+parameter_set_router = APIRouter(dependencies=[Depends(csrf)])
+
+
+@dataclass(frozen=True)
+class Action:
+    """A transition: whether the set's state has it, and why this person cannot make it."""
+
+    offered: bool
+    blocked: str | None
+
+
+def actions_of(row: ParameterSet, actor: Actor, request: Approval | None) -> dict[str, Action]:
+    """Say which transitions a set's state has, and why the actor may not make one."""
+    submitter = request is not None and request.submitted_by == actor.user_id
+    submitted = row.ground_state in {"SUBMITTED", "APPROVED"}
+    submittable, was_baseline = row.ground_state in submissions.SUBMITTABLE, row.baseline_from_utc is not None
+    return {
+        "roll_back": Action(
+            submittable and was_baseline,
+            None
+            if actor.roles.intersection({"analyst", "operator"})
+            else "Only an analyst or an operator may ask for a roll-back; ask an administrator for the role.",
+        ),
+        "submit": Action(
+            submittable and not was_baseline,
+            None
+            if "analyst" in actor.roles
+            else "Only an analyst may submit a set; ask an administrator for the role.",
+        ),
+        "withdraw": Action(
+            submitted,
+            None
+            if submitter or "administrator" in actor.roles
+            else "Only who submitted the set, or an administrator, may withdraw it.",
+        ),
+        "promote": Action(
+            submitted,
+            _why_not_promote(row, actor),
+        ),
+    }
+
+
+def _why_not_promote(row: ParameterSet, actor: Actor) -> str | None:
+    """Say why a submitted set is not promoted by this person now."""
+    if row.ground_state == "SUBMITTED":
+        return "An approver must sign first; then an operator promotes."
+    if "operator" not in actor.roles:
+        return "Only an operator may promote an approved set; ask an administrator for the role."
+    return None
+
+
+@dataclass(frozen=True)
+class Node:
+    """One station of a set's lineage."""
+
+    kind: str
+    name: str
+    address: str | None = None
+    state: str | None = None
+
+
+def lineage_of(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> list[Node]:
+    """Return the way of a set from telemetry to the spacecraft, as far as it has come."""
+    nodes = []
+    if row.run_id is not None:
+        run = runs.get_run(session, row.run_id)
+        data = telemetry_sets.get_telemetry_set(session, run.telemetry_set_id)
+        nodes = [
+            Node("Telemetry", data.name, f"/telemetry/{data.id}"),
+            Node("Run", f"#{run.id} {run.label}".rstrip(), f"/runs/{run.id}", run.state),
+        ]
+    else:
+        nodes = [Node("Ground calibration", "declared with the sensor", f"/sensors/{row.sensor_id}")]
+    nodes.append(Node("Set", row.name, None, row.ground_state))
+    nodes += [
+        Node("Approval", f"request {known.id}", f"/approvals/{known.id}", known.state) for known in reversed(requests)
+    ]
+    nodes.append(
+        Node(
+            "On board", "no uplink recorded" if row.onboard_state == "NOT SENT" else "recorded", None, row.onboard_state
+        )
+    )
+    return nodes
+
+
+def incumbent_of(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> ParameterSet | None:
+    """Return what a set is measured against: the baseline of now, or for a promoted set the one that it replaced."""
+    if row.baseline_from_utc is None:
+        return service.baseline_of(session, row.sensor_id)
+    return bound_incumbent(session, row, next((known for known in requests if known.state == "APPROVED"), None))
+
+
+def bound_incumbent(session: Session, row: ParameterSet, request: Approval | None) -> ParameterSet | None:
+    """Return the set that was baseline when a request was made; None where the request names none."""
+    sha256 = request.bound.get("incumbent_sha256") if request is not None else None
+    return None if sha256 is None else service.other_with_document(session, row, sha256)
+
+
+@parameter_set_router.get("/parameter-sets/{set_id:int}", response_class=HTMLResponse)
+def parameter_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
+    """Show a set."""
+    return _page(request, session, actor, set_id)
+
+
+def _page(
+    request: Request, session: Session, actor: Actor, set_id: int, *, refusal: Refusal | None = None, reason: str = ""
+) -> HTMLResponse:
+    """Render a set, with the refusal of a transition and the reason that was typed."""
+    row = transitions.get_parameter_set(session, set_id)
+    requests = approvals.list_approvals(session, parameter_set_id=set_id)
+    sensor = sensors.get_sensor(session, row.sensor_id)
+    incumbent = incumbent_of(session, row, requests)
+    return render(
+        request,
+        "parameter_sets/parameter_set.html",
+        refused=refusal,
+        set=row,
+        sensor=sensor,
+        names=read_names(session),
+        incumbent=incumbent,
+        rows=set_rows(row.document, incumbent.document if incumbent else None, sensor.document),
+        requests=requests,
+        signatures=[signature for known in requests for signature in approvals.signatures_of(session, known.id)],
+        uplinks=uplinks.list_uplinks(session, parameter_set_id=set_id),
+        conversions=conversions_of(session, row),
+        panel=panel_of(session, actor, row),
+        lineage=lineage_of(session, row, requests),
+        actions=actions_of(row, actor, requests[0] if requests else None),
+        refusal=refusal,
+        reason=reason,
+    )
+
+
+@parameter_set_router.post("/parameter-sets/{set_id:int}/submit")
+async def submit(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
+    """Ask that a set become baseline."""
+    return await _asked(request, session, actor, set_id, submissions.submit)
+
+
+@parameter_set_router.post("/parameter-sets/{set_id:int}/roll-back")
+async def roll_back(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
+    """Ask that a former baseline become baseline again."""
+    return await _asked(request, session, actor, set_id, submissions.roll_back)
+
+
+async def _asked(
+    request: Request, session: Session, actor: Actor, set_id: int, ask: Callable[..., Approval]
+) -> Response:
+    """Open a request, and show it or why it was refused."""
+    form = await read_texts(request)
+    reason, state = form.get("reason", ""), request.app.state
+    assessed = await run_in_threadpool(measured, actor, set_id, state.sight, state.engine)
+
+    def change(session: Session) -> Approval:
+        asked = (state.blobs, set_id, reason, seen_version(form), assessed)
+        return ask(session, actor, *asked, policy=state.policy)
+
+    outcome = await attempt(request, change)
+    if outcome.value is None:
+        page = partial(_page, request, session, actor, set_id, refusal=outcome.refusal, reason=reason)
+        return await run_in_threadpool(page)
+    return redirect(
+        f"/approvals/{outcome.value.id}", flash="Submitted: another person with the role approver must sign."
+    )
+
+
+@parameter_set_router.post("/parameter-sets/{set_id:int}/withdraw")
+async def withdraw(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
+    """Take a request back."""
+    form = await read_texts(request)
+
+    def change(session: Session) -> ParameterSet:
+        return submissions.withdraw(session, actor, set_id, seen_version(form), form.get("reason", ""))
+
+    return await _changed(request, session, actor, set_id, change, "{} is withdrawn.")
+
+
+@parameter_set_router.post("/parameter-sets/{set_id:int}/promote")
+async def promote(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
+    """Make an approved set the baseline."""
+    form = await read_texts(request)
+
+    def change(session: Session) -> ParameterSet:
+        return promotions.promote(session, actor, set_id, seen_version(form), policy=request.app.state.policy)
+
+    return await _changed(
+        request, session, actor, set_id, change, "{} is the baseline now; nothing on board has changed."
+    )
+
+
+async def _changed(request: Request, session: Session, actor: Actor, set_id: int, change: Any, words: str) -> Response:
+    """Make a transition and show the set, or show why it was refused."""
+    outcome = await attempt(request, change)
+    if outcome.value is None:
+        return await run_in_threadpool(partial(_page, request, session, actor, set_id, refusal=outcome.refusal))
+    return redirect(f"/parameter-sets/{set_id}", flash=words.format(outcome.value.name))

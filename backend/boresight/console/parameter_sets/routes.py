@@ -1,0 +1,158 @@
+"""Parameter sets: make one of a run, submit, roll back, withdraw, promote."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Query
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.responses import Response
+
+from boresight.console import transitions
+from boresight.console.access.dependencies import Blobs, Held, Reading, SeenVersion, Who, Writing
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import schemas as approval_schemas
+from boresight.console.approvals.measured import Measured
+from boresight.console.approvals.routes import with_signatures
+from boresight.console.operation import Beside, json_response, operations
+from boresight.console.parameter_sets import schemas, service
+from boresight.console.parameter_sets import service as conversions
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.platform.web.keeping import SAME_FOR_ALL
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+router = operations("/parameter-sets", tags=["parameter sets"])
+
+
+class FromRun(BaseModel):
+    """Which run's result becomes a candidate."""
+
+    model_config = ConfigDict(extra="forbid")
+    run_id: Id
+
+
+class Submission(BaseModel):
+    """Why this set should become the baseline."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(examples=["Focal length moved by 4 sigma since launch; held-out RMS is 12 % lower."])
+
+
+class RollBack(BaseModel):
+    """Why the sensor should go back to this set."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = Field(examples=["PS-ST-1-4 loses stars at the rim since the pass of this morning."])
+
+
+class Withdrawal(BaseModel):
+    """Why a request is taken back."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = ""
+
+
+@router.get("", summary="List parameter sets", response_model=Page[schemas.ParameterSet], dependencies=[SAME_FOR_ALL])
+def list_parameter_sets(
+    session: Reading,
+    page: Paged,
+    sensor_id: Id | None = None,
+    ground_state: Annotated[str | None, Query(examples=["BASELINE"])] = None,
+) -> Listing[ParameterSet]:
+    """List parameter sets, newest first."""
+    found = service.list_parameter_sets(
+        session, sensor_id=sensor_id, ground_state=ground_state, before_id=page.last_id, limit=page.limit + 1
+    )
+    return page.cut(found)
+
+
+@router.post("", summary="Make a candidate of a run", status_code=201, response_model=schemas.ParameterSet)
+def create_parameter_set(source: FromRun, actor: Who, session: Writing, blobs: Blobs) -> ParameterSet:
+    """Make an immutable candidate of a finished run; asked again for that run, the same one comes back."""
+    return service.create_from_run(session, actor, blobs, source.run_id)
+
+
+@router.get(
+    "/{parameter_set_id}",
+    summary="Read a parameter set",
+    response_model=schemas.ParameterSet,
+    dependencies=[SAME_FOR_ALL],
+)
+def get_parameter_set(parameter_set_id: Id, session: Reading) -> ParameterSet:
+    """Read a parameter set; the ETag is for its transitions."""
+    return transitions.get_parameter_set(session, parameter_set_id)
+
+
+@router.get(
+    "/{parameter_set_id}/conversion", summary="Read it in another camera model", response_model=schemas.Conversion
+)
+def convert_parameter_set(
+    parameter_set_id: Id,
+    session: Reading,
+    to: Annotated[str, Query(examples=["pinhole_radial"], description="The other camera model.")],
+    allow_px: Annotated[
+        float | None,
+        Query(ge=0, allow_inf_nan=False, description="Largest misfit; 1 % of centroid_sigma_px when left out."),
+    ] = None,
+) -> Response:
+    """Write this set in another camera model: values, covariance and misfit, or the reason why it cannot be. Nothing is kept."""
+    return json_response(conversions.conversion_of(session, parameter_set_id, to, allow_px))
+
+
+@router.post(
+    "/{parameter_set_id}:submit",
+    summary="Submit for approval",
+    status_code=201,
+    response_model=approval_schemas.Approval,
+)
+def submit_parameter_set(
+    parameter_set_id: Id,
+    submission: Submission,
+    actor: Who,
+    seen: SeenVersion,
+    measured: Measured,
+    policy: Held,
+    session: Writing,
+    blobs: Blobs,
+) -> Beside:
+    """Ask that this set become the baseline. It is held against its gates, and the request binds what was found."""
+    row = submissions.submit(session, actor, blobs, parameter_set_id, submission.reason, seen, measured, policy=policy)
+    return with_signatures(session, row)
+
+
+@router.post(
+    "/{parameter_set_id}:roll-back",
+    summary="Ask to go back to a former baseline",
+    status_code=201,
+    response_model=approval_schemas.Approval,
+)
+def roll_back_parameter_set(
+    parameter_set_id: Id,
+    back: RollBack,
+    actor: Who,
+    seen: SeenVersion,
+    measured: Measured,
+    policy: Held,
+    session: Writing,
+    blobs: Blobs,
+) -> Beside:
+    """Ask that a superseded set become the baseline again; it is signed and promoted like any other, in less time."""
+    row = submissions.roll_back(session, actor, blobs, parameter_set_id, back.reason, seen, measured, policy=policy)
+    return with_signatures(session, row)
+
+
+@router.post("/{parameter_set_id}:withdraw", summary="Take the request back", response_model=schemas.ParameterSet)
+def withdraw_parameter_set(
+    parameter_set_id: Id, actor: Who, seen: SeenVersion, session: Writing, withdrawal: Withdrawal | None = None
+) -> ParameterSet:
+    """Take the request for a submitted or approved set back."""
+    reason = withdrawal.reason if withdrawal else ""
+    return submissions.withdraw(session, actor, parameter_set_id, seen, reason)
+
+
+@router.post("/{parameter_set_id}:promote", summary="Make it the baseline", response_model=schemas.ParameterSet)
+def promote_parameter_set(
+    parameter_set_id: Id, actor: Who, seen: SeenVersion, policy: Held, session: Writing
+) -> ParameterSet:
+    """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
+    return promotions.promote(session, actor, parameter_set_id, seen, policy=policy)

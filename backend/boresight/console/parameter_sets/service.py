@@ -1,0 +1,250 @@
+"""Parameter sets: immutable, identified by the SHA-256 of their canonical JSON, one of them a sensor's baseline.
+
+Ground states and who moves them::
+
+    CANDIDATE, WITHDRAWN, EXPIRED, SUPERSEDED --submit--> SUBMITTED --sign--> APPROVED --promote--> BASELINE --> SUPERSEDED
+    SUBMITTED, APPROVED --withdraw--> WITHDRAWN     SUBMITTED, APPROVED --one refusal--> REJECTED
+    SUBMITTED, APPROVED --time is over--> EXPIRED   SUBMITTED, APPROVED --what is bound moved--> CANDIDATE
+
+A set that was baseline once goes back to SUPERSEDED instead of WITHDRAWN, REJECTED, EXPIRED or CANDIDATE. Rolling back is
+a new request for such a set, signed and promoted like any other. What is on board is another state, in `uplinks`. Sets are
+made in `candidates`; requests for them are opened and taken back in `submissions`, and met in `promotions`.
+
+Making a parameter set: the ground calibration of a new sensor, and a candidate of a run's result.
+
+A set is immutable and identified by the SHA-256 of its canonical JSON; its name and units stand inside that document.
+
+Promotion: an approved set becomes its sensor's baseline, the one before is superseded, all in one transaction.
+
+A parameter set in another camera model: computed when asked for, kept nowhere.
+
+The set that is in force for a run's sensor now, to be drawn beside what the run found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from boresight.calibration.conversion import converted
+from boresight.cameras import CAMERA_MODELS
+from boresight.console import list_queries as lists
+from boresight.console.approvals.tables import Approval
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import queries as rows
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.runs.calibration_document import read_result
+from boresight.console.runs.tables import Run
+from boresight.console.transitions import get_parameter_set, get_sensor, subject_of
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.telemetry.sensors import Sensor as SensorDescription
+from boresight.telemetry.sensors import parse_sensor
+
+
+def record_promotion(session: Session, actor: Actor, row: ParameterSet, approval: Approval | None) -> None:
+    """Add the promotion to the history that answers what was baseline at a time; a ground calibration has no request."""
+    session.add(
+        Promotion(
+            sensor_id=row.sensor_id,
+            parameter_set_id=row.id,
+            approval_id=None if approval is None else approval.id,
+            at_utc=str(row.baseline_from_utc),
+            promoted_by=actor.user_id,
+        )
+    )
+    session.flush()
+
+
+SCHEMA = "boresight.parameter-set/1"
+USABLE_STATUSES = ("converged", "max_iterations")
+MEANING = ("camera_model", "parameters", "sigma", "covariance")  # what an estimate is
+EVIDENCE = (
+    "method", "variant", "free", "status", "advice", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "alignment", "inputs",
+)  # fmt: skip
+
+
+def create_ground_calibration(
+    session: Session, actor: Actor, sensor: Sensor, description: SensorDescription
+) -> ParameterSet:
+    """Make a new sensor's set number 0, the baseline that every calibration is compared with.
+
+    Nobody measured its covariance: it is declared as the typical spread from unit to unit, squared, on the diagonal.
+    """
+    names = CAMERA_MODELS[description.camera_model].parameter_names
+    sigma = [float(value) for value in description.typical_sigma]
+    document = {
+        "sensor": sensor.name,
+        "camera_model": description.camera_model,
+        "parameters": dict(zip(names, map(float, description.initial), strict=True)),
+        "sigma": dict(zip(names, sigma, strict=True)),
+        "covariance": {
+            "names": list(names),
+            "matrix": [[s * s if i == j else 0.0 for j in range(len(sigma))] for i, s in enumerate(sigma)],
+        },
+        "method": None,
+        "status": "ground calibration",
+        "advice": ["Declared, not measured: the typical spread from unit to unit stands for the sigma."],
+        "run_id": None,
+        "result_sha256": None,
+        "inputs": None,
+    }
+    row = _add(session, actor, sensor, document, ground_state="BASELINE")
+    row.baseline_from_utc = row.created_utc
+    record_promotion(session, actor, row, None)
+    return row
+
+
+def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: int) -> ParameterSet:
+    """Make a candidate from a run's result; asked again for the same run, return the one that is there.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run.
+    ConflictError
+        When the run did not succeed.
+    RefusedInputError
+        When its result is no calibration that could be used on board, with the advice that the run gave.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "parameter-sets")
+    run = _succeeded_run(session, run_id)
+    if (existing := rows.set_of_run(session, run_id)) is not None:
+        return existing
+    result = read_result(blobs, str(run.result_sha256), run.id)
+    _refuse_unusable(run_id, result)
+    sensor = session.get_one(Sensor, run.sensor_id)
+    document = {key: result.get(key) for key in (*MEANING, *EVIDENCE)}
+    document |= {"sensor": sensor.name, "run_id": run.id, "result_sha256": run.result_sha256}
+    return _add(session, actor, sensor, document, ground_state="CANDIDATE", run_id=run.id)
+
+
+def _succeeded_run(session: Session, run_id: int) -> Run:
+    """Return a run that has a result."""
+    run = session.get(Run, run_id)
+    if run is None:
+        raise NotFoundError(f"There is no run {run_id}.")
+    if run.state != "SUCCEEDED" or run.result_sha256 is None:
+        why = f": {run.reason}" if run.reason else ""
+        raise ConflictError(f"Run {run_id} is {run.state}{why}; a parameter set is made of a run that SUCCEEDED.")
+    return run
+
+
+def _refuse_unusable(run_id: int, result: Mapping[str, Any]) -> None:
+    """Refuse a result that did not come to rest or has no complete set of finite parameters."""
+    if result.get("status") not in USABLE_STATUSES:
+        advice = " ".join(result.get("advice") or ())
+        raise RefusedInputError(
+            f"Run {run_id} ended {result.get('status')}, which makes no parameter set. {advice}".rstrip()
+        )
+    parameters = result.get("parameters") or {}
+    names = CAMERA_MODELS[result["camera_model"]].parameter_names
+    bad = [name for name in names if not _is_finite(parameters.get(name))]
+    if bad:
+        raise RefusedInputError(f"Run {run_id} has no number for {', '.join(bad)}, which makes no parameter set.")
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
+def _add(
+    session: Session,
+    actor: Actor,
+    sensor: Sensor,
+    document: Mapping[str, Any],
+    *,
+    ground_state: str,
+    run_id: int | None = None,
+) -> ParameterSet:
+    """Store a set under the sensor's next number, its name and units inside the hashed document."""
+    number = rows.next_number(session, sensor.id)
+    model = CAMERA_MODELS[document["camera_model"]]
+    units = dict(zip(model.parameter_names, model.units, strict=True))
+    body = {**document, "schema": SCHEMA, "name": f"PS-{sensor.name}-{number}", "units": units}
+    row = ParameterSet(
+        name=body["name"],
+        sensor_id=sensor.id,
+        number=number,
+        run_id=run_id,
+        sha256=sha256_of(body),
+        document=body,
+        ground_state=ground_state,
+        created_utc=utc_now(),
+        created_by=actor.user_id,
+    )
+    session.add(row)
+    session.flush()
+    after = {"name": row.name, "ground_state": ground_state, "sha256": row.sha256, "run_id": run_id}
+    audit.append(session, actor, "created", subject_of(row), None, after)
+    return row
+
+
+def list_parameter_sets(
+    session: Session,
+    *,
+    sensor_id: int | None = None,
+    ground_state: str | None = None,
+    before_id: int | None = None,
+    limit: int | None = None,
+) -> Sequence[ParameterSet]:
+    """Return a page of sets, newest first; the next page starts before the last one's id."""
+    return lists.newest(session, ParameterSet, before_id=before_id, limit=limit, sensor=sensor_id, state=ground_state)
+
+
+def set_of_run(session: Session, run_id: int) -> ParameterSet | None:
+    """Return the set that was made from a run; None where none was."""
+    return rows.set_of_run(session, run_id)
+
+
+def other_with_document(session: Session, row: ParameterSet, sha256: str) -> ParameterSet | None:
+    """Return the newest other set of a set's sensor whose document has this hash."""
+    return rows.other_with_document(session, row, sha256)
+
+
+def heads_of(session: Session, set_ids: Collection[int]) -> dict[int, Any]:
+    """Return name and sensor_id of some sets, by id."""
+    return rows.heads(session, set_ids)
+
+
+def runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
+    """Return those of some runs that a set was made of."""
+    return rows.runs_with_sets(session, run_ids)
+
+
+def baseline_of(session: Session, sensor_id: int) -> ParameterSet | None:
+    """Return the sensor's baseline."""
+    return rows.baseline(session, sensor_id)
+
+
+def conversion_of(
+    session: Session, parameter_set_id: int, target: str, allowed_px: float | None = None
+) -> dict[str, Any]:
+    """Write a set in another camera model; parameters and document as in `calibration.conversion.converted`.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such set.
+    RefusedInputError
+        When there is no such model, or it cannot follow the set closely enough; says by how much, and why.
+    """
+    row = get_parameter_set(session, parameter_set_id)
+    sensor = parse_sensor(get_sensor(session, row.sensor_id).document)
+    return converted(row.document, sensor, row.name, target, allowed_px)
+
+
+def baseline_beside(session: Session, run: Run) -> dict[str, float | None]:
+    """Return the baseline's parameters in SI; none where the run started from them or there is no baseline."""
+    baseline = baseline_of(session, run.sensor_id)
+    if baseline is None:
+        return {}
+    parameters: Mapping[str, float | None] = baseline.document.get("parameters") or {}
+    initial: Mapping[str, Any] = (run.sensor_document or {}).get("initial") or {}
+    return {} if all(parameters.get(name) == value for name, value in initial.items()) else dict(parameters)

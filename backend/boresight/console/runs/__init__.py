@@ -1,0 +1,1 @@
+"""Calibration runs: launching, following, reading and comparing them."""

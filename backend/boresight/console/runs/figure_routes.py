@@ -1,0 +1,183 @@
+"""Figures of runs: as Plotly JSON to draw, and as the numbers behind them; of one run, or of several together.
+
+A figure shows at most a few thousand points, thinned so that no peak is lost. Whoever zooms in asks for the window,
+`x_from` and `x_to`, and gets the points that were left out there; `layout.meta.detail` says whether any were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import orjson
+from fastapi import Depends, Path, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.console.access.dependencies import Blobs, Drawings, Reading
+from boresight.console.fleet import service as sensors
+from boresight.console.operation import operations
+from boresight.console.parameter_sets.service import baseline_beside
+from boresight.console.runs import comparisons, schemas
+from boresight.console.runs import service as runs
+from boresight.console.runs.routes import result_so_far
+from boresight.console.runs.tables import Run
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
+from boresight.figures.charts.alignment import aligned, name_axis
+from boresight.figures.focus import focus
+from boresight.figures.rms_tail import tailed
+from boresight.figures.style.envelope import as_band
+from boresight.figures.style.thinning import thinning
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.media import CsvFile, csv_response
+from boresight.platform.web.paging import Id, Listing, Page
+
+router = operations("/runs", tags=["runs"])
+
+MOST_OVERLAID = 20
+FigureName = Annotated[str, Path(description=f"One of {', '.join(FIGURES)}.")]
+Compare = Annotated[str, Query(description="Other runs to show with it: `2,3`.", examples=["2,3"])]
+
+
+@dataclass(frozen=True)
+class View:
+    """How runs are laid over each other, and which part of the axis is looked at."""
+
+    align: Annotated[
+        Literal["frame", "time", "update"],
+        Query(description="What the axis of frames counts: frames, hours since each run's first frame, or updates."),
+    ] = "frame"
+    overlay: Annotated[
+        Literal["lines", "band"],
+        Query(description="Draw every run, or the first and the span from the lowest to the highest of the others."),
+    ] = "lines"
+    x_from: Annotated[float | None, Query(description="Show this part of the x axis in full: where it begins.")] = None
+    x_to: Annotated[float | None, Query(description="Show this part of the x axis in full: where it ends.")] = None
+    tail_from: Annotated[
+        float | None, Query(description="Where the tail of the RMS begins; by default where the run had settled.")
+    ] = None
+
+    def draw(self, figure: Figure, traces: list[Trace]) -> bytes:
+        """Draw a figure in this view.
+
+        Raises
+        ------
+        RefusedInputError
+            When a run cannot be aligned so, or the window is empty or has one end only.
+        """
+        if (self.x_from is None) != (self.x_to is None):
+            raise RefusedInputError("Give both ends of the window, x_from and x_to, or none.")
+        with thinning(whole=self.x_from is not None) as watched:
+            drawn = figure.draw(tailed(aligned(traces, self.align), self.tail_from))
+        name_axis(drawn, self.align)
+        if self.overlay == "band":
+            as_band(drawn, traces)
+        if self.x_from is not None and self.x_to is not None:
+            focus(drawn, self.x_from, self.x_to)
+        if watched.too_long:
+            drawn.layout.meta = {**(drawn.layout.meta or {}), "detail": True}
+        return figure_json(drawn)
+
+
+Seen = Annotated[View, Depends()]
+
+
+@router.get("/{run_id}/figures", summary="List the figures", response_model=Page[schemas.FigureEntry])
+def list_figures(run_id: Id, session: Reading) -> Listing[dict[str, str]]:
+    """List the figures of a run with how to read each."""
+    runs.get_run(session, run_id)
+    entries = [
+        {
+            "name": figure.name,
+            "title": figure.title,
+            "guide": figure.guide,
+            "href": f"/api/v1/runs/{run_id}/figures/{name}",
+        }
+        for name, figure in FIGURES.items()
+    ]
+    return Listing(entries)
+
+
+@router.get("/{run_id}/figures/{name}", summary="Read a figure", response_model=schemas.PlotlyFigure)
+def get_figure(
+    run_id: Id,
+    name: FigureName,
+    session: Reading,
+    blobs: Blobs,
+    drawings: Drawings,
+    request: Request,
+    seen: Seen,
+    compare: Compare = "",
+) -> Response:
+    """Read a figure as Plotly JSON, of one run or of several over one another."""
+    figure, ids = _figure(name), [run_id, *_others(compare, run_id)]
+    asked = comparisons.read_runs(session, ids)
+    labels, sources = [label_of(session, run) for run in asked], [source_of(session, run) for run in asked]
+
+    def draw() -> bytes:
+        results = [_beside_baseline(session, blobs, run) for run in asked]
+        return seen.draw(figure, [Trace(label, result) for label, result in zip(labels, results, strict=True)])
+
+    known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
+    return drawings.answer(request, known, draw)
+
+
+def source_of(session: Session, run: Run) -> str | None:
+    """Return what a run's figures are drawn from, as text; None while it may change."""
+    if run.result_sha256 is None:
+        return None
+    moving = [sensors.get_sensor(session, run.sensor_id).truth, baseline_beside(session, run)]
+    return run.result_sha256 + orjson.dumps(moving, option=orjson.OPT_SORT_KEYS).decode()
+
+
+def _beside_baseline(session: Session, blobs: BlobStore, run: Run) -> dict[str, Any]:
+    """Read a result, with the parameters that are in force now where the run did not start from them."""
+    baseline = baseline_beside(session, run)
+    return {**result_so_far(session, blobs, run.id), **({"baseline": baseline} if baseline else {})}
+
+
+@router.get(
+    "/{run_id}/figures/{name}/data",
+    summary="Read a figure's numbers",
+    response_class=CsvFile,
+    responses={200: {"description": "The columns in SI, never thinned."}},
+)
+def get_figure_data(run_id: Id, name: FigureName, session: Reading, blobs: Blobs, compare: Compare = "") -> Response:
+    """Read the numbers behind a figure as CSV; of several runs one after another, with the run's number first."""
+    figure, ids = _figure(name), [run_id, *_others(compare, run_id)]
+    tables = {number: figure.table(result_so_far(session, blobs, number)) for number in ids}
+    table = _stacked(tables) if len(tables) > 1 else tables[run_id]
+    return csv_response(table, f"run-{'-'.join(map(str, ids))}-{name}.csv")
+
+
+def _figure(name: str) -> Figure:
+    """Find a figure of the registry."""
+    if name not in FIGURES:
+        raise NotFoundError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
+    return FIGURES[name]
+
+
+def _others(text: str, run_id: Id) -> list[int]:
+    """Read the numbers of the runs to compare a run with, each once."""
+    if text.count(",") >= MOST_OVERLAID:
+        raise RefusedInputError(f"Write the runs to compare as 2,3 and so on, {MOST_OVERLAID - 1} at most.")
+    return [number for number in comparisons.read_run_ids([text]) if number != run_id]
+
+
+def label_of(session: Session, run: Run) -> str:
+    """Name a run in a legend."""
+    return f"Run {run.id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
+
+
+def _stacked(tables: Mapping[int, Table]) -> Table:
+    """Put the tables of several runs below one another, the run's number first; a column that a run lacks is empty."""
+    lengths = {number: max((len(column) for column in table.values()), default=0) for number, table in tables.items()}
+    names = dict.fromkeys(name for table in tables.values() for name in table)
+    stacked: Table = {"run": [number for number, length in lengths.items() for _ in range(length)]}
+    for name in names:
+        padded = (table.get(name, []) + [None] * (lengths[k] - len(table.get(name, []))) for k, table in tables.items())
+        stacked[name] = [value for column in padded for value in column]
+    return stacked

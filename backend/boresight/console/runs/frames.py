@@ -1,0 +1,180 @@
+"""The frames of a run, one at a time: computed when asked for, from the stored telemetry and what the run estimated.
+
+A run keeps no residuals of single frames but the worst ones' chi-square. The telemetry table stays under its address, the sensor
+document is the one of the launch and the parameters are the result's, so a frame that is shown is the frame that was used. Only
+that frame is read (`telemetry.read.frames`): it takes tens of milliseconds in a set of 100,000.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from boresight.calibration.frames.frame_states import states_of
+from boresight.calibration.frames.frame_view import frame_view
+from boresight.calibration.matching.detections import limit_of
+from boresight.calibration.options import CalibrationSettings
+from boresight.console.runs.service import get_run, result
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.telemetry.service import get_telemetry_set
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.working_tables import table_path
+from boresight.platform.db.sessions import Session
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.read.frames import FrameIndex, frame_index
+from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.sensors import Sensor, parse_sensor
+
+ORDERS = ("frame", "worst")
+
+
+@dataclass(frozen=True)
+class FrameLine:
+    """A frame in a list.
+
+    Parameters
+    ----------
+    id
+        Its place in this list, from 1.
+    frame
+        Its number in the telemetry.
+    detections
+        Rows it has, of all exposures.
+    chi2_per_dof, deviation
+        How well the run's best fit explains it: chi-square a degree of freedom, and as a normal deviate (above 3 is bad).
+        None where the result does not keep it.
+    """
+
+    id: int
+    frame: int
+    detections: int
+    chi2_per_dof: float | None
+    deviation: float | None
+
+
+def index_of(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
+    """Find the frames of a run's calibration set.
+
+    Raises
+    ------
+    NotFoundError
+        When the stored table is missing.
+    RefusedInputError
+        When it is damaged.
+    """
+    return frame_index(table_path(blobs, get_telemetry_set(session, run.telemetry_set_id).table_sha256))
+
+
+def list_frames(
+    session: Session, blobs: BlobStore, run_id: int, *, order: str = "frame", limit: int, after: int = 0
+) -> list[FrameLine]:
+    """List a run's frames from the place `after` on: in order of number, or the worst explained first.
+
+    The worst are those that the result keeps, at most a few hundred; a run without an examination of its trust has none.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run, or its telemetry is missing.
+    """
+    run = get_run(session, run_id)
+    index, worst = index_of(session, blobs, run), worst_of(_result_of(session, blobs, run))
+    if order == "worst":
+        return [
+            _line(index, place, index.place_of(frame), worst)
+            for place, frame in list(enumerate(worst, start=1))[after : after + limit]
+        ]
+    return [_line(index, place + 1, place, worst) for place in range(after, min(after + limit, len(index)))]
+
+
+def worst_of(document: Mapping[str, Any]) -> dict[int, tuple[float, float | None]]:
+    """Chi-square a degree of freedom, and deviate, of the frames a result keeps, the worst first.
+
+    Results from before `worst_frames` was kept have their innovations, of every frame or of a thousand evenly spaced.
+    """
+    trust = document.get("trust") or {}
+    kept = trust.get("worst_frames")
+    if kept:
+        numbers = zip(kept["frame"], kept["chi2_per_dof"], kept["deviation"], strict=True)
+        return {frame: (chi2, deviation) for frame, chi2, deviation in numbers}
+    former = trust.get("nis_over_time") or {"frame": [], "nis_per_dof": []}
+    known = [pair for pair in zip(former["frame"], former["nis_per_dof"], strict=True) if pair[1] is not None]
+    return {int(frame): (nis, None) for frame, nis in sorted(known, key=lambda pair: -pair[1])}
+
+
+def _line(
+    index: FrameIndex, place_in_list: int, place: int, worst: Mapping[int, tuple[float, float | None]]
+) -> FrameLine:
+    """Describe a frame by its place in the index."""
+    frame = int(index.frame[place])
+    detections = int(index.first_row[place + 1] - index.first_row[place])
+    return FrameLine(place_in_list, frame, detections, *worst.get(frame, (None, None)))
+
+
+def get_frame(
+    session: Session, blobs: BlobStore, catalogue: Catalogue, cache_folder: Path | None, run_id: int, frame: int
+) -> dict[str, Any]:
+    """Show one frame of a run under its old and new parameters.
+
+    Parameters
+    ----------
+    catalogue
+        Of the sky.
+    cache_folder
+        Where lost-in-space identification keeps its tables.
+
+    Returns
+    -------
+    What `calibration.frames.frame_view` says of it, with its place among the run's frames and the detector it is on.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run or frame, or the telemetry is missing.
+    RefusedInputError
+        When the stored table is damaged.
+    """
+    run = get_run(session, run_id)
+    index = index_of(session, blobs, run)
+    place = index.place_of(frame)
+    document = _result_of(session, blobs, run)
+    sensor = _with_limit(parse_sensor(run.sensor_document), index, catalogue)
+
+    def read(neighbours: int) -> tuple[Telemetry, slice]:
+        first = int(index.first_row[place] - index.first_row[max(place - neighbours, 0)])
+        return index.read(place, neighbours), slice(
+            first, first + int(index.first_row[place + 1] - index.first_row[place])
+        )
+
+    states = states_of(document, sensor, CalibrationSettings.parse(run.settings))
+    around: Sequence[int | None] = [None, *index.frame[max(place - 1, 0) : place + 2].tolist(), None]
+    here = around.index(frame)
+    return {
+        "run": run.id,
+        "sensor": sensor.name,
+        "method": run.method,
+        "place": place + 1,
+        "frames": len(index),
+        "previous": around[here - 1],
+        "next": around[here + 1],
+        "rows": sensor.rows,
+        "columns": sensor.columns,
+        "partial": run.result_sha256 is None and bool(document),
+        **frame_view(states, read, catalogue, cache_folder),
+    }
+
+
+def _result_of(session: Session, blobs: BlobStore, run: Run) -> Mapping[str, Any]:
+    """The run's calibration, complete or so far; empty where there is none, or where it does not count."""
+    if run.state in TERMINAL_RUN_STATES and run.result_sha256 is None:
+        return {}
+    return result(session, blobs, run.id) or {}
+
+
+def _with_limit(sensor: Sensor, index: FrameIndex, catalogue: Catalogue) -> Sensor:
+    """The sensor with the magnitude limit that the whole set was matched with."""
+    if sensor.magnitude_limit is not None:
+        return sensor
+    return replace(sensor, magnitude_limit=limit_of(sensor, catalogue, index.named_stars, index.typical_stars))

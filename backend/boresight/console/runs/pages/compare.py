@@ -1,0 +1,467 @@
+"""Comparing runs: what differs from a reference run, in sigmas of the difference, and their figures over one another.
+
+`?runs=1,2,3&reference=2&all=1&align=time&overlay=band` is the whole view, so whoever opens the address sees the same. Only what
+differs is shown unless `all=1`; `align` is what the figures' axis of frames counts; `overlay` draws each run, the band of the
+lowest and the highest, or no figures but the tables. Runs of unlike camera models are refused with the way out.
+
+The tables of a comparison as the page prints them: parameters, correlations, and all parameters together.
+
+The comparison of methods on one data set: error, cost, convergence and consistency, and when to use which.
+
+Methods can be told apart only where all else is alike. Runs on different sets are refused; what else differs between the runs
+is named above the table, so that nobody takes its effect for the method's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Protocol
+from urllib.parse import urlencode
+
+import numpy as np
+from fastapi import APIRouter, Depends, Query, Request
+from fastapi.responses import HTMLResponse
+
+from boresight.calibration.options import ALL, METHODS, OPTIONS, is_sequential, title_of
+from boresight.console.access.credentials import who_acts
+from boresight.console.access.dependencies import Reading
+from boresight.console.pages.formats import words
+from boresight.console.pages.rendering import render
+from boresight.console.runs import comparisons
+from boresight.console.runs.comparisons import Compared, Comparison, UnlikeModelsError, joint
+from boresight.console.runs.pages.list import Names, read_names
+from boresight.console.runs.tables import Run
+from boresight.errors import RefusedInputError
+from boresight.estimation.filters import FILTERS
+from boresight.figures import FIGURES, WIDE
+from boresight.figures.charts import radial as radial_contrast
+from boresight.figures.charts.alignment import ALIGNMENTS
+from boresight.figures.charts.methods import MethodScores, method_scores
+from boresight.figures.course import SETTLED_SIGMAS
+from boresight.platform.web.paging import row_number
+from boresight.verdicts.numbers import MISSING, count, fixed, number, parameter, plus_minus, sigmas, urad
+
+#: From here on a difference is marked: one of 370 is so large by chance.
+FAR_SIGMAS = 3.0
+#: Correlations that differ by less look alike.
+ALIKE = 0.05
+UNLIKELY = 0.01
+#: Below this a p-value has left the range of floats.
+SMALLEST_P = 1e-300
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One parameter of one run: its value, what it is against the reference, and whether that is far."""
+
+    value: str
+    note: str
+    far: bool = False
+
+
+@dataclass(frozen=True)
+class ParameterLine:
+    """One parameter, a cell a run."""
+
+    name: str
+    cells: Sequence[Cell]
+    differs: bool
+
+
+@dataclass(frozen=True)
+class CorrelationLine:
+    """A pair of parameters, a printed correlation a run."""
+
+    names: tuple[str, str]
+    values: Sequence[str]
+    differs: bool
+
+
+def parameter_lines(found: Comparison) -> list[ParameterLine]:
+    """Print every parameter of every run."""
+    lines = []
+    for i, name in enumerate(found.names):
+        values = [(one.result.get("parameters") or {}).get(name) for one in found.compared]
+        cells = [_cell(found, i, k) for k in range(len(values))]
+        lines.append(ParameterLine(name, cells, len(set(values)) > 1))
+    return lines
+
+
+def _cell(found: Comparison, i: int, k: int) -> Cell:
+    """Print parameter i of run k."""
+    name, result, base = found.names[i], found.compared[k].result, found.compared[found.reference]
+    value, sigma = ((result.get(key) or {}).get(name) for key in ("parameters", "sigma"))
+    printed = parameter(value, name) if sigma is None else plus_minus(value, name, sigma)
+    held = "held fixed" if value is not None and sigma is None else ""
+    against = found.contrasts[k]
+    if k == found.reference:
+        return Cell(printed, "reference, held fixed" if held else "reference")
+    if against is None or not np.isfinite(against.difference[i]):
+        return Cell(printed, held or MISSING)
+    if np.isfinite(against.sigma[i]):
+        apart = float(against.separation[i])
+        return Cell(printed, f"{sigmas(apart)}{', held fixed' if held else ''}", abs(apart) > FAR_SIGMAS)
+    spread = (base.result.get("sigma") or {}).get(name)
+    if against.difference[i] == 0 or not spread:
+        return Cell(printed, "alike" if against.difference[i] == 0 else held or MISSING)
+    return Cell(printed, f"{fixed(against.difference[i] / spread, 2)} of the reference’s σ, not noise")
+
+
+def correlation_lines(found: Comparison) -> list[CorrelationLine]:
+    """Print the strong correlations."""
+    lines = []
+    for a, b, values in found.correlations():
+        known = [value for value in values if value is not None]
+        lines.append(CorrelationLine((a, b), [fixed(value, 2) for value in values], max(known) - min(known) > ALIKE))
+    return lines
+
+
+def together(found: Comparison) -> list[Cell]:
+    """Print, a run, whether all its parameters together differ from the reference's."""
+    cells = []
+    for k, against in enumerate(found.contrasts):
+        test = joint(against)
+        if k == found.reference:
+            cells.append(Cell("reference", ""))
+        elif test is None:
+            cells.append(Cell(MISSING, "no result yet" if against is None else "what differs is not noise"))
+        else:
+            far = test["p"] < UNLIKELY
+            words = "differ" if far else "may be the same"
+            cells.append(Cell(words, f"χ² {number(test['chi2'], 3)} of {test['dof']}, {_chance(test['p'])}", far))
+    return cells
+
+
+def _chance(p: float) -> str:
+    """Print a p-value; of one too small for a float, a bound, for no chance is nought."""
+    return f"p = {number(p, 2)}" if p >= SMALLEST_P else "p < 10⁻³⁰⁰"
+
+
+#: Settings that are a method's own, and so belong to the comparison.
+OWN = {"method", *(name for name, option in OPTIONS.items() if option.methods != ALL)}
+
+
+class HasResult(Protocol):
+    """A run with its result, empty where it has none."""
+
+    @property
+    def run(self) -> Run:
+        """The run."""
+        ...
+
+    @property
+    def result(self) -> Mapping[str, Any]:
+        """Its calibration JSON."""
+        ...
+
+
+@dataclass(frozen=True)
+class Line:
+    """One row of the table: what is compared, its unit, a text a run, and how to read it."""
+
+    name: str
+    unit: str
+    values: Sequence[str]
+    reading: str
+
+
+@dataclass(frozen=True)
+class MethodPanel:
+    """What the panel shows.
+
+    Parameters
+    ----------
+    refusal
+        Why methods cannot be told apart here, or None.
+    unlike
+        What else differs between the runs, in words; empty where nothing does.
+    lines
+        Rows of the table.
+    when
+        Title of each method and when to use it.
+    """
+
+    refusal: str | None
+    unlike: str
+    lines: Sequence[Line]
+    when: Sequence[tuple[str, str]]
+
+
+def method_panel(compared: Sequence[HasResult]) -> MethodPanel | None:
+    """Set the methods of several runs beside each other; None where there is but one."""
+    used = {one.run.method for one in compared}
+    if len(used) < 2:
+        return None
+    when = [(method.title, method.when) for method in METHODS.values() if method.name in used]
+    refusal = _refusal(compared)
+    if refusal is not None:
+        return MethodPanel(refusal, "", (), when)
+    return MethodPanel(None, ", ".join(_unlike(compared)), _lines(compared), when)
+
+
+def _refusal(compared: Sequence[HasResult]) -> str | None:
+    """Say why the runs tell nothing of their methods, or None."""
+    by_set = {one.run.telemetry_set_id: one.run.id for one in compared}
+    if len(by_set) > 1:
+        first, second = list(by_set.values())[:2]
+        return (
+            f"Run #{first} and run #{second} are of different telemetry sets, so their differences are not those of their"
+            " methods: compare runs of one set."
+        )
+    if not any(one.result.get("parameters") for one in compared):
+        return "None of these runs has a result yet: open this page again when they have ended."
+    return None
+
+
+def _unlike(compared: Sequence[HasResult]) -> list[str]:
+    """Name the settings beyond the methods' own that are not the same in all runs."""
+    names = sorted({name for one in compared for name in one.run.settings} - OWN - {"free"})
+    found = [words(name) for name in names if len({str(one.run.settings.get(name)) for one in compared}) > 1]
+    free = {str(one.result["free"]) for one in compared if one.result.get("free")}
+    frames = {one.result["frames"] for one in compared if one.result.get("frames")}
+    return found + ["free parameters"] * (len(free) > 1) + ["number of frames used"] * (len(frames) > 1)
+
+
+def _lines(compared: Sequence[HasResult]) -> list[Line]:
+    """Lay the table out."""
+    scores = [method_scores(one.result) for one in compared]
+    lines = [
+        Line("Method", "", [title_of(one.run.method) for one in compared], "When to use it is told below the table."),
+        Line(
+            "Claimed error",
+            "bound sigmas",
+            [fixed(score.claimed, 3) for score in scores],
+            "Claimed σ over the Cramér-Rao bound, geometric mean over the free parameters: one is all that the stars hold.",
+        ),
+        Line(
+            "Cost",
+            "ms / frame",
+            [number(score.ms_per_frame, 3) for score in scores],
+            "Processor time of the method alone, matching left out, measured once: below a factor of two it ranks nothing. "
+            "A replay has none; paired rounds of every method are in the report of boresight reproduce wu.",
+        ),
+        Line(
+            "Converged after",
+            "",
+            [_settled(one, score) for one, score in zip(compared, scores, strict=True)],
+            f"All free parameters stay within {SETTLED_SIGMAS:.0f} final σ of their end from there on.",
+        ),
+        Line(
+            "Condition number",
+            "1",
+            [number(score.condition, 3) for score in scores],
+            "Of the whole set's scaled Jacobian at the end: alike where the methods agree.",
+        ),
+        Line(
+            "χ² / dof",
+            "1",
+            [_verdict(score.chi2_per_dof, score.consistent, 3) for score in scores],
+            "Of all arcs at the end, whatever was measured, with the verdict of its 95 % bounds.",
+        ),
+    ]
+    return [*lines[:2], *_against_truth(scores), *lines[2:]]
+
+
+def _against_truth(scores: Sequence[MethodScores]) -> list[Line]:
+    """Lay out what only a simulated sensor can tell."""
+    if all(score.honesty is None for score in scores):
+        return []
+    return [
+        Line(
+            "True error",
+            "bound sigmas",
+            [fixed(score.true_error, 3) for score in scores],
+            "Root mean square over the free parameters, against the simulated truth: about one for an efficient method.",
+        ),
+        Line(
+            "NEES / n",
+            "1",
+            [
+                _verdict(score.honesty.mean, score.honesty.consistent, 3) if score.honesty else MISSING
+                for score in scores
+            ],
+            "True error squared over the claimed covariance: one on average where the claim is honest, with its verdict.",
+        ),
+    ]
+
+
+def _settled(one: HasResult, score: MethodScores) -> str:
+    """Write how long a method took to its end."""
+    if is_sequential(one.run.method):
+        return MISSING if score.settled_frames is None else _many(score.settled_frames, "frame")
+    return MISSING if score.settled_iterations is None else _many(score.settled_iterations, "iteration")
+
+
+def _many(number_of: int, what: str) -> str:
+    """Write so many of something."""
+    return f"{count(number_of)} {what}{'' if number_of == 1 else 's'}"
+
+
+def _verdict(value: float | None, consistent: bool | None, digits: int) -> str:
+    """Write a statistic with what its bounds say of it."""
+    said = {True: " consistent", False: " not consistent", None: ""}[consistent]
+    return MISSING if value is None else f"{number(value, digits)}{said}"
+
+
+CROWDED_RUNS = 8
+OVERLAYS = {"lines": "every run", "band": "lowest to highest", "table": "no figures, tables only"}
+ALIGNED_BY = {"frame": "frame number", "time": "time since the first frame", "update": "update"}
+
+router = APIRouter(dependencies=[Depends(who_acts)])
+
+
+@dataclass(frozen=True)
+class View:
+    """Everything that the address of the page says."""
+
+    run_ids: Sequence[int]
+    reference: int
+    everything: bool
+    align: str
+    overlay: str
+
+    def query(self, **changed: Any) -> str:
+        """Write the view as an address's query, with changes; what is as it is by default is left out."""
+        view = replace(self, **changed)
+        named = {
+            "reference": "" if view.reference == view.run_ids[0] else view.reference,
+            "all": "1" if view.everything else "",
+            "align": "" if view.align == "frame" else view.align,
+            "overlay": "" if view.overlay == "lines" else view.overlay,
+        }
+        chosen = {"runs": ",".join(map(str, view.run_ids))} | {name: value for name, value in named.items() if value}
+        return urlencode(chosen, safe=",")
+
+    @property
+    def figures_query(self) -> str:
+        """Write the part of the view that figures are asked with, behind their runs; empty where all is by default."""
+        named = {"align": self.align, "overlay": self.overlay}
+        usual = {"align": "frame", "overlay": "lines"}
+        return "".join(f"&{name}={value}" for name, value in named.items() if value != usual[name])
+
+    @property
+    def ordered(self) -> list[int]:
+        """The runs with the reference first, in which order figures colour them."""
+        return [self.reference, *(run_id for run_id in self.run_ids if run_id != self.reference)]
+
+
+def read_view(run_ids: Sequence[int], reference: str, everything: str, align: str, overlay: str) -> View:
+    """Read the view from the address; what is no choice is as by default."""
+    chosen = named if (named := row_number(reference)) is not None and named in run_ids else run_ids[0]
+    return View(
+        run_ids,
+        chosen,
+        bool(everything),
+        align if align in ALIGNMENTS else "frame",
+        overlay if overlay in OVERLAYS else "lines",
+    )
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One row of the table of settings and outcomes: a name and a text a run."""
+
+    name: str
+    values: Sequence[str]
+
+    @property
+    def differs(self) -> bool:
+        """Tell whether the runs do not all have the same."""
+        return len(set(self.values)) > 1
+
+
+def differences(compared: Sequence[Compared], names: Names) -> list[Difference]:
+    """Set settings and outcomes of the runs beside each other."""
+    described = [_description(one, names) for one in compared]
+    rows = list(dict.fromkeys(name for description in described for name in description))
+    return [Difference(name, [description.get(name, "–") for description in described]) for name in rows]
+
+
+def _description(one: Compared, names: Names) -> dict[str, str]:
+    """Describe a run in short texts."""
+    run, result = one.run, one.result
+    rms, nis = result.get("rms_arc_rad") or {}, result.get("nis") or {}
+    held_out = (result.get("validation") or {}).get("rms_arc_rad") or {}
+    return {
+        "State": run.state,
+        "Sensor": names.sensors.get(run.sensor_id, str(run.sensor_id)),
+        "Calibration set": names.sets.get(run.telemetry_set_id, "–"),
+        "Validation set": names.sets.get(run.validation_set_id or 0, "none"),
+        "Method": title_of(run.method),
+        **{f"Setting {name}": _text(value) for name, value in sorted(_chosen(one).items())},
+        "Fit": str(result.get("status", "–")).replace("_", " "),
+        "Iterations": _text(result.get("iterations")),
+        "Frames used": _text(result.get("frames")),
+        "RMS before (µrad)": urad(rms.get("initial")),
+        "RMS after (µrad)": urad(rms.get("final")),
+        "Validation RMS after (µrad)": urad(held_out.get("final")),
+        "χ² / dof": number(result.get("chi2_per_dof")),
+        "NIS mean": number(nis.get("mean")) if run.method in FILTERS else "not applicable",
+        "Condition number": number((result.get("observability") or {}).get("condition_number"), 3),
+        "Launched by": names.person(run.launched_by),
+    }
+
+
+def _chosen(one: Compared) -> dict[str, Any]:
+    """Return a run's settings but its method, with the free parameters that the sensor's own list stood for."""
+    settings = {name: value for name, value in one.run.settings.items() if name != "method"}
+    return {**settings, "free": one.result.get("free") or settings.get("free")}
+
+
+def _text(value: Any) -> str:
+    """Write a setting as a person would."""
+    if value is None:
+        return "–"
+    if isinstance(value, list | tuple):
+        return ", ".join(str(item) for item in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+@router.get("/compare", response_class=HTMLResponse)
+def compare_page(
+    request: Request,
+    session: Reading,
+    asked: Annotated[list[str] | None, Query(alias="runs")] = None,
+    reference: str = "",
+    everything: Annotated[str, Query(alias="all")] = "",
+    align: str = "",
+    overlay: str = "",
+) -> HTMLResponse:
+    """Show several runs over one another, or say what to choose."""
+    blobs = request.app.state.blobs
+    try:
+        run_ids = comparisons.read_run_ids(asked or [])
+        if len(run_ids) < 2:
+            comparisons.read_compared(session, blobs, run_ids)
+            return render(request, "runs/compare.html", refusal=None, sets=[], found=None)
+        view = read_view(run_ids, reference, everything, align, overlay)
+        found = comparisons.compare(session, blobs, run_ids, view.reference)
+    except UnlikeModelsError as error:
+        return render(request, "runs/compare.html", status_code=422, refusal=str(error), sets=error.sets, found=None)
+    except RefusedInputError as error:
+        return render(request, "runs/compare.html", status_code=422, refusal=str(error), sets=[], found=None)
+    names = read_names(session, [one.run for one in found.compared])
+    return render(request, "runs/compare.html", refusal=None, found=found, view=view, **_tables(found, view, names))
+
+
+def _tables(found: Comparison, view: View, names: Names) -> Mapping[str, Any]:
+    """Lay out everything that the page shows of a comparison."""
+    rows, lines, pairs = differences(found.compared, names), parameter_lines(found), correlation_lines(found)
+    return {
+        "rows": [row for row in rows if view.everything or row.differs],
+        "alike": sum(not row.differs for row in rows),
+        "parameters": [line for line in lines if view.everything or line.differs],
+        "correlations": [pair for pair in pairs if view.everything or pair.differs],
+        "correlated": len(pairs),
+        "together": together(found),
+        "methods": method_panel(found.compared),
+        "titles": [title_of(one.run.method) for one in found.compared],
+        "assumption": comparisons.ASSUMPTION,
+        "crowded": len(found.compared) > CROWDED_RUNS,
+        "figures": [] if view.overlay == "table" else list(FIGURES.values()),
+        "radial": {"title": radial_contrast.RADIAL_CONTRAST_TITLE, "guide": radial_contrast.GUIDE},
+        "wide": WIDE,
+        "alignments": ALIGNED_BY,
+        "overlays": OVERLAYS,
+    }

@@ -1,0 +1,361 @@
+"""The frames of a run: one on the detector with its residuals at a stated scale, as tables too, and the worst ones to go to.
+
+All of the view is in the address: `frame`, `exposure`, `scale` (how many times longer than life residuals are drawn) and `show`
+(`new`, `old` or `both` parameters). Without `frame` it is the one that the result explains worst.
+
+A frame on the detector as coordinates for an SVG: every detection by its fate, residuals so many times longer than life.
+
+The view box is the detector in pixels, columns to the right and rows down. A residual starts at the measured centroid and points
+from the predicted place to it, as in the figures; around it stands a circle of three of its sigmas, drawn to the same scale, so
+that what ends inside is noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+from urllib.parse import urlencode
+
+from fastapi import Request
+
+from boresight.console.runs import frames
+from boresight.console.runs.frames import FrameLine
+from boresight.console.runs.tables import Run
+from boresight.errors import BoresightError, NotFoundError, RefusedInputError
+from boresight.platform.db.sessions import Session
+from boresight.verdicts.numbers import MISSING, fixed, number
+
+SCALES: tuple[int, ...] = tuple(step * 10**power for power in range(5) for step in (1, 2, 5))
+TYPICAL_SHARE = 0.03  # of the detector's width: the length of the typical residual
+BAR_SHARE = 0.1  # of the detector's width: about the length of the scale bar
+CIRCLE_SIGMA = 3.0
+MARGIN_SHARE = 0.06  # of the width, for the axes
+TICKS = 6
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A residual: under which parameters, its components and the mean of its two sigmas, px (x along columns)."""
+
+    name: str
+    dx: float
+    dy: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A detection: its place (x along columns), its fate, what its tooltip says, and its residuals."""
+
+    row: int
+    x: float
+    y: float
+    fate: str
+    title: str
+    vectors: tuple[Vector, ...]
+
+
+@dataclass(frozen=True)
+class FrameDrawing:
+    """Everything that the template draws, px of the detector.
+
+    Parameters
+    ----------
+    width, height
+        Columns and rows.
+    margin
+        For the axes, on the left and below.
+    scale
+        How many times longer than life residuals are drawn.
+    bar_px
+        What the scale bar stands for.
+    marks, missed
+        Detections, and catalogue stars that were not detected.
+    x_ticks, y_ticks
+        Round columns and rows.
+    names
+        Under which parameters residuals are drawn.
+    """
+
+    width: int
+    height: int
+    margin: float
+    scale: int
+    bar_px: float
+    marks: Sequence[Mark]
+    missed: Sequence[Mapping[str, Any]]
+    x_ticks: Sequence[int]
+    y_ticks: Sequence[int]
+    names: Sequence[str]
+
+
+def draw_frame(view: Mapping[str, Any], exposure: Mapping[str, Any], names: Sequence[str], scale: int) -> FrameDrawing:
+    """Lay an exposure out.
+
+    Parameters
+    ----------
+    view, exposure
+        Of `console.runs.frames.get_frame`.
+    names
+        Which of `old` and `new` to draw residuals of.
+    scale
+        How many times longer than life.
+    """
+    return FrameDrawing(
+        width=view["columns"],
+        height=view["rows"],
+        margin=MARGIN_SHARE * view["columns"],
+        scale=scale,
+        bar_px=round_down(BAR_SHARE * view["columns"] / scale),
+        marks=[_mark(star, names) for star in exposure["stars"]],
+        missed=exposure["undetected"],
+        x_ticks=_ticks(view["columns"]),
+        y_ticks=_ticks(view["rows"]),
+        names=names,
+    )
+
+
+def usual_scale(stars: Sequence[Mapping[str, Any]], names: Sequence[str], columns: int) -> int:
+    """Choose the scale at which the typical residual of the used stars is easy to see."""
+    lengths: list[float] = [
+        math.hypot(*star[name]["d_px"]) for star in stars for name in names if star[name] and star["fate"] == "used"
+    ]
+    typical = median(lengths) if lengths else 0.0
+    wanted: float = TYPICAL_SHARE * columns / typical if typical > 0 else 1.0
+    return max((scale for scale in SCALES if scale <= wanted), default=SCALES[0])
+
+
+def round_down(value: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, not above the value, which is positive."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9))
+
+
+def _ticks(size: int) -> list[int]:
+    """Round pixel numbers along an axis."""
+    step = max(1, int(round_down(2 * size / TICKS)))
+    return list(range(0, size, step))
+
+
+def _mark(star: Mapping[str, Any], names: Sequence[str]) -> Mark:
+    """Lay a detection out."""
+    vectors = tuple(
+        Vector(name, star[name]["d_px"][1], star[name]["d_px"][0], sum(star[name]["sigma_px"]) / 2)
+        for name in names
+        if star[name]
+    )
+    return Mark(star["row"], star["col_px"], star["row_px"], star["fate"].replace(" ", "-"), _title(star), vectors)
+
+
+def _title(star: Mapping[str, Any]) -> str:
+    """What a detection's tooltip says."""
+    number = star["star_id"] or star["given_star_id"]
+    said = [f"HIP {number}" if number else "no star", star["fate"]]
+    if star["reason"]:
+        said.append(star["reason"])
+    for name in ("old", "new"):
+        if star[name]:
+            row, col = star[name]["d_px"]
+            said.append(f"{name}: rows {row:+.3f} px, columns {col:+.3f} px")
+    return "; ".join(said)
+
+
+SHOWN = {"new": "New parameters", "old": "Old parameters", "both": "Both"}
+UNDER = {"new": ("new",), "old": ("old",), "both": ("old", "new")}
+WORST_SHOWN = 8
+CLEAR_SIGMA = 3.0
+ATTITUDE = (
+    "Right ascension of the boresight (°)",
+    "Declination of the boresight (°)",
+    "Roll (°): position angle of increasing rows",
+    "σ about x, y, z (arcsec)",
+    "Quaternion x, y, z, w",
+    "Stars it rests on",
+    "RMS residual (px, an axis)",
+    "χ² of its residuals, of degrees of freedom",
+    "Turn from the telemetry's quaternion (arcsec, about x, y, z)",
+)
+GONE = "No frame can be shown: {}"
+
+
+@dataclass(frozen=True)
+class FramePage:
+    """What the template draws.
+
+    Parameters
+    ----------
+    why
+        Why no frame is shown, None where one is.
+    view
+        The frame, of `console.runs.frames.get_frame`.
+    exposure
+        The one of its exposures that is drawn.
+    drawing
+        It on the detector.
+    attitude
+        Its attitude as rows: what, old, new.
+    stars
+        Its detections as rows of text.
+    worst
+        Frames to go to, the worst explained first.
+    address
+        The query that the view is made of.
+    """
+
+    why: str | None = None
+    view: Mapping[str, Any] | None = None
+    exposure: Mapping[str, Any] | None = None
+    drawing: FrameDrawing | None = None
+    attitude: Sequence[tuple[str, str, str]] = ()
+    stars: Sequence[Mapping[str, Any]] = ()
+    worst: Sequence[FrameLine] = ()
+    address: Mapping[str, str] | None = None
+
+    def to(self, **changes: Any) -> str:
+        """Return the address of this view with something changed; None takes it out."""
+        kept = {"part": "frames", **(self.address or {}), **changes}
+        return "?" + urlencode({name: value for name, value in kept.items() if value is not None})
+
+
+def frames_of(session: Session, request: Request, run: Run) -> dict[str, Any]:
+    """Gather the frames part of a run page; whatever stands against showing a frame is a sentence in it."""
+    asked = {name: request.query_params[name] for name in ("exposure", "scale", "show") if name in request.query_params}
+    state = request.app.state
+    try:
+        worst = frames.list_frames(session, state.blobs, run.id, order="worst", limit=WORST_SHOWN)
+        chosen = _asked_frame(request.query_params.get("frame")) or _first(session, state.blobs, run, worst)
+    except BoresightError as refusal:
+        return _page(FramePage(why=GONE.format(refusal), address=asked))
+    try:
+        view = frames.get_frame(
+            session, state.blobs, state.catalogue(), state.settings.catalogue_folder, run.id, int(chosen)
+        )
+    except BoresightError as refusal:
+        return _page(FramePage(why=GONE.format(refusal), worst=worst, address=asked))
+    return _page(_laid_out(view, worst, {"frame": str(chosen), **asked}))
+
+
+def _page(page: FramePage) -> dict[str, Any]:
+    """Give the template its words."""
+    return {"frames": page, "shown": SHOWN, "scales": SCALES, "clear_sigma": CLEAR_SIGMA}
+
+
+def _asked_frame(text: str | None) -> str | None:
+    """Read which frame is asked for, None where none is; a refusal of what is no number."""
+    if not text:
+        return None
+    if not text.removeprefix("-").isdecimal() or len(text) > 18:
+        raise RefusedInputError(f"{text[:20]!r} is no frame number; write the number that the telemetry gives it.")
+    return text
+
+
+def _first(session: Session, blobs: Any, run: Run, worst: Sequence[FrameLine]) -> str:
+    """The frame to open with."""
+    lines = worst or frames.list_frames(session, blobs, run.id, limit=1)
+    if not lines:
+        raise NotFoundError("The telemetry has no frames.")
+    return str(lines[0].frame)
+
+
+def _laid_out(view: Mapping[str, Any], worst: Sequence[FrameLine], address: Mapping[str, str]) -> FramePage:
+    """Lay a frame out for the template."""
+    exposure = _chosen(view["exposures"], address.get("exposure"))
+    if exposure is None:
+        return FramePage(why=GONE.format(view["why_nothing"]), view=view, worst=worst, address=address)
+    show = address.get("show", "new")
+    names = [name for name in UNDER.get(show, UNDER["new"]) if exposure["attitude"][name]]
+    if not names and view["why_no_new"]:
+        names = ["old"]  # nothing else there is
+    scale = _scale_of(address.get("scale")) or usual_scale(exposure["stars"], names, view["columns"])
+    return FramePage(
+        view=view,
+        exposure=exposure,
+        drawing=draw_frame(view, exposure, names, scale),
+        attitude=attitude_rows(exposure["attitude"]),
+        stars=[star_row(star) for star in exposure["stars"]],
+        worst=worst,
+        address=address,
+    )
+
+
+def _chosen(exposures: Sequence[Mapping[str, Any]], asked: str | None) -> Mapping[str, Any] | None:
+    """The exposure asked for by its number, else the first."""
+    by_number = {str(exposure["exposure"]): exposure for exposure in exposures}
+    return by_number.get(asked or "", next(iter(exposures), None))
+
+
+def _scale_of(text: str | None) -> int | None:
+    """Read the scale; None where none is asked for that there is."""
+    return int(text) if text and text.isdecimal() and int(text) in SCALES else None
+
+
+def attitude_rows(attitude: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Write an exposure's attitude under the old and the new parameters, a line a quantity."""
+    old, new = ([*_written(attitude[name])] if attitude[name] else [MISSING] * len(ATTITUDE) for name in ("old", "new"))
+    return list(zip(ATTITUDE, old, new, strict=True))
+
+
+def _written(attitude: Mapping[str, Any]) -> Iterator[str]:
+    """An attitude in the order of `ATTITUDE`."""
+    yield fixed(attitude["ra_deg"], 6)
+    yield fixed(attitude["dec_deg"], 6)
+    yield fixed(attitude["roll_deg"], 5)
+    yield _lines(attitude["sigma_arcsec"])
+    yield "\n".join(fixed(value, 9) for value in attitude["quaternion"])
+    yield str(attitude["stars"])
+    yield number(attitude["rms_px"], 3)
+    yield f"{number(attitude['chi2'], 3)} of {attitude['dof']}"
+    yield _lines(attitude["from_telemetry_arcsec"])
+
+
+def _lines(values: Sequence[float] | None) -> str:
+    """Numbers below one another."""
+    return MISSING if values is None else "\n".join(number(value, 3) for value in values)
+
+
+def star_row(star: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a detection as a row of the table."""
+    new, old = star["new"], star["old"]
+    worst = None if new is None else max(new["normalised"], key=abs)
+    return {
+        "row": star["row"],
+        "star": star["star_id"] or star["given_star_id"],
+        "magnitude": fixed(star["catalogue_magnitude"] if star["magnitude"] is None else star["magnitude"], 2),
+        "fate": star["fate"],
+        "why": _why(star),
+        "measured": (fixed(star["row_px"], 3), fixed(star["col_px"], 3)),
+        "predicted": (MISSING, MISSING) if new is None else (fixed(new["row_px"], 3), fixed(new["col_px"], 3)),
+        "residual": _residual(new),
+        "apart": MISSING if new is None else fixed(new["apart_arcsec"], 2),
+        "normalised": _pair(new, "normalised", 1),
+        "worst": None if worst is None else abs(worst),
+        "beyond": worst is not None and abs(worst) > CLEAR_SIGMA,
+        "old_residual": _residual(old),
+        "old_normalised": _pair(old, "normalised", 1),
+    }
+
+
+def _why(star: Mapping[str, Any]) -> str:
+    """The reason of a star that was not used, what the catalogue says against it, and another name it had."""
+    renamed = star["star_id"] and star["given_star_id"] not in {None, star["star_id"]}
+    said = [star["reason"], *star["flags"], f"named {star['given_star_id']} in the file" if renamed else None]
+    if star["star_id"] and star["old_star_id"] is None:
+        said.append("not matched under the old parameters")
+    return "; ".join(phrase for phrase in said if phrase)
+
+
+def _residual(under: Mapping[str, Any] | None) -> tuple[str, str]:
+    """Residual with its sigma along rows and columns, px."""
+    if under is None:
+        return MISSING, MISSING
+    row, col = (
+        f"{fixed(value, 3)} ± {fixed(sigma, 3)}" for value, sigma in zip(under["d_px"], under["sigma_px"], strict=True)
+    )
+    return row, col
+
+
+def _pair(under: Mapping[str, Any] | None, name: str, decimals: int) -> str:
+    return MISSING if under is None else ", ".join(fixed(value, decimals) for value in under[name])

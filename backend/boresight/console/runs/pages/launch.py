@@ -1,0 +1,606 @@
+"""Launching a run, in steps on one page: where to begin, data, method, parameters, the dry run, the queue.
+
+The dry run is the service's own (`validate_only`), so that what it accepts is what queueing accepts. On a refusal the form
+comes back with everything that was typed. The address holds where the form begins: `?sensor=`, `?set=`, `?method=`,
+`?preset=`, and `?clone=` a run, whose settings the page then compares with what is chosen; what was sought of a large fleet
+(`?find=`); and every field that was changed since.
+
+The data that the launch form offers: which sensors to choose from, and of which of them it holds the sets and parameters.
+
+Of a small fleet the form holds them all, and a script shows those of the sensor that is chosen. Of a fleet with more sensors
+or sets than fit a page it holds those of the one sensor: another is found by name and chosen, and the form is asked for again.
+
+The launch form as text: what was typed, what is usual, and the settings document that both make.
+
+Only the choices that the method has go into the document, so that a form without scripts, which sends them all, is read alike.
+
+What a run would be, laid out to be read before it is queued: facts, predicted sigmas, and what differs from where one began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Any
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+from starlette.datastructures import FormData, QueryParams
+
+from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings, said, text_of, title_of
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.access.dependencies import Reading, Sighted, Who, csrf
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.service import Choices
+from boresight.console.fleet.tables import Sensor
+from boresight.console.pages.rendering import Outcome, Refusal, attempt, redirect, render, texts_of
+from boresight.console.runs import presets
+from boresight.console.runs import service as runs
+from boresight.console.runs.dry_runs import Sight
+from boresight.console.runs.presets import Offer
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.errors import BoresightError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.paging import row_number
+from boresight.verdicts.numbers import count, duration
+
+#: The choices that have a field each; free parameters have one a sensor.
+FIELDS = tuple(name for name in OPTIONS if name != "free")
+
+
+def typed_settings(document: Mapping[str, Any]) -> dict[str, str]:
+    """Write the settings of a run as the form's fields show them."""
+    return {name: text_of(document[name]) for name in FIELDS if name in document}
+
+
+DEFAULTS = typed_settings(CalibrationSettings().document())
+
+
+@dataclass(frozen=True)
+class Typed:
+    """The form as it was typed: text, so that a refused form comes back as it was; a setting is `typed[name]`."""
+
+    sensor_id: str = ""
+    telemetry_set_id: str = ""
+    validation_set_id: str = ""
+    label: str = ""
+    chosen: Mapping[str, str] = field(default_factory=lambda: DEFAULTS)
+    free: Mapping[int, Sequence[str]] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> str:
+        """Return what was typed for a setting."""
+        return self.chosen[name]
+
+    def with_settings(self, texts: Mapping[str, str]) -> Typed:
+        """Return the form with other texts for some settings."""
+        return replace(self, chosen={**self.chosen, **texts})
+
+    def under(self, settings: Mapping[str, Any]) -> Typed:
+        """Return the form with other settings, data and label as typed; free parameters too where the settings name none."""
+        free = dict(self.free)
+        if settings.get("free") and (sensor_id := row_number(self.sensor_id)) is not None:
+            free[sensor_id] = list(settings["free"])
+        return replace(self.with_settings(typed_settings(settings)), free=free)
+
+    def amended(self, address: QueryParams) -> Typed:
+        """Return the form with what an address says of it, by the names of its fields; an empty `free-<sensor>` frees none.
+
+        An address that says the validation set is the form's own, and says all the data; else its set is only a beginning.
+        """
+        said: dict[str, Any] = {name: address[name] for name in ("validation_set_id", "label") if name in address}
+        if "validation_set_id" in address:
+            named = {"sensor_id": address.get("sensor", ""), "telemetry_set_id": address.get("set", "")}
+            said |= {name: value for name, value in named.items() if value.isdecimal()}
+        free = {
+            sensor: [name for name in address.getlist(f"free-{sensor}") if name]
+            if f"free-{sensor}" in address
+            else names
+            for sensor, names in self.free.items()
+        }
+        texts = {name: address[name] for name in FIELDS if name in address and name != "method"}
+        return replace(self.with_settings(texts), **said, free=free)
+
+    @property
+    def query(self) -> str:
+        """The fields as an address's query, for the page to tell what was changed since."""
+        texts = [("validation_set_id", self.validation_set_id), ("label", self.label)]
+        texts += [(name, self[name]) for name in FIELDS if name != "method"]
+        ticks = [(f"free-{sensor}", name) for sensor, names in self.free.items() for name in names]
+        return urlencode([*texts, *ticks])
+
+    @property
+    def advanced(self) -> bool:
+        """Whether a choice behind "More options" differs from the usual."""
+        return any(self[name] != DEFAULTS[name] for name in FIELDS if not OPTIONS[name].usual)
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings document of the calibration.
+
+        Raises
+        ------
+        RefusedInputError
+            When a number cannot be read; says which.
+        """
+        free = list(self.free.get(whole(self.sensor_id, "sensor"), ()))
+        if not free:
+            raise RefusedInputError("No parameter is free: tick at least one to estimate.")
+        return {**self.settings_of_any(), "free": free}
+
+    def settings_of_any(self) -> dict[str, Any]:
+        """Return the settings document for whatever sensor, whose own parameters are free; refuses as `settings`."""
+        method = self["method"]
+        mine = [name for name in FIELDS if name == "method" or method in OPTIONS[name].methods]
+        if self["variant"] == "no-q" and "process_noise_sigma" in mine:
+            mine.remove("process_noise_sigma")
+        return {name: OPTIONS[name].read(self[name]) for name in mine}
+
+
+def whole(text: str, name: str) -> int:
+    """Read a whole number."""
+    number = row_number(text)
+    if number is None:
+        raise RefusedInputError(f"The {name} {text.strip()[:20]!r} is not a whole number; type one, such as 6.")
+    return number
+
+
+def typed_form(form: FormData) -> Typed:
+    """Read the form as typed; free parameters are those of the sensors whose boxes are ticked."""
+    text = texts_of(form)
+    ticked = {name: name.removeprefix("free-") for name in form if name.startswith("free-")}
+    numbered = {name: row_number(number) for name, number in ticked.items()}
+    free = {number: list(map(str, form.getlist(name))) for name, number in numbered.items() if number is not None}
+    about: dict[str, Any] = {item.name: text[item.name] for item in fields(Typed) if text.get(item.name)}
+    chosen = {**DEFAULTS, **{name: text[name] for name in FIELDS if text.get(name)}}
+    return Typed(**{**about, "chosen": chosen, "free": free})
+
+
+MOST_SETS = 100
+LONGEST_NUMBER = 9  # digits of a row's number
+OF_A_SENSOR = ("set", "validation_set_id")  # what an address says of the data besides the sensor
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the form began: the address's own words, as far as they name something."""
+
+    sensor: int | None = None
+    set_id: int | None = None
+    clone: int | None = None
+    method: str = ""
+    preset: Offer | None = None
+    find: str = ""
+
+    @property
+    def kept(self) -> dict[str, str]:
+        """What an address says of it; what is sought aside."""
+        named = {"sensor": self.sensor, "set": self.set_id, "clone": self.clone, "method": self.method}
+        key = self.preset.key if self.preset else None
+        return {name: str(value) for name, value in {**named, "preset": key}.items() if value}
+
+    @property
+    def query(self) -> str:
+        """The same as an address's query."""
+        return urlencode(self.kept | ({"find": self.find} if self.find else {}))
+
+    def with_preset(self, key: str) -> str:
+        """The address's query with a preset, whose method takes the place of the one named."""
+        named = {"sensor": self.sensor, "set": self.set_id, "clone": self.clone, "preset": key, "find": self.find}
+        return urlencode({name: value for name, value in named.items() if value})
+
+
+@dataclass(frozen=True)
+class Offered:
+    """What the form offers.
+
+    Parameters
+    ----------
+    choices
+        The sensors to choose from.
+    fleet
+        Those whose sets and parameters the form holds.
+    sets
+        The sets in use of these, newest first.
+    is_whole
+        Whether the form holds every sensor, and none has to be asked for.
+    """
+
+    choices: Choices
+    fleet: Sequence[Sensor]
+    sets: Sequence[TelemetrySet]
+    is_whole: bool
+
+    @property
+    def shown(self) -> int | None:
+        """The sensor whose sets and parameters alone the form holds."""
+        return None if self.is_whole or not self.fleet else self.fleet[0].id
+
+
+def offer(session: Session, find: str, sensor_id: int | None, set_ids: Sequence[str] = ()) -> Offered:
+    """Read what a form offers that is about a sensor, by default the first by name, and names these sets."""
+    choices = sensors.choices(session, find=find, keep=[] if sensor_id is None else [sensor_id])
+    if choices.is_all:
+        sets = telemetry_sets.list_telemetry_sets(session, limit=MOST_SETS + 1)
+        if len(sets) <= MOST_SETS:
+            return Offered(choices, sensors.list_sensors(session), sets, is_whole=True)
+    if not choices.names:  # nothing holds what is sought
+        choices = replace(choices, names=dict(list(sensors.choices(session).names.items())[:1]))
+    chosen = next(number for number in (sensor_id, *choices.names) if number is not None and number in choices.names)
+    sets = telemetry_sets.list_telemetry_sets(session, sensor_id=chosen, limit=MOST_SETS)
+    older = _older(session, set_ids, chosen, {known.id for known in sets})
+    return Offered(choices, sensors.list_sensors(session, [chosen]), [*sets, *older], is_whole=False)
+
+
+def _older(session: Session, set_ids: Sequence[str], sensor_id: int, known: set[int]) -> Iterator[TelemetrySet]:
+    """Yield the sets named that are the sensor's and in use, but not among the newest."""
+    for number in {number for text in set_ids for number in _number(text)} - known:
+        try:
+            row = telemetry_sets.get_telemetry_set(session, number)
+        except NotFoundError:
+            continue
+        if row.sensor_id == sensor_id and row.archived_utc is None:
+            yield row
+
+
+def _number(text: str) -> list[int]:
+    """Read a row's number where there is one."""
+    return [int(text)] if text.isdecimal() and len(text) <= LONGEST_NUMBER else []
+
+
+def sensor_meant(session: Session, origin: Origin, address: Mapping[str, str]) -> int | None:
+    """Return the sensor that a form is about that begins there; None where nothing says which."""
+    of_set = origin.set_id is not None and origin.clone is None and "validation_set_id" not in address
+    if origin.sensor is not None and not of_set:
+        return origin.sensor
+    if origin.clone is not None:
+        return runs.get_run(session, origin.clone).sensor_id
+    if origin.set_id is not None:
+        return telemetry_sets.get_telemetry_set(session, origin.set_id).sensor_id
+    return None
+
+
+def sets_of_clone(session: Session, origin: Origin) -> list[str]:
+    """Return the numbers of the sets of the run that the form began from, which may be older than all that it offers besides."""
+    if origin.clone is None:
+        return []
+    run = runs.get_run(session, origin.clone)
+    return [str(number) for number in (run.telemetry_set_id, run.validation_set_id) if number is not None]
+
+
+def found_alone(offered: Offered, address: QueryParams) -> str | None:
+    """Return the query of the form about the only sensor that is found; None where it is about that one, or several are found."""
+    choices = offered.choices
+    alone = list(choices.names)[-1] if choices.find and choices.found == choices.fitting == 1 else None
+    if offered.is_whole or choices.is_all or alone in {None, offered.shown}:
+        return None
+    kept = [(name, text) for name, text in address.multi_items() if not _of_sensor(name)]
+    return urlencode([*kept, ("sensor", alone)])
+
+
+def _of_sensor(name: str) -> bool:
+    """Whether a part of the address holds for one sensor only."""
+    return name in {"sensor", *OF_A_SENSOR} or name.startswith("free-")
+
+
+def first_choice(
+    session: Session, fleet: Sequence[Sensor], clone: int | None, sensor_id: int | None, set_id: int | None
+) -> Typed:
+    """Fill the form anew: from a run to clone, with a set, or with a sensor's newest sets, by default the first one's."""
+    free = {sensor.id: free_of(sensor) for sensor in fleet}
+    if clone is None and set_id is not None:
+        return Typed(**_sets_with(session, set_id), free=free)
+    if clone is None:
+        return Typed(**newest_sets(session, fleet[0].id if sensor_id is None and fleet else sensor_id), free=free)
+    run = runs.get_run(session, clone)
+    free[run.sensor_id] = list(run.settings.get("free") or free.get(run.sensor_id) or [])
+    data: dict[str, Any] = {
+        "sensor_id": str(run.sensor_id),
+        "telemetry_set_id": str(run.telemetry_set_id),
+        "validation_set_id": str(run.validation_set_id or ""),
+    }
+    if sensor_id not in {None, run.sensor_id}:
+        data = newest_sets(session, sensor_id)
+    return Typed(**data, label=run.label, free=free).with_settings(typed_settings(run.settings))
+
+
+def about_its_sensor(session: Session, typed: Typed) -> Typed:
+    """Return a form with the newest sets of the sensor that it names and that sensor's own free parameters."""
+    fleet = sensors.list_sensors(session, _number(typed.sensor_id))
+    free = {sensor.id: free_of(sensor) for sensor in fleet}
+    return replace(typed, **newest_sets(session, next(iter(free), None)), free=free)
+
+
+def newest_sets(session: Session, sensor_id: int | None) -> dict[str, Any]:
+    """Choose the newest set of either purpose for a sensor."""
+    if sensor_id is None:
+        return {}
+    newest = {known.purpose: str(known.id) for known in telemetry_sets.sets_of(session, [sensor_id], newest=1)}
+    return {
+        "sensor_id": str(sensor_id),
+        "telemetry_set_id": newest.get("calibration", ""),
+        "validation_set_id": newest.get("validation", ""),
+    }
+
+
+def _sets_with(session: Session, set_id: int) -> dict[str, Any]:
+    """Choose this set for its purpose, and the newest of its sensor for the other."""
+    known = telemetry_sets.get_telemetry_set(session, set_id)
+    place = "telemetry_set_id" if known.purpose == "calibration" else "validation_set_id"
+    return {**newest_sets(session, known.sensor_id), place: str(known.id)}
+
+
+def free_of(sensor: Sensor) -> list[str]:
+    """Return the parameters that a sensor's file frees; all where it names none."""
+    return list(sensor.document.get("free") or names_of(sensor))
+
+
+def names_of(sensor: Sensor) -> tuple[str, ...]:
+    """Return the names of a sensor's parameters."""
+    return CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
+
+
+@dataclass(frozen=True)
+class Sigma:
+    """A free parameter's predicted one-sigma beside what was known before, both SI; `share` is their ratio."""
+
+    name: str
+    predicted: float | None
+    typical: float
+
+    @property
+    def share(self) -> float | None:
+        """Predicted over typical sigma; above 1 the data add nothing."""
+        return None if self.predicted is None else self.predicted / self.typical
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What would run: facts to read, the forecast, and warnings to think about."""
+
+    facts: Sequence[tuple[str, str]]
+    warnings: Sequence[str]
+    forecast: Mapping[str, Any] | None
+    sigmas: Sequence[Sigma]
+
+    @property
+    def level(self) -> str:
+        """How good the forecast is: normal where every direction is known, serious where nothing can be foretold."""
+        if self.forecast is None or self.forecast["weak"] is None:
+            return "serious"
+        return "caution" if self.forecast["weak"] else "normal"
+
+
+def dry_run_of(summary: Mapping[str, Any]) -> DryRun:
+    """Lay out the service's dry-run summary."""
+    free, forecast = summary["free"], summary["forecast"]
+    facts = [
+        ("Sensor", summary["sensor"]),
+        ("Calibration set", summary["telemetry_set"]),
+        ("Validation set", summary["validation_set"] or "none"),
+        ("Method", title_of(summary["settings"]["method"])),
+        ("Matches", said("match", summary["settings"]["match"])),
+        ("Other choices", _other_choices(summary["settings"]) or "as usual"),
+        ("Frames", count(summary["frames"])),
+        ("Stars", count(summary["stars"])),
+        ("Star pairs", f"about {count(summary['pairs'])}"),
+        ("Free parameters", f"{len(free)}: {', '.join(free)}"),
+        ("Expected duration", _expected(summary)),
+    ]
+    told = forecast or {"sigma": {}, "typical_sigma": {}}
+    sigmas = [Sigma(name, value, told["typical_sigma"][name]) for name, value in told["sigma"].items()]
+    return DryRun(facts, summary["warnings"], forecast, sigmas)
+
+
+def _expected(summary: Mapping[str, Any]) -> str:
+    """Write the expected duration with its spread, and how it is known."""
+    low, high = map(duration, summary["predicted_range_s"])
+    runs = summary["paced_by"]
+    known = f"by the last {runs} of this method" if runs > 1 else "by the one run of this method"
+    return f"about {duration(summary['predicted_s'])} ({low} to {high}, {known if runs else 'a guess before the first run'})"
+
+
+def _other_choices(settings: Mapping[str, Any]) -> str:
+    """List the settings that differ from the usual, apart from those with a line of their own."""
+    usual = CalibrationSettings().document()
+    named = {"method", "match", "free"}
+    return ", ".join(
+        f"{name} {settings[name]}" for name in usual if name not in named and settings[name] != usual[name]
+    )
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A choice that is not what one began from, in words."""
+
+    title: str
+    before: str
+    now: str
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Difference]:
+    """Compare two settings documents, choice by choice; absent ones are at their defaults."""
+    usual = CalibrationSettings().document()
+    return [
+        Difference(
+            OPTIONS[name].label, said(name, before.get(name, usual[name])), said(name, now.get(name, usual[name]))
+        )
+        for name in usual
+        if before.get(name, usual[name]) != now.get(name, usual[name])
+    ]
+
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+
+def _launch(session: Session, actor: Actor, typed: Typed, sight: Sight | None = None) -> Any:
+    """Hand the typed form to the service; with something to look at, only to ask what the run would be."""
+    return runs.launch(
+        session,
+        actor,
+        whole(typed.sensor_id, "sensor"),
+        whole(typed.telemetry_set_id, "calibration set"),
+        typed.settings(),
+        validation_set_id=whole(typed.validation_set_id, "validation set") if typed.validation_set_id else None,
+        label=typed.label.strip(),
+        validate_only=sight is not None,
+        sight=sight,
+    )
+
+
+def _saved(session: Session, actor: Actor, typed: Typed, name: str, sentence: str) -> Any:
+    """Keep the typed settings under a name; the sensor's own free parameters are left to each sensor."""
+    settings = typed.settings()
+    sensor = sensors.get_sensor(session, whole(typed.sensor_id, "sensor"))
+    own = set(settings["free"]) == set(free_of(sensor))
+    return presets.save_preset(session, actor, name, sentence, {**settings, "free": None if own else settings["free"]})
+
+
+def origin_of(request: Request, session: Session) -> Origin:
+    """Read where the form begins from the address; what names nothing is left out, except a preset, which is refused."""
+    given = request.query_params
+    texts = {name: given.get(name, "") for name in ("sensor", "set", "clone")}
+    numbers = {name: int(text) for name, text in texts.items() if text.isdecimal() and len(text) <= LONGEST_NUMBER}
+    method = given.get("method", "")
+    return Origin(
+        numbers.get("sensor"),
+        numbers.get("set"),
+        numbers.get("clone"),
+        method if method in METHODS else "",
+        presets.get_offer(session, given["preset"]) if given.get("preset") else None,
+        given.get("find", "").strip(),
+    )
+
+
+def _begun(session: Session, offered: Offered, origin: Origin) -> Typed:
+    """Fill the form anew from where it begins: data first, then the preset's settings, then the method."""
+    typed = first_choice(session, offered.fleet, origin.clone, offered.shown or origin.sensor, origin.set_id)
+    typed = typed if origin.preset is None else typed.under(origin.preset.settings)
+    return typed.with_settings({"method": origin.method}) if origin.method else typed
+
+
+@router.get("/runs/new", response_class=HTMLResponse)
+def launch_page(request: Request, session: Reading, actor: Who) -> Response:
+    """Show the form, empty or filled from a run, a telemetry set or a preset."""
+    origin, address = origin_of(request, session), request.query_params
+    named = [*(address.get(name, "") for name in OF_A_SENSOR), *sets_of_clone(session, origin)]
+    offered = offer(session, origin.find, sensor_meant(session, origin, address), named)
+    if query := found_alone(offered, address):
+        return redirect(f"/runs/new?{query}")
+    return _page(request, session, actor, _begun(session, offered, origin).amended(address), origin, offered)
+
+
+@router.post("/runs/new", response_class=HTMLResponse)
+async def launch(request: Request, session: Reading, actor: Who, sight: Sighted) -> Response:
+    """Apply a preset (`intent=preset`), keep one (`save`), queue the run (`queue`), or else only check.
+
+    A form that holds the sets of one sensor and names another comes back with the sets of that one, whatever it was sent for.
+    """
+    form = await request.form()
+    origin = await run_in_threadpool(origin_of, request, session)
+    typed, intent = typed_form(form), form.get("intent")
+    if form.get("shown", typed.sensor_id) != typed.sensor_id:
+        typed, intent = await run_in_threadpool(about_its_sensor, session, typed), "check"
+    if intent == "queue":
+        outcome = await attempt(request, partial(_launch, actor=actor, typed=typed))
+        if outcome.value is not None:
+            return redirect(f"/runs/{outcome.value.id}", flash=f"Run #{outcome.value.id} is queued.")
+    elif intent == "save":
+        words = texts_of(form)
+        name, sentence = words.get("preset_name", ""), words.get("preset_sentence", "")
+        outcome = await attempt(request, partial(_saved, actor=actor, typed=typed, name=name, sentence=sentence))
+        if outcome.value is not None:
+            kept = replace(origin, preset=presets.offer_of(outcome.value))
+            return redirect(f"/runs/new?{kept.query}", flash=f"{kept.preset.name} is kept." if kept.preset else "")
+    else:
+        if intent == "preset" and origin.preset is not None:
+            typed = typed.under(origin.preset.settings)
+        outcome = await run_in_threadpool(_checked, session, actor, typed, sight)
+    return await run_in_threadpool(_answer, request, session, actor, typed, origin, outcome, form)
+
+
+def _answer(
+    request: Request,
+    session: Session,
+    actor: Actor,
+    typed: Typed,
+    origin: Origin,
+    outcome: Outcome[Any],
+    form: FormData,
+) -> HTMLResponse:
+    """Render the form that was sent."""
+    sensor_id = row_number(typed.sensor_id)
+    offered = offer(session, origin.find, sensor_id, [typed.telemetry_set_id, typed.validation_set_id])
+    return _page(request, session, actor, typed, origin, offered, outcome=outcome, form=form)
+
+
+def _checked(session: Session, actor: Actor, typed: Typed, sight: Sight) -> Outcome[Any]:
+    """Make the dry run: it reads and writes nothing, so it holds nobody up."""
+    try:
+        return Outcome(_launch(session, actor, typed, sight=sight), None)
+    except NotFoundError:
+        raise
+    except BoresightError as error:
+        return Outcome(None, Refusal.of(error))
+
+
+def _page(
+    request: Request,
+    session: Session,
+    actor: Actor,
+    typed: Typed,
+    origin: Origin,
+    offered: Offered,
+    *,
+    outcome: Outcome[Any] | None = None,
+    form: FormData | None = None,
+) -> HTMLResponse:
+    """Render the form with what was typed and what the check said."""
+    refusal: Refusal | None = outcome.refusal if outcome else None
+    words = texts_of(form) if form is not None else request.query_params
+    moved = form is not None and form.get("intent") in {"queue", "save"}
+    return render(
+        request,
+        "runs/launch.html",
+        refused=refusal if refusal and (moved or refusal.is_ours) else None,
+        offered=offered,
+        parameter_names={sensor.id: names_of(sensor) for sensor in offered.fleet},
+        has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
+        options=OPTIONS,
+        methods=METHODS.values(),
+        typed=typed,
+        origin=origin,
+        begun=_begun(session, offered, origin).query,
+        offers=presets.offers(session),
+        changes=_changes(session, typed, origin),
+        preset_name=words.get("preset_name", ""),
+        preset_sentence=words.get("preset_sentence", ""),
+        refusal=refusal,
+        summary=dry_run_of(outcome.value) if outcome and outcome.value is not None else None,
+        may_launch="analyst" in actor.roles,
+    )
+
+
+def _changes(session: Session, typed: Typed, origin: Origin) -> list[Difference] | None:
+    """Say what differs from the run that is cloned, or from the preset; None where the form began from neither."""
+    sensor_id = row_number(typed.sensor_id)
+    if (origin.clone is None and origin.preset is None) or sensor_id is None:
+        return None
+    try:
+        now = CalibrationSettings.parse(typed.settings()).document()
+    except RefusedInputError:
+        return []  # the refusal stands beside
+    before = dict(origin.preset.settings) if origin.preset else {}
+    if origin.clone is not None:
+        before = runs.get_run(session, origin.clone).settings
+    sensor = sensors.get_sensor(session, sensor_id)
+    return differences({**before, "free": before.get("free") or free_of(sensor)}, _in_order(now, before, sensor))
+
+
+def _in_order(now: Mapping[str, Any], before: Mapping[str, Any], sensor: Sensor) -> dict[str, Any]:
+    """Write the free parameters in the order of before where they are the same ones."""
+    free = before.get("free") or free_of(sensor)
+    return {**now, "free": free if set(now["free"]) == set(free) else now["free"]}

@@ -1,0 +1,290 @@
+"""The list of runs: what ran on which data, with what result; chosen rows go to the comparison.
+
+The address holds the whole view (`boresight.console.pages.tables`): filters, order, columns, page and what is chosen.
+
+Presets: Boresight's own and the mission's, with every version and who saved it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.calibration.options import METHODS, CalibrationSettings, title_of
+from boresight.console.access import users
+from boresight.console.access.credentials import who_acts
+from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.pages.sensors import choices_of
+from boresight.console.fleet.status import level_of_result
+from boresight.console.pages.formats import instant, seconds_since
+from boresight.console.pages.rendering import attempt, redirect, redirect_refused, render
+from boresight.console.pages.tables import Column, Table, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
+from boresight.console.runs import presets
+from boresight.console.runs.pages.launch import differences
+from boresight.console.runs.tables import RUN_STATES, Run
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.keeping import same_for_roles
+from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
+from boresight.verdicts.verdict import WORD_OF_LEVEL
+
+RUNS = Table(
+    "runs",
+    "Runs",
+    (
+        Column("state", "State", "state"),
+        Column("run", "Run", "-run", head=True),
+        Column("label", "Label", "label", "label"),
+        Column("sensor", "Sensor", "sensor"),
+        Column("method", "Method", "method"),
+        Column("data", "Data", "data", "label"),
+        Column("fit", "Fit"),
+        Column("rms", "RMS", "rms", "num", "Arclength RMS before and after, unweighted; sorted by after", "µrad"),
+        Column(
+            "validation",
+            "Validation RMS",
+            "validation",
+            "num",
+            "Of the stars held out, before and after; sorted by after",
+            "µrad",
+            optional=True,
+        ),
+        Column("chi2", "χ² / dof", "-chi2", "num"),
+        Column("change", "Change", "change", "num", "Of the RMS, against the parameters the sensor had at launch", "%"),
+        Column("frames", "Frames", "", "num", optional=True),
+        Column("by", "By", "by"),
+        Column("started", "Started", "-started"),
+        Column("ended", "Ended", "-ended", optional=True),
+        Column("duration", "Duration", "", "num"),
+    ),
+    {
+        "sensor": is_number,
+        "sensor_name": is_text,
+        "state": one_of(RUN_STATES),
+        "method": one_of(METHODS),
+        "data": is_number,
+        "q": is_text,
+    },
+    "-run",
+    kind="runs",
+    chosen="runs",
+)
+CSV_FIELDS = {
+    "state": ("state",),
+    "run": ("run",),
+    "label": ("label",),
+    "sensor": ("sensor",),
+    "method": ("method",),
+    "data": ("telemetry_set",),
+    "fit": ("status",),
+    "rms": ("rms_initial_arc_rad", "rms_final_arc_rad"),
+    "validation": ("validation_rms_initial_arc_rad", "validation_rms_final_arc_rad"),
+    "chi2": ("chi2_per_dof",),
+    "frames": ("frames",),
+    "by": ("launched_by",),
+    "started": ("launched_utc", "started_utc"),
+    "ended": ("ended_utc",),
+    "duration": ("duration_s",),
+}
+OF_SUMMARY = (
+    "status",
+    *CSV_FIELDS["rms"],
+    *CSV_FIELDS["validation"],
+    "chi2_per_dof",
+    "frames",
+)
+
+router = APIRouter(dependencies=[Depends(who_acts)])
+
+
+@dataclass(frozen=True)
+class Names:
+    """What the numbers in a run's row are called."""
+
+    sensors: Mapping[int, str]
+    sets: Mapping[int, str]
+    people: Mapping[int, str]
+
+    def person(self, user_id: int | None) -> str:
+        """Return a person's printed name; what nobody in person launched was launched by the system."""
+        return self.people.get(user_id, f"user {user_id}") if user_id is not None else "system"
+
+
+def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Iterable[Any] | None = ()) -> Names:
+    """Read the names of every person, and of the sensors and telemetry sets of these runs.
+
+    Parameters
+    ----------
+    sensors_of
+        Other rows whose sensors are named; None names the whole fleet, as a file of many rows needs it.
+    """
+    found = list(found)
+    used = {set_id for run in found for set_id in (run.telemetry_set_id, run.validation_set_id) if set_id is not None}
+    if sensors_of is None:
+        return _names(session, None, used)
+    return _names(session, {row.sensor_id for row in (*found, *sensors_of) if row.sensor_id is not None}, used)
+
+
+def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collection[int] | None) -> Names:
+    """Read the names of every person, and of these sensors and telemetry sets; of all where None is given."""
+    return Names(
+        {} if sensor_ids == set() else sensors.names_of(session, sensor_ids),
+        {} if set_ids == set() else telemetry_sets.names_of(session, set_ids),
+        {person.id: person.printed_name for person in users.list_users(session)},
+    )
+
+
+@dataclass(frozen=True)
+class Line:
+    """One row of the list."""
+
+    run: Run
+    sensor: str
+    data: str
+    method: str
+    by: str
+    fit: str | None
+    fit_level: str
+    advice: str
+    rms: str
+    validation: str
+    change: str
+    frames: int | None
+    chi2_per_dof: float | None
+    fraction: float | None
+    seconds: float | None
+
+
+def line_of(run: Run, names: Names) -> Line:
+    """Lay out a run; what it has not computed is a dash."""
+    summary = run.summary or {}
+    before, after = (summary.get(f"rms_{when}_arc_rad") for when in ("initial", "final"))
+    level = level_of_result(summary)
+    return Line(
+        run=run,
+        sensor=names.sensors.get(run.sensor_id, str(run.sensor_id)),
+        data=names.sets.get(run.telemetry_set_id, str(run.telemetry_set_id)),
+        method=title_of(run.method),
+        by=names.person(run.launched_by),
+        fit=_fit(summary.get("status"), level),
+        fit_level=level,
+        advice=summary.get("advice") or "",
+        rms=_from_to(before, after),
+        validation=_from_to(*(summary.get(f"validation_rms_{when}_arc_rad") for when in ("initial", "final"))),
+        frames=summary.get("frames"),
+        change=_change(before, after),
+        chi2_per_dof=summary.get("chi2_per_dof"),
+        fraction=(run.progress or {}).get("fraction") if run.state in {"RUNNING", "CANCELLING"} else None,
+        seconds=seconds_of(run),
+    )
+
+
+def _fit(status: str | None, level: str) -> str | None:
+    """Say how a fit ended; of one that converged, in the words of its page, what its level shows."""
+    return WORD_OF_LEVEL.get(level, status) if status == "converged" else status
+
+
+def _from_to(before: float | None, after: float | None) -> str:
+    """Print an RMS before and after."""
+    return MISSING if after is None else f"{urad(before)} → {urad(after)}"
+
+
+def _change(before: float | None, after: float | None) -> str:
+    """Print how the RMS changed against the sensor's parameters at launch, in percent."""
+    if not before or after is None:
+        return MISSING
+    percent = 100.0 * (after / before - 1.0)
+    return f"{'+' if percent > 0 else ''}{number(round(percent, 1), 3)}{NARROW_SPACE}%"
+
+
+def seconds_of(run: Run) -> float | None:
+    """Return how long a run has computed, to its end or to now."""
+    if run.started_utc is None:
+        return None
+    if run.ended_utc is None:
+        return seconds_since(run.started_utc)
+    return (instant(run.ended_utc) - instant(run.started_utc)).total_seconds()
+
+
+@router.get("/runs", response_class=HTMLResponse, dependencies=[Depends(same_for_roles)])
+def runs_page(request: Request, session: Reading) -> HTMLResponse:
+    """Show a page of runs."""
+    view = read_view(request, RUNS)
+    found = page_of(session, view)
+    names = read_names(session, found.rows)
+    on_page = {run.id for run in found.rows}
+    return render(
+        request,
+        "runs/runs.html",
+        view=view,
+        lines=[line_of(run, names) for run in found.rows],
+        last=found.last,
+        elsewhere=[number for number in view.chosen if number not in on_page],
+        choices=choices_of(session, view),
+        states=RUN_STATES,
+        methods=METHODS.values(),
+    )
+
+
+@router.get("/runs.csv")
+def runs_csv(request: Request, session: Reading) -> Response:
+    """Give every run of a view as CSV, in SI."""
+    view = read_view(request, RUNS)
+    names = _names(session, None, None)
+    return csv_of(view, CSV_FIELDS, (_csv_row(run, names) for run in all_of(session, view)))
+
+
+def _csv_row(run: Run, names: Names) -> dict[str, Any]:
+    """Lay out a run for a program."""
+    line, summary = line_of(run, names), run.summary or {}
+    return {
+        "run": run.id,
+        "label": run.label,
+        "sensor": line.sensor,
+        "method": run.method,
+        "telemetry_set": line.data,
+        "state": run.state,
+        "launched_by": line.by,
+        "launched_utc": run.launched_utc,
+        "started_utc": run.started_utc,
+        "ended_utc": run.ended_utc,
+        "duration_s": line.seconds,
+    } | {name: summary.get(name) for name in OF_SUMMARY}
+
+
+preset_router = APIRouter(dependencies=[Depends(csrf)])
+
+MOST_SHOWN = 500
+
+
+@preset_router.get("/presets", response_class=HTMLResponse)
+def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """List every preset, each with what it changes of the usual settings."""
+    saved = presets.list_presets(session, archived=True)
+    usual = CalibrationSettings().document()
+    changes = {offer.key: differences(usual, offer.settings) for offer in presets.BUILT_IN}
+    changes |= {str(row.id): differences(usual, row.document) for row in saved}
+    return render(
+        request,
+        "runs/presets.html",
+        own=presets.BUILT_IN,
+        saved=saved,
+        changes=changes,
+        people=read_names(session).people,
+        may="analyst" in actor.roles,
+    )
+
+
+@preset_router.post("/presets/{preset_id:int}/archive", response_class=HTMLResponse)
+async def archive(request: Request, actor: Who, preset_id: int) -> Response:
+    """Take a version out of the choice."""
+    outcome = await attempt(request, partial(presets.archive_preset, actor=actor, preset_id=preset_id))
+    if outcome.refusal is not None:
+        return redirect_refused("/presets", outcome.refusal)
+    return redirect("/presets", flash="Archived: it is not offered any more. Runs that used it still name it.")

@@ -1,0 +1,298 @@
+"""The live part of the run page: what state the run is in, what that means, how far it is; and stopping it.
+
+A filter comes to its fraction frame by frame, so its pace and what is left can be told from the time so far. A batch does
+not: its iterations end when the estimate rests, and only the time so far is told.
+
+What a run's state means for whoever looks at it now: what it waits for, what ended it, what to do next.
+
+Nothing is said that the rows do not hold: who asked for a stop and when is a line of the log, when the worker was last
+heard of is the time of its last report, and the workers of this server are what its engine saw at its last turn.
+
+The log of a run on its page: every line with how grave it is, filtered by that in the address, and what follows a line.
+
+A run that failed or was lost and an attempt that died are errors, a stop and an attempt that is computed again are warnings.
+
+What a run gives to take along: its log as text, the sensor file as it was at launch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
+
+from boresight.calibration.options import CalibrationSettings
+from boresight.console.access.credentials import who_acts
+from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.pages.formats import seconds_since
+from boresight.console.pages.rendering import attempt, read_texts, redirect, redirect_refused, render
+from boresight.console.runs import service as runs
+from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.errors import RefusedInputError
+from boresight.platform.db.sessions import Session
+from boresight.verdicts.numbers import count, duration, fixed, percent
+
+LAST_LINES = 5
+SILENT_S = 30.0  # a worker reports four times a second, or at every frame of a slow replay
+WHAT_TO_TRY = (
+    "Read the telemetry's quality report, then clone this run and edit it: free fewer parameters, or use another set."
+)
+NO_WORKERS = (
+    "This server computes nothing itself (no workers, no scheduler in its settings): it starts when another server on "
+    "this database takes it, or when this one is started with workers."
+)
+NOT_THERE = "No worker is there yet: this server's are still starting, or its scheduler cannot be reached."
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A sentence above the verdict.
+
+    Parameters
+    ----------
+    level
+        How grave it is.
+    sentence
+        What is so.
+    lines
+        The end of the log that belongs to it.
+    links
+        (address, words) of what to do next; the first is a button.
+    """
+
+    level: str
+    sentence: str
+    lines: tuple[RunEvent, ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
+
+
+def notices_of(
+    session: Session, run: Run, log: Sequence[RunEvent], workers: Mapping[str, Any] | None = None
+) -> list[Notice]:
+    """Say what a run's state means.
+
+    Parameters
+    ----------
+    log
+        The run's log in order.
+    workers
+        What the engine of this server says of itself; None where there is none.
+    """
+    telling = {
+        "QUEUED": lambda: [Notice("standby", _queue_sentence(session, run, workers)), *_of_attempts(log)],
+        "RUNNING": lambda: [*_of_attempts(log), *_of_silence(run)],
+        "CANCELLING": lambda: [Notice("caution", _stopping_sentence(run, log))],
+        "FAILED": lambda: _of_failure(run, log),
+        "LOST": lambda: [Notice("serious", _lost_sentence(run), links=_again(run)), *_of_partial(run)],
+        "CANCELLED": lambda: [Notice("off", _reason(run) or "This run was cancelled."), *_of_partial(run)],
+    }
+    return telling.get(run.state, list)()
+
+
+def heard_s(run: Run, log: Sequence[RunEvent]) -> float | None:
+    """Return how long ago anything was heard of a run: a report of its worker, or a line of its log."""
+    times = [line.at_utc for line in log[-1:]] + [str((run.progress or {}).get("at_utc") or "")]
+    return seconds_since(max(times, default=""))
+
+
+def _reason(run: Run) -> str:
+    return (run.reason or "").strip()
+
+
+def _again(run: Run) -> tuple[tuple[str, str], ...]:
+    return ((f"/runs/new?clone={run.id}", "Run it again"), (f"/telemetry/{run.telemetry_set_id}", "Quality report"))
+
+
+def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[Notice]:
+    """Say the cause, show the end of the log, and what to try."""
+    cause = _reason(run) or "The run failed and gave no cause; its log has the last lines."
+    lines = tuple(line for line in log if line.state != "FAILED")
+    return [
+        Notice("serious", cause, lines=lines[-LAST_LINES:]),
+        Notice("off", WHAT_TO_TRY, links=_again(run)),
+        *_of_partial(run),
+    ]
+
+
+def _of_partial(run: Run) -> list[Notice]:
+    """Say how far a run had come whose estimate does not count."""
+    fraction, message = ((run.progress or {}).get(name) for name in ("fraction", "message"))
+    if not fraction:
+        return []
+    so_far = f"It had come to {percent(fraction, 0)}{f' ({message})' if message else ''}"
+    return [Notice("off", f"PARTIAL: {so_far}. What it had estimated by then is void and shown nowhere as a result.")]
+
+
+def _of_attempts(log: Sequence[RunEvent]) -> list[Notice]:
+    """Say why there is more than one attempt."""
+    again = [line for line in log if line.state == "QUEUED" and line.cause]
+    if not again:
+        return []
+    told = f"Attempt {count(again[-1].attempt)} ended without a result: {again[-1].cause}."
+    return [Notice("caution", f"{told} It is computed again from the start.")]
+
+
+def _of_silence(run: Run) -> list[Notice]:
+    """Say that a worker that should report does not."""
+    silent_s = seconds_since((run.progress or {}).get("at_utc") or run.started_utc)
+    if silent_s is None or silent_s < SILENT_S:
+        return []
+    then = "If its server does not renew its claim the run is queued again by itself."
+    return [Notice("caution", f"The worker has not reported for {duration(silent_s)}. {then}")]
+
+
+def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
+    """Say who asked for the stop and when."""
+    asked = [line.at_utc for line in log if line.state == "CANCELLING"]
+    since = f"Asked at {clock(asked[-1])}, {duration(seconds_since(asked[-1]))} ago. " if asked else ""
+    return (
+        f"Stopping: {_reason(run)} {since}The worker looks for this five times a second; one that does not answer is "
+        "ended with its process after some seconds."
+    )
+
+
+def _lost_sentence(run: Run) -> str:
+    """Say when the worker was last heard of, and that nothing of it counts."""
+    heard = (run.progress or {}).get("at_utc") or run.lease_until_utc or run.ended_utc
+    told = f"The worker stopped reporting at {clock(heard)}; no result is trusted."
+    return " ".join(filter(None, [told, _reason(run), "Run it again to have one."]))
+
+
+def clock(text: str | None) -> str:
+    """Print a stored time to the second."""
+    return text[:19].replace("T", " ") + "Z" if text else "an unknown time"
+
+
+def _queue_sentence(session: Session, run: Run, workers: Mapping[str, Any] | None) -> str:
+    """Say how many runs are in front, and what the first of them waits for."""
+    before = runs.place_in_queue(session, run.id)
+    place = f"Position {before + 1} in the queue." if before else "Next in the queue."
+    return f"{place} {_waits_for(session, workers)}"
+
+
+def _waits_for(session: Session, workers: Mapping[str, Any] | None) -> str:
+    """Say what keeps the first of the queue from starting."""
+    if not workers or not workers.get("turns"):
+        return NO_WORKERS
+    threads = workers.get("threads") or 0
+    if not workers.get("connected") or not threads:
+        return NOT_THERE
+    busy = sorted(run.id for run in runs.list_runs(session, state=["RUNNING", "CANCELLING"]))
+    if workers["tasks"] < threads:
+        return "A worker is free: it starts at once."
+    named = (
+        f" with {', '.join(f'run #{number}' for number in busy[:6])}{' and others' * (len(busy) > 6)}" if busy else ""
+    )
+    which = "The only worker is" if threads == 1 else f"All {threads} workers are"
+    return f"{which} busy{named}; it starts when one is free."
+
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+
+def live_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
+    """Gather what the head of `runs/run.html` shows."""
+    progress, log = run.progress or {}, runs.log_lines(session, run.id)
+    workers = request.app.state.workers
+    return {
+        "notices": notices_of(session, run, log, workers.state() if workers else None),
+        "fraction": float(progress.get("fraction") or 0.0),
+        "message": progress.get("message") or "",
+        "frames_to_come": frames_to_come(session, run),
+        "pace": pace_of(session, run),
+        "heard_s": heard_s(run, log),
+    }
+
+
+def frames_to_come(session: Session, run: Run) -> int | None:
+    """Return how many frames a run takes in one after another; None where it takes them all at once."""
+    if not CalibrationSettings.parse(run.settings).sequential:
+        return None
+    return telemetry_sets.get_telemetry_set(session, run.telemetry_set_id).frames
+
+
+def pace_of(session: Session, run: Run) -> str:
+    """Say how quick a computing run is, and how long it will still take."""
+    fraction, elapsed_s = (float((run.progress or {}).get(name) or 0.0) for name in ("fraction", "elapsed_s"))
+    if not elapsed_s:
+        return ""
+    frames = frames_to_come(session, run)
+    if not frames or not fraction:
+        return f"for {duration(elapsed_s)}"
+    left = duration(elapsed_s * (1 - fraction) / fraction)
+    return f"{fixed(fraction * frames / elapsed_s, 1)} frames/s, about {left} left"
+
+
+@router.post("/runs/{run_id:int}/cancel")
+async def cancel(request: Request, actor: Who, run_id: int) -> Response:
+    """Ask a run to stop."""
+    reason = (await read_texts(request)).get("reason", "")
+    outcome = await attempt(request, partial(runs.cancel, actor=actor, run_id=run_id, reason=reason))
+    if outcome.refusal:
+        return redirect_refused(f"/runs/{run_id}", outcome.refusal)
+    return redirect(f"/runs/{run_id}", flash=f"Run #{run_id} was asked to stop.")
+
+
+run_log_router = APIRouter()
+
+LEVELS = {"info": "All lines", "warning": "Warnings and errors", "error": "Errors"}
+SYMBOLS = {"info": "off", "warning": "caution", "error": "serious"}
+
+
+def lines_of(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
+    """Return the lines that are at least as grave as a level.
+
+    Raises
+    ------
+    RefusedInputError
+        When there is no such level.
+    """
+    if level not in LEVELS:
+        raise RefusedInputError(f"A log has no level {level[:40]}; choose from {', '.join(LEVELS)}.")
+    order = list(LEVELS)
+    return [row for row in rows if order.index(row.level) >= order.index(level)]
+
+
+def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
+    """Gather what the part `log` of `runs/run.html` shows."""
+    level = request.query_params.get("level", "info")
+    rows = runs.log_lines(session, run.id)
+    return {
+        "lines": lines_of(rows, level),
+        "symbols": SYMBOLS,
+        "level": level,
+        "filters": [(name, words, len(lines_of(rows, name))) for name, words in LEVELS.items()],
+    }
+
+
+@run_log_router.get("/runs/{run_id:int}/log/lines", response_class=HTMLResponse)
+def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, level: str = "info") -> HTMLResponse:
+    """Give the lines after a line as list items, for a page that follows the log."""
+    rows = runs.log_lines(session, run_id, after_id=after)
+    return render(request, "runs/log_lines.html", lines=lines_of(rows, level), symbols=SYMBOLS)
+
+
+run_file_router = APIRouter(dependencies=[Depends(who_acts)])
+
+
+def _attachment(name: str) -> dict[str, str]:
+    return {"Content-Disposition": f'attachment; filename="{name}"'}
+
+
+@run_file_router.get("/runs/{run_id:int}/log")
+def log(session: Reading, run_id: int) -> PlainTextResponse:
+    """Give every line of a run's log as text: time, attempt, kind, message."""
+    lines = [f"{line.at_utc} {line.attempt} {line.kind} {line.message}" for line in runs.log_lines(session, run_id)]
+    return PlainTextResponse("".join(f"{line}\n" for line in lines), headers=_attachment(f"run-{run_id}.log"))
+
+
+@run_file_router.get("/runs/{run_id:int}/sensor.json")
+def sensor_file(session: Reading, run_id: int) -> JSONResponse:
+    """Give the sensor file that the run was made with, whatever has been edited since."""
+    run = runs.get_run(session, run_id)
+    return JSONResponse(run.sensor_document, headers=_attachment(f"run-{run_id}.sensor.json"))

@@ -1,0 +1,659 @@
+"""The run page, the review desk: head and verdict always, below them one of its parts.
+
+While a run computes the page shows what there is so far, marked PARTIAL, and follows the event stream. It never shows a
+parameter without its sigma, and a result that is not to be trusted says so above everything else. A tab loads only what it
+shows; the whole view is in the address.
+
+What each part of the run page shows, gathered only for the part that is open.
+
+How a reader looks at a part's charts, all of it in the address: axis, scale, tail; and the facts that stand beside them.
+
+The tabs of the run page: an address each, and a word where something is to be judged.
+
+A word is the worst that the part shows, so that nobody has to open a tab to learn that it is as it should be. The keys 1
+to 9 open the first nine.
+
+Where a run's numbers come from: addresses, versions, and the command that computes them again.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse, Response
+from markupsafe import Markup
+from starlette.datastructures import QueryParams
+
+from boresight.calibration.options import title_of
+from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.approvals import gates
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
+from boresight.console.notes import service as notes
+from boresight.console.pages.formats import short_hash, utc, words
+from boresight.console.pages.rendering import attempt, redirect, redirect_refused, render
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import service as runs
+from boresight.console.runs.pages.frames import frames_of
+from boresight.console.runs.pages.list import read_names, seconds_of
+from boresight.console.runs.pages.live import live_of, log_of
+from boresight.console.runs.service import neighbours
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.errors import NotFoundError
+from boresight.figures import CHAPTERS, WIDE, Figure
+from boresight.figures.charts.helpful_data import helpful_data, weakest_words
+from boresight.figures.charts.matching import MATCHING, why_no_matching
+from boresight.figures.charts.shadow import SHADOW, shown
+from boresight.figures.course import course_of, settled_step
+from boresight.figures.notebook import calibrate_command
+from boresight.figures.rms_tail import Tail, tail_of
+from boresight.figures.tables.matching_table import (
+    flight_rows,
+    flight_tolerance,
+    match_counts,
+    match_facts,
+    reason_tables,
+    side_by_side,
+)
+from boresight.figures.tables.parameter_table import parameter_rows
+from boresight.figures.tables.star_table import star_rows, to_flag
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session
+from boresight.verdicts.gates.table import gate_rows
+from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
+from boresight.verdicts.verdict import (
+    marks,
+    prospects,
+    sigma_of_rms,
+    trust_doubts,
+    trust_level,
+    trust_marks,
+    verdict,
+    why_absent,
+)
+
+
+def provenance_of(run: Run, result: Mapping[str, Any] | None) -> list[tuple[str, Any]]:
+    """Lay out the addresses and versions that make the run again what it was."""
+    inputs = (result or {}).get("inputs") or {}
+    hashes = [(f"{name} SHA-256", _hash(value)) for name, value in _flat(inputs.get("sha256s") or {})]
+    versions = ", ".join(f"{name} {value}" for name, value in (inputs.get("versions") or {}).items())
+    timing = ", ".join(f"{name.replace('_', ' ')} {duration(value)}" for name, value in _timing(result))
+    left_out = ", ".join(
+        f"{count(part['count'])} {part['what']}: {part['reason']}" for part in (result or {}).get("left_out") or ()
+    )
+    return [
+        *hashes,
+        ("Left out", left_out or MISSING),
+        ("Result SHA-256", short_hash(run.result_sha256) if run.result_sha256 else MISSING),
+        ("Versions", versions or MISSING),
+        ("Time spent", timing or MISSING),
+    ]
+
+
+def _timing(result: Mapping[str, Any] | None) -> list[tuple[str, float]]:
+    return [(name, value) for name, value in ((result or {}).get("timing_s") or {}).items() if value is not None]
+
+
+def _flat(hashes: Mapping[str, Any] | Sequence[str]) -> list[tuple[str, Any]]:
+    return list(hashes.items()) if isinstance(hashes, Mapping) else [("input", value) for value in hashes]
+
+
+def _hash(value: Any) -> Markup | str:
+    return short_hash(str(value)) if value else MISSING
+
+
+def command_of(run: Run, data: TelemetrySet, validation: TelemetrySet | None) -> str:
+    """Write the command line that computes this run again from the files that the page offers."""
+    files = data.name, f"run-{run.id}.sensor.json"
+    words = calibrate_command(*files, run.settings, validation.name if validation else None, f"run-{run.id}.json")
+    return " \\\n  ".join(words)
+
+
+Result = Mapping[str, Any]
+Rows = list[tuple[str, str, str]]
+
+ALIGNS = {"frame": "frame", "time": "hours since the first frame", "update": "update"}
+SCALES = ("log", "linear")
+
+
+@dataclass(frozen=True)
+class View:
+    """What the address asks for, as far as it can be had.
+
+    Parameters
+    ----------
+    align, aligns
+        What the axis of a sequential run counts, and what it may count; nothing to choose for a batch.
+    scale
+        Of the axes that can be seen on both, log or linear.
+    tail_from
+        Where the tail begins, None where the run itself says.
+    """
+
+    align: str
+    aligns: Mapping[str, str]
+    scale: str
+    tail_from: float | None
+
+    @property
+    def query(self) -> str:
+        """Return what a figure's address needs of it."""
+        asked = {"align": self.align if self.align != "frame" else None, "tail_from": self.tail_from}
+        return urlencode(
+            {name: f"{value:g}" if isinstance(value, float) else value for name, value in asked.items() if value}
+        )
+
+
+def view_of(query: QueryParams, result: Result | None) -> View:
+    """Read the view; what cannot be had falls back to the usual one."""
+    history = (result or {}).get("history") or {}
+    aligns = {name: words for name, words in ALIGNS.items() if history and (name != "time" or history.get("time_utc"))}
+    align, scale = query.get("align", "frame"), query.get("scale", "log")
+    return View(
+        align=align if align in aligns else "frame",
+        aligns=aligns,
+        scale=scale if scale in SCALES else "log",
+        tail_from=_number(query.get("tail_from", "")) if history else None,
+    )
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def course_facts(result: Result | None) -> Rows:
+    """Say when a run settled, what its cost came to, and how far it still stepped: term, value, meaning."""
+    course = course_of(result or {})
+    if result is None or course is None:
+        return []
+    first, steps = settled_step(result), f"{count(len(course.x))} {course.axis}s on record"
+    running = result.get("status") == "running"
+    settled = f"{course.axis} {course.x[first]:.6g}" if first is not None else ("not yet" if running else "not settled")
+    rows = [("Settled at", settled, f"Within three final sigmas of the end from there on; {steps}.")]
+    if course.axis == "iteration":
+        cost = course.series("cost")
+        rows.append(
+            ("Cost", f"{number(cost[0])} → {number(cost[-1])}", "Half of chi-square, at the start and at the end.")
+        )
+    return rows
+
+
+def tail_facts(result: Result | None, view: View) -> tuple[Tail | None, Rows]:
+    """Set the errors of a run beside each other, each with its 3-sigma: on the data fitted, and never mixed in, held out."""
+    if not result:
+        return None, []
+    tail = tail_of({**result, "tail_from": view.tail_from})
+    rms, arcs = result.get("rms_arc_rad") or {}, result.get("pairs")
+    rows = [
+        ("Fitted data, old parameters", _with_reach(rms.get("initial"), arcs), "The sensor's parameters at launch."),
+        ("Fitted data, new parameters", _with_reach(rms.get("final"), arcs), f"{count(arcs)} arcs."),
+    ]
+    if tail is not None:
+        window = f"{tail.axis} {tail.start:.6g} to {tail.end:.6g}, {count(tail.points)} updates on record"
+        rows.append(("Tail, mean over its window", _with_reach(tail.tail_rad, arcs), f"{window}."))
+        rows.append(
+            ("Aggregate, at the end", _with_reach(tail.aggregate_rad, arcs), "Each frame under the parameters it had.")
+        )
+    return tail, rows + _held_out(result)
+
+
+def _held_out(result: Result) -> Rows:
+    held_out = result.get("validation") or {}
+    rms = held_out.get("rms_arc_rad") or {}
+    if not rms:
+        return [("Held-out data", MISSING, "No validation set was given: launch with one to have this answer.")]
+    arcs, share = held_out.get("common_pairs"), percent((held_out.get("availability") or {}).get("final"))
+    kept = f" {count(arcs)} arcs." if arcs is not None else " σ not kept."
+    return [
+        (
+            "Held-out data, old parameters",
+            _with_reach(rms.get("initial"), arcs),
+            f"{count(held_out.get('frames'))} frames never fitted.{kept}",
+        ),
+        (
+            "Held-out data, new parameters",
+            _with_reach(rms.get("final"), arcs),
+            f"{share} of these frames available.{kept}",
+        ),
+    ]
+
+
+def _with_reach(rms_rad: float | None, arcs: float | None) -> str:
+    """Write an RMS in microradians with its 3-sigma."""
+    sigma = sigma_of_rms(rms_rad, arcs)
+    return urad(rms_rad) if sigma is None else f"{urad(rms_rad)} ± {urad(3 * sigma, 2)}"
+
+
+def sight_facts(result: Result | None) -> tuple[Rows, list[str]]:
+    """Say what the data see least of, and what would help."""
+    seen = (result or {}).get("observability") or {}
+    if not result or not seen.get("singular_values"):
+        return [], []
+    spread = seen.get("sigma_of_direction") or [None]
+    known = f"{number(spread[-1], 3)} typical σ" if spread[-1] is not None else "not determined"
+    condition = number(seen.get("condition_number")) if seen.get("condition_number") is not None else "infinite"
+    rows = [
+        ("Weakest direction", weakest_words(result) or MISSING, str((seen.get("weakest") or {}).get("sentence") or "")),
+        (
+            "Known to",
+            known,
+            "One sigma along it, in units of the spread from one such sensor to the next; below 0.5 it is seen.",
+        ),
+        ("Condition number", condition, "Largest singular value over the smallest."),
+    ]
+    return rows, helpful_data(result)
+
+
+@dataclass(frozen=True)
+class Desk:
+    """What a part is gathered from: who looks at which run, and what it has found so far.
+
+    Parameters
+    ----------
+    result
+        The calibration JSON, complete or so far; None where there is none, or where it does not count.
+    """
+
+    request: Request
+    session: Session
+    actor: Actor
+    run: Run
+    sensor: Sensor
+    data: TelemetrySet
+    validation: TelemetrySet | None
+    result: Result | None
+
+    @property
+    def is_void(self) -> bool:
+        """Tell whether what was computed does not count."""
+        return self.run.state in TERMINAL_RUN_STATES and self.run.result_sha256 is None
+
+    @property
+    def why_nothing(self) -> str:
+        """Say why there is no result, to follow `No verdict: `."""
+        return {
+            "QUEUED": "the run has not started.",
+            "RUNNING": "the first frames are being read.",
+        }.get(self.run.state, f"the run ended as {self.run.state} before it had a result.")
+
+
+def part_of_page(desk: Desk, part: str) -> dict[str, Any]:
+    """Gather what the template of a part names."""
+    return GATHERED[part](desk)
+
+
+def summary_of(desk: Desk) -> dict[str, Any]:
+    """Gather old and new values; while the run computes its course stands beside them."""
+    live = () if desk.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
+    has_estimate = bool(desk.result and desk.result.get("parameters"))
+    return {
+        "rows": parameter_rows(desk.result) if desk.result and has_estimate else [],
+        "figures": () if desk.is_void else (*live, *CHAPTERS["summary"]),
+    }
+
+
+def charts_of(name: str) -> Callable[[Desk], dict[str, Any]]:
+    """Return what gathers the figures of a chapter."""
+
+    def gather(desk: Desk) -> dict[str, Any]:
+        figures: tuple[Figure, ...] = () if desk.is_void else CHAPTERS[name]
+        return {"figures": figures}
+
+    return gather
+
+
+def convergence_of(desk: Desk) -> dict[str, Any]:
+    """Gather the course of the estimate."""
+    view = view_of(desk.request.query_params, desk.result)
+    return {**charts_of("convergence")(desk), "view": view, "facts": course_facts(desk.result)}
+
+
+def rms_of(desk: Desk) -> dict[str, Any]:
+    """Gather tail, aggregate and held-out errors."""
+    view = view_of(desk.request.query_params, desk.result)
+    tail, facts = tail_facts(desk.result, view)
+    return {**charts_of("rms")(desk), "view": view, "facts": facts, "tail": tail}
+
+
+def observability_of(desk: Desk) -> dict[str, Any]:
+    """Gather what the data see, and which would help."""
+    facts, helpful = sight_facts(desk.result)
+    return {**charts_of("observability")(desk), "facts": facts, "helpful": helpful}
+
+
+def noted(desk: Desk) -> dict[str, Any]:
+    """Gather the notes on the run."""
+    return {"notes": notes.list_notes(desk.session, desk.actor, "runs", desk.run.id)}
+
+
+def logged(desk: Desk) -> dict[str, Any]:
+    """Gather the log."""
+    return log_of(desk.request, desk.session, desk.run)
+
+
+def origin_of(desk: Desk) -> dict[str, Any]:
+    """Gather where the numbers come from, and the command that makes them again."""
+    return {
+        "provenance": provenance_of(desk.run, desk.result),
+        "validation": desk.validation,
+        "data": desk.data,
+        "command": command_of(desk.run, desk.data, desk.validation),
+        "settings_json": json.dumps(desk.run.settings, indent=2, sort_keys=True),
+    }
+
+
+def trust_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
+    """Gather what the trust part shows; `why_nothing` is said where the run has no result."""
+    if not result:
+        return {"marks": [], "said": f"No examination: {why_nothing}", "figures": ()}
+    examined = bool(result.get("trust"))
+    return {
+        "marks": trust_marks(result),
+        "said": why_absent(result, ""),
+        "prospects": prospects(result),
+        "figures": CHAPTERS["trust"] if examined else (),
+        "stars": star_rows(result),
+        "to_flag": to_flag(result),
+        "why_no_stars": why_absent(result, "stars"),
+        "stars_in_all": count((result.get("trust") or {}).get("stars_in_all")),
+    }
+
+
+def matching_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
+    """Gather what the matching part shows."""
+    matching = (result or {}).get("matching") or {}
+    return {
+        "counts": match_counts(matching) if matching else [],
+        "said": why_no_matching(result) if result else f"No matching: {why_nothing}",
+        "facts": match_facts(matching),
+        "reasons": reason_tables(matching),
+        "flight": flight_rows(result or {}),
+        "tolerance": flight_tolerance(result or {}),
+        "side_by_side": side_by_side(result or {}),
+        "cycles": MATCHING if matching else None,
+        "shadow": SHADOW if shown(result or {}) else None,
+    }
+
+
+def marks_of(result: Result | None) -> list[Any]:
+    """Answer the verdict strip's questions, none where nothing was estimated."""
+    return marks(result) if result and result.get("parameters") else []
+
+
+GATHERED: dict[str, Callable[[Desk], dict[str, Any]]] = {
+    "summary": summary_of,
+    "convergence": convergence_of,
+    "rms": rms_of,
+    "distortion": charts_of("distortion"),
+    "observability": observability_of,
+    "residuals": charts_of("residuals"),
+    "trust": lambda desk: {"trust": trust_of(desk.result, desk.why_nothing)},
+    "matching": lambda desk: {"matching": matching_of(desk.result, desk.why_nothing)},
+    "frames": lambda desk: frames_of(desk.session, desk.request, desk.run),
+    "log": logged,
+    "provenance": origin_of,
+    "notes": noted,
+}
+
+
+Standing = tuple[str, str]
+
+TITLES = {
+    "summary": "Summary",
+    "convergence": "Convergence",
+    "rms": "RMS",
+    "distortion": "Distortion",
+    "observability": "Observability",
+    "residuals": "Residuals",
+    "trust": "Trust",
+    "matching": "Matching",
+    "frames": "Frames",
+    "log": "Log",
+    "provenance": "Provenance",
+    "notes": "Notes",
+}
+FORMER = {"estimate": "summary"}  # what a part was called in older links
+NOTHING: Standing = ("off", "")
+
+
+@dataclass(frozen=True)
+class Tab:
+    """A part's name, title and address, and in a word how things stand there; no word where there is nothing to judge."""
+
+    part: str
+    title: str
+    href: str
+    current: bool
+    level: str = "off"
+    word: str = ""
+
+
+def tabs_of(run_id: int, chosen: str, result: Result | None, notes: int = 0) -> list[Tab]:
+    """Lay out the tabs of a run; `notes` is how many there are."""
+    return [
+        Tab(part, title, address_of(run_id, part), part == chosen, *_standing(part, result or {}, notes))
+        for part, title in TITLES.items()
+    ]
+
+
+def address_of(run_id: int, part: str) -> str:
+    """Return the address of a part."""
+    return f"/runs/{run_id}" if part == "summary" else f"/runs/{run_id}?part={part}"
+
+
+def _standing(part: str, result: Result, notes: int) -> Standing:
+    """Say with a level and a word how a part stands."""
+    if part == "notes" and notes:
+        return "standby", count(notes)
+    judge = JUDGES.get(part)
+    return judge(result) if judge and result.get("parameters") else NOTHING
+
+
+def _fit(result: Result) -> Standing:
+    level = verdict(result).level
+    return level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations")
+
+
+def _course(result: Result) -> Standing:
+    if result.get("status") == "running":
+        return "standby", "moving"
+    at = settled_step(result)
+    return ("normal", "settled") if at is not None else ("caution", "not settled")
+
+
+def _rms(result: Result) -> Standing:
+    rms = (result.get("validation") or {}).get("rms_arc_rad") or result.get("rms_arc_rad") or {}
+    before, after = rms.get("initial"), rms.get("final")
+    if before is None or after is None:
+        return NOTHING
+    return ("normal" if after < before else "serious"), f"{urad(after, 3)} µrad"
+
+
+def _observability(result: Result) -> Standing:
+    mark = next(mark for mark in marks(result) if mark.question == "Weakest direction")
+    return (mark.level, mark.word) if mark.word != "NO DATA" else NOTHING
+
+
+def _residuals(result: Result) -> Standing:
+    chi2, per_dof = result.get("chi2") or {}, result.get("chi2_per_dof")
+    if per_dof is None or chi2.get("consistent") is None:
+        return NOTHING
+    return ("normal" if chi2["consistent"] else "caution"), f"χ² {number(per_dof, 3)}"
+
+
+def _trust(result: Result) -> Standing:
+    if not result.get("trust"):
+        return NOTHING
+    doubts = len(trust_doubts(result))
+    return trust_level(result), f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt"
+
+
+def _matching(result: Result) -> Standing:
+    if not result.get("matching"):
+        return NOTHING
+    return ("normal", "rested") if result["matching"].get("rested") else ("caution", "not at rest")
+
+
+JUDGES: dict[str, Callable[[Result], Standing]] = {
+    "summary": _fit,
+    "convergence": _course,
+    "rms": _rms,
+    "observability": _observability,
+    "residuals": _residuals,
+    "trust": _trust,
+    "matching": _matching,
+}
+
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+
+@dataclass(frozen=True)
+class Action:
+    """A button: whether it belongs on the page, and why it cannot be pressed."""
+
+    offered: bool
+    blocked: str | None = None
+
+
+def actions_of(run: Run, actor: Actor) -> dict[str, Action]:
+    """Say what may be done with a run, and by whom."""
+    lacking = None if "analyst" in actor.roles else "Only an analyst may {}; ask an administrator for the role."
+    create = lacking.format("create parameter sets") if lacking else _why_no_set(run)
+    return {
+        "cancel": Action(run.state in {"QUEUED", "RUNNING"}, lacking and lacking.format("cancel runs")),
+        "create": Action(run.state == "SUCCEEDED", create),
+    }
+
+
+def _why_no_set(run: Run) -> str | None:
+    """Say why no parameter set can be made of a run that ended, or None where one can."""
+    status = (run.summary or {}).get("status")
+    if status is None or status in parameter_sets.USABLE_STATUSES:
+        return None
+    return f"No parameter set is made of a result that ended as {words(status)}."
+
+
+def header_of(run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None) -> list[tuple[str, Any]]:
+    """Lay out who ran what on which data, and when."""
+    return [
+        ("Data", _set_link(data)),
+        ("Validation", _set_link(validation) if validation else "none"),
+        ("Launched by", by),
+        ("Launched", utc(run.launched_utc)),
+        ("Started", utc(run.started_utc)),
+        ("Ended", utc(run.ended_utc)),
+        ("Duration", duration(seconds_of(run))),
+        ("Attempt", count(run.attempt) if run.attempt else MISSING),
+    ]
+
+
+def _set_link(data: TelemetrySet) -> Markup:
+    link = Markup('<a href="/telemetry/{}">{}</a> ').format(data.id, data.name)
+    return link + short_hash(data.original_sha256)
+
+
+@router.get("/runs/{run_id:int}", response_class=HTMLResponse)
+def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "summary") -> HTMLResponse:
+    """Show a run: its head and verdict, and one of its parts."""
+    part = FORMER.get(part, part)
+    if part not in TITLES:
+        raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(TITLES)}.")
+    desk = desk_of(request, session, actor, run_id)
+    run, result = desk.run, desk.result
+    return render(
+        request,
+        "runs/run.html",
+        run=run,
+        terminal=run.state in TERMINAL_RUN_STATES,
+        sensor=desk.sensor,
+        method=title_of(run.method),
+        **head_of(desk),
+        **live_of(request, session, run),
+        result=result,
+        partial=run.result_sha256 is None,
+        marks=marks_of(result),
+        judged=verdict(result) if marks_of(result) and result else None,
+        part=part,
+        tabs=tabs_of(run_id, part, result, notes.count_notes(session, "runs", run_id)),
+        advice=list((result or {}).get("advice") or ()),
+        no_result=desk.why_nothing,
+        wide=WIDE,
+        **part_of_page(desk, part),
+    )
+
+
+def desk_of(request: Request, session: Session, actor: Actor, run_id: int) -> Desk:
+    """Fetch a run with its sensor, its data and what it has found so far."""
+    run = runs.get_run(session, run_id)
+    is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
+    return Desk(
+        request=request,
+        session=session,
+        actor=actor,
+        run=run,
+        sensor=sensors.get_sensor(session, run.sensor_id),
+        data=telemetry_sets.get_telemetry_set(session, run.telemetry_set_id),
+        validation=_validation_of(session, run),
+        result=None if is_void else runs.result(session, request.app.state.blobs, run_id),
+    )
+
+
+def _validation_of(session: Session, run: Run) -> TelemetrySet | None:
+    number = run.validation_set_id
+    return None if number is None else telemetry_sets.get_telemetry_set(session, number)
+
+
+def head_of(desk: Desk) -> dict[str, Any]:
+    """Gather what stands above the tabs: who ran what, what may be done with it, and the runs beside it."""
+    actions, made = actions_of(desk.run, desk.actor), parameter_set_of(desk.session, desk.run)
+    by = read_names(desk.session).person(desk.run.launched_by)
+    return {
+        "actions": actions,
+        "blocked": sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
+        "parameter_set": made,
+        "gates": gates_of(desk.session, made),
+        "header": header_of(desk.run, by, desk.data, desk.validation),
+        "neighbours": neighbours(desk.session, desk.run.id),
+    }
+
+
+def gates_of(session: Session, made: ParameterSet | None) -> dict[str, Any] | None:
+    """Read the newest gate report of a run's set, a row a gate; None where the run has no set, no rows before it is assessed."""
+    if made is None:
+        return None
+    report = gates.newest_report(session, made.id)
+    if report is None:
+        return {"words": "", "rows": []}
+    document = gates.with_waivers(session, report)
+    return {"words": document["words"], "rows": gate_rows(document)}
+
+
+def parameter_set_of(session: Session, run: Run) -> ParameterSet | None:
+    """Return the set that was made from a run, if one was."""
+    return parameter_sets.set_of_run(session, run.id)
+
+
+@router.post("/runs/{run_id:int}/parameter-set")
+async def create_parameter_set(request: Request, actor: Who, run_id: int) -> Response:
+    """Make a candidate set from a run's result."""
+    blobs = request.app.state.blobs
+    outcome = await attempt(request, partial(parameter_sets.create_from_run, actor=actor, blobs=blobs, run_id=run_id))
+    if outcome.refusal is not None:
+        return redirect_refused(f"/runs/{run_id}", outcome.refusal)
+    return redirect(f"/parameter-sets/{outcome.made.id}", flash=f"{outcome.made.name} is a candidate.")

@@ -1,0 +1,245 @@
+"""Presets: settings under a name, each with a sentence on when to use them.
+
+Some come with Boresight; the others are the mission's own, saved by an analyst. A saved preset never changes: saving under the same
+name makes its next version, and what was launched with an older one still says so. Archiving takes a version out of the choice.
+
+Queries on presets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+
+from boresight.calibration.options import CalibrationSettings
+from boresight.console import list_queries as lists
+from boresight.console.runs.tables import Preset
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.web.words import normal_name, refuse_control_characters
+
+
+def newest_of_name(session: Session, name: str) -> Preset | None:
+    """Return the newest version of a name, archived or not."""
+    return session.scalar(sa.select(Preset).where(Preset.name == name).order_by(Preset.number.desc()).limit(1))
+
+
+def newest_in_use(session: Session) -> Sequence[Preset]:
+    """Return the newest version of every name that is not archived, by name."""
+    newest = sa.select(sa.func.max(Preset.id)).where(Preset.archived_utc.is_(None)).group_by(Preset.name)
+    return session.scalars(sa.select(Preset).where(Preset.id.in_(newest)).order_by(Preset.name)).all()
+
+
+NAME_LENGTH = 60
+SENTENCE_LENGTH = 300
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A preset as it is chosen.
+
+    Parameters
+    ----------
+    key
+        What an address calls it: a word of Boresight's own, or the number of a saved version.
+    name
+        With the version where it was saved.
+    sentence
+        When to use it.
+    settings
+        Every one, absent choices at their defaults.
+    """
+
+    key: str
+    name: str
+    sentence: str
+    settings: Mapping[str, Any]
+
+
+def _own(key: str, name: str, sentence: str, **chosen: Any) -> Offer:
+    return Offer(key, name, sentence, CalibrationSettings.parse(chosen).document())
+
+
+BUILT_IN = (
+    _own(
+        "first-calibration",
+        "First calibration",
+        "For a new sensor or a new set: all frames at once by least squares, stars matched again as parameters improve.",
+    ),
+    _own(
+        "drift-tracking",
+        "Drift tracking",
+        "When parameters move with temperature or age: frame by frame, with room for a small drift between frames.",
+        method="sqrf",
+        variant="q",
+    ),
+    _own(
+        "quick-look",
+        "Quick look",
+        "Minutes after a pass: the file's own matches and few iterations say whether a set is worth a full run.",
+        match="given",
+        max_iterations=10,
+    ),
+    _own(
+        "suspect-matches",
+        "Suspect matches",
+        "When false stars are likely, after a radiation storm or a bright field: Huber's loss bounds what each may say.",
+        robust="huber",
+        leave_out_doubles=True,
+    ),
+    _own(
+        "enright",
+        "Paper's settings (Enright)",
+        "To compare with the paper: its square-root filter without process noise, one linearisation a frame, over-confident.",
+        method="sqrf",
+        linearisations=1,
+    ),
+    _own(
+        "wu",
+        "Wu's singular values",
+        "To compare with Wu et al.: singular values of star combinations under Model 4, one linearisation a frame.",
+        method="svd",
+        linearisations=1,
+    ),
+)
+_BY_KEY = {offer.key: offer for offer in BUILT_IN}
+
+
+def offers(session: Session) -> list[Offer]:
+    """Return what can be chosen: Boresight's own, then the newest version of each of the mission's, by name."""
+    return [*BUILT_IN, *map(offer_of, newest_in_use(session))]
+
+
+def offer_of(row: Preset) -> Offer:
+    """Return a saved version as it is chosen; settings that came after it was saved are at their defaults."""
+    return Offer(str(row.id), f"{row.name}, version {row.number}", row.sentence, _whole(row.document))
+
+
+def _whole(document: Mapping[str, Any]) -> dict[str, Any]:
+    return CalibrationSettings.parse(document).document()
+
+
+def get_offer(session: Session, key: str) -> Offer:
+    """Return the preset that an address names, archived or not.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none.
+    """
+    if key in _BY_KEY:
+        return _BY_KEY[key]
+    if key.isdecimal() and len(key) < 10:
+        return offer_of(get_preset(session, int(key)))
+    raise NotFoundError(f"There is no preset {key!r}; choose one of the list.")
+
+
+def get_preset(session: Session, preset_id: int) -> Preset:
+    """Return a saved version.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Preset, preset_id)
+    if row is None:
+        raise NotFoundError(f"There is no preset {preset_id}; choose one of the list.")
+    return row
+
+
+def list_presets(
+    session: Session, *, archived: bool = False, before_id: int | None = None, limit: int | None = None
+) -> Sequence[Preset]:
+    """Return a page of saved versions, newest first, the archived ones where asked."""
+    return lists.newest(session, Preset, before_id=before_id, limit=limit, in_use=None if archived else True)
+
+
+def save_preset(session: Session, actor: Actor, name: str, sentence: str, settings: Mapping[str, Any]) -> Preset:
+    """Save settings under a name; a name that is there gets its next version.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    RefusedInputError
+        When name or sentence are missing or too long, or a setting cannot be used.
+    ConflictError
+        When the newest version of the name says the same already.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    name, sentence = normal_name("name", name), sentence.strip()
+    _refuse_words(name, sentence)
+    document = _whole(settings)
+    before = newest_of_name(session, name)
+    if (
+        before is not None
+        and before.archived_utc is None
+        and (before.document, before.sentence) == (document, sentence)
+    ):
+        raise ConflictError(f"Version {before.number} of {name} says the same already; choose it from the list.")
+    row = Preset(
+        name=name,
+        number=1 if before is None else before.number + 1,
+        sentence=sentence,
+        document=document,
+        created_utc=utc_now(),
+        created_by=actor.user_id,
+    )
+    session.add(row)
+    session.flush()
+    after = {"name": name, "number": row.number, "sentence": sentence, "settings": document}
+    audit.append(session, actor, "saved", f"presets/{row.id}", None if before is None else before.document, after)
+    return row
+
+
+def _refuse_words(name: str, sentence: str) -> None:
+    """Refuse a name or a sentence that would not do in a list."""
+    if not name or len(name) > NAME_LENGTH:
+        raise RefusedInputError(f"Give the preset a name of up to {NAME_LENGTH} characters.")
+    if not sentence or len(sentence) > SENTENCE_LENGTH:
+        raise RefusedInputError(f"Say in a sentence of up to {SENTENCE_LENGTH} characters when to use {name}.")
+    if name.casefold() in {offer.name.casefold() for offer in BUILT_IN}:
+        raise RefusedInputError(f"{name} comes with Boresight; choose another name.")
+    refuse_control_characters(sentence=sentence)
+
+
+def archive_preset(session: Session, actor: Actor, preset_id: int) -> Preset:
+    """Take a saved version out of the choice; nothing is deleted.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    NotFoundError
+        When there is none with this number.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    row = get_preset(session, preset_id)
+    if row.archived_utc is None:
+        row.archived_utc = utc_now()
+        audit.append(session, actor, "archived", f"presets/{row.id}")
+    return row
+
+
+def chosen_settings(
+    session: Session, preset: str | None, settings: Mapping[str, Any]
+) -> tuple[str | None, dict[str, Any]]:
+    """Return the name of a preset and its settings with those given over them; without a preset those given alone.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such preset.
+    """
+    if not preset:
+        return None, dict(settings)
+    offer = get_offer(session, preset)
+    return offer.name, {**offer.settings, **settings}

@@ -1,0 +1,400 @@
+"""Runs: the row is the truth, and this is every way it changes.
+
+A run is held by one owner at a time, for the time of a lease, under an attempt number that only grows::
+
+    QUEUED --claim--> RUNNING --finish--> SUCCEEDED | FAILED
+      |  ^               |
+      |  +---put back----+            (its worker or server was lost, or its server stops)
+      v                  v
+    CANCELLED       CANCELLING --finish--> CANCELLED
+
+Fencing: whoever computes writes back `WHERE id AND attempt AND state IN (RUNNING, CANCELLING)`, and claiming adds one
+to `attempt`. So a late result of an old attempt matches no row, and a terminal state is written once. A run that was
+asked to stop never ends as anything but CANCELLED. An event of kind `lost` is written for every attempt that died; as
+many of them as allowed end the run: FAILED when its worker processes died, LOST when only its servers were seen to go.
+The end is put on record in the transaction that writes it; what passes before it is not.
+
+What is to be computed: the runs that nobody holds with what decides how long each takes, and all that a claimed one needs.
+
+Reading many runs: pages of the list, counts, and what past runs tell about the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import sqlalchemy as sa
+from sqlalchemy.orm import aliased
+
+from boresight.console.runs.run_events import Line, write_event, write_events
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run, RunEvent
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.audit import chain, seals
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import Session, utc_after, utc_now
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A run that nobody holds, with what decides how long it will take."""
+
+    run_id: int
+    attempt: int
+    method: str
+    settings: Mapping[str, Any]
+    frames: int
+    stars: int
+
+
+@dataclass(frozen=True)
+class Claimed:
+    """A run that is now ours: all that its computation needs."""
+
+    run_id: int
+    attempt: int
+    settings: Mapping[str, Any]
+    sensor_document: Mapping[str, Any]
+    table_sha256: str
+    validation_sha256: str | None
+
+
+def waiting_runs(session: Session, limit: int) -> list[Waiting]:
+    """Return the QUEUED runs, oldest first."""
+    query = (
+        sa.select(Run.id, Run.attempt, Run.method, Run.settings, TelemetrySet.frames, TelemetrySet.stars)
+        .join(TelemetrySet, TelemetrySet.id == Run.telemetry_set_id)
+        .where(Run.state == "QUEUED")
+        .order_by(Run.id)
+        .limit(limit)
+    )
+    return [Waiting(*row) for row in session.execute(query)]
+
+
+def claimed_runs(session: Session, run_ids: Sequence[int]) -> list[Claimed]:
+    """Read what the computation of claimed runs needs, in the order of their ids."""
+    validation = aliased(TelemetrySet)
+    query = (
+        sa.select(
+            Run.id,
+            Run.attempt,
+            Run.settings,
+            Run.sensor_document,
+            TelemetrySet.table_sha256,
+            validation.table_sha256,
+        )
+        .join(TelemetrySet, TelemetrySet.id == Run.telemetry_set_id)
+        .outerjoin(validation, validation.id == Run.validation_set_id)
+        .where(Run.id.in_(run_ids))
+        .order_by(Run.id)
+    )
+    return [Claimed(*row) for row in session.execute(query)]
+
+
+HELD = ("RUNNING", "CANCELLING")
+Held = tuple[int, int]  # (run id, attempt)
+
+
+def add_run(session: Session, **values: Any) -> Run:
+    """Insert a run as QUEUED and return its row."""
+    run = Run(state="QUEUED", attempt=0, cancel_requested=0, launched_utc=utc_now(), **values)
+    session.add(run)
+    session.flush()
+    write_event(session, run.id, 0, Line.moved("QUEUED"))
+    return run
+
+
+def find_run(session: Session, run_id: int) -> Run | None:
+    """Return the run's row, or None."""
+    return session.get(Run, run_id, populate_existing=True)
+
+
+def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
+    """Stop a run: QUEUED ends at once, RUNNING becomes CANCELLING; any other state stays. Return the row."""
+    row = session.execute(
+        sa.update(Run)
+        .where(Run.id == run_id, Run.state.in_(("QUEUED", "RUNNING")))
+        .values(
+            cancel_requested=1,
+            reason=reason,
+            ended_utc=sa.case((Run.state == "QUEUED", utc_now()), else_=None),
+            state=sa.case((Run.state == "QUEUED", "CANCELLED"), else_="CANCELLING"),
+        )
+        .returning(Run.attempt, Run.state)
+        .execution_options(synchronize_session=False, **seals.BULK)
+    ).first()
+    if row is not None:
+        write_event(session, run_id, row.attempt, Line.moved(row.state, reason))
+        if row.state in TERMINAL_RUN_STATES:
+            seals.note(session, Run, run_id)
+    return find_run(session, run_id)
+
+
+def claim(
+    session: Session, owner: str, lease_s: float, limit: int, run_ids: Collection[int] | None = None
+) -> list[Claimed]:
+    """Take up to `limit` QUEUED runs, oldest first, each under its next attempt number.
+
+    With `run_ids` only of these; those that are not QUEUED any more are somebody else's.
+    """
+    free = sa.select(Run.id).where(Run.state == "QUEUED").order_by(Run.id).limit(limit)
+    if run_ids is not None:
+        free = free.where(Run.id.in_(run_ids))
+    free = free.with_for_update(skip_locked=True)
+    taken = session.execute(
+        sa.update(Run)
+        .where(Run.id.in_(free.scalar_subquery()))
+        .values(
+            state="RUNNING",
+            attempt=Run.attempt + 1,
+            owner=owner,
+            lease_until_utc=utc_after(lease_s),
+            started_utc=utc_now(),
+            progress=sa.null(),
+        )
+        .returning(Run.id, Run.attempt)
+        .execution_options(synchronize_session=False, **seals.BULK)
+    ).all()
+    held = sorted((run_id, attempt) for run_id, attempt in taken)
+    write_events(session, [(*one, Line.begun(one[1], owner)) for one in held])
+    return claimed_runs(session, [run_id for run_id, _ in held])
+
+
+def _fenced(held: Held) -> sa.Update:
+    """Begin a write-back that matches only while this attempt still holds the run."""
+    run_id, attempt = held
+    return (
+        sa.update(Run)
+        .where(Run.id == run_id, Run.attempt == attempt, Run.state.in_(HELD))
+        .execution_options(synchronize_session=False, **seals.BULK)
+    )
+
+
+def renew(session: Session, owner: str, lease_s: float, run_ids: Collection[int]) -> dict[Held, str]:
+    """Renew the leases of our runs; return the state of each that is still ours, by id and attempt."""
+    rows = session.execute(
+        sa.update(Run)
+        .where(Run.id.in_(run_ids), Run.owner == owner, Run.state.in_(HELD))
+        .values(lease_until_utc=utc_after(lease_s))
+        .returning(Run.id, Run.attempt, Run.state)
+        .execution_options(synchronize_session=False, **seals.BULK)
+    )
+    return {(run_id, attempt): state for run_id, attempt, state in rows}
+
+
+def states_of(session: Session, run_ids: Collection[int]) -> dict[Held, str]:
+    """Return the state of runs by id and attempt."""
+    rows = session.execute(sa.select(Run.id, Run.attempt, Run.state).where(Run.id.in_(run_ids)))
+    return {(run_id, attempt): state for run_id, attempt, state in rows}
+
+
+def record_progress(session: Session, run_id: int, attempt: int, progress: Mapping[str, Any]) -> bool:
+    """Write how far a run is; False when this attempt no longer holds it."""
+    return _matched(session, _fenced((run_id, attempt)).values(progress=dict(progress)))
+
+
+@dataclass(frozen=True)
+class End:
+    """How an attempt ended: the terminal state asked for and why, its result with the bytes of it, lines for the log.
+
+    `corrupt_sha256` is the address of a stored file that the attempt found corrupt.
+    """
+
+    run_id: int
+    attempt: int
+    state: str
+    reason: str | None = None
+    result_sha256: str | None = None
+    summary: Mapping[str, Any] | None = None
+    result_bytes: int = 0
+    log: Sequence[Line] = ()
+    corrupt_sha256: str | None = None
+
+
+def finish(
+    session: Session,
+    run_id: int,
+    attempt: int,
+    state: str,
+    reason: str | None = None,
+    result_sha256: str | None = None,
+    summary: Mapping[str, Any] | None = None,
+    result_bytes: int = 0,
+) -> str | None:
+    """Write one run's end, once; see `finish_all`."""
+    end = End(run_id, attempt, state, reason, result_sha256, summary, result_bytes)
+    return finish_all(session, [end]).get((run_id, attempt))
+
+
+def finish_all(session: Session, ends: Sequence[End]) -> dict[Held, str]:
+    """Write how runs ended, each once, however many in a few statements.
+
+    Returns
+    -------
+    dict
+        The terminal state written for each attempt: the one asked for, or CANCELLED when the run had been asked to stop. An
+        attempt that no longer held its run is missing, and nothing was written for it.
+    """
+    if strange := {end.state for end in ends}.difference(TERMINAL_RUN_STATES):
+        raise ValueError(f"Expected some of {TERMINAL_RUN_STATES} / Received {strange}")
+    now, held = utc_now(), _held(session, [end.run_id for end in ends])
+    written = [_as_asked(end, held[end.run_id, end.attempt]) for end in ends if (end.run_id, end.attempt) in held]
+    _register_results(session, written, now)
+    _write_ends(session, [end for end in written if end.result_sha256 is None], now)
+    _write_ends(session, [end for end in written if end.result_sha256 is not None], now, progress=None)
+    write_events(
+        session,
+        [(end.run_id, end.attempt, line) for end in written for line in (*end.log, Line.moved(end.state, end.reason))],
+    )
+    for end in written:
+        seals.note(session, Run, end.run_id)
+        after = {"state": end.state, "result_sha256": end.result_sha256}
+        chain.append_own(session, "ended", f"runs/{end.run_id}", after=after, reason=end.reason)
+    return {(end.run_id, end.attempt): end.state for end in written}
+
+
+def _held(session: Session, run_ids: Collection[int]) -> dict[Held, tuple[str, str | None]]:
+    """Return state and reason of those runs that an attempt holds. It stays so until the commit: there is one writer at a time."""
+    query = sa.select(Run.id, Run.attempt, Run.state, Run.reason).where(Run.id.in_(run_ids), Run.state.in_(HELD))
+    return {(run_id, attempt): (state, reason) for run_id, attempt, state, reason in session.execute(query)}
+
+
+def _as_asked(end: End, found: tuple[str, str | None]) -> End:
+    """Return an end as CANCELLED where its run was asked to stop."""
+    state, reason = found
+    return End(end.run_id, end.attempt, "CANCELLED", reason, log=end.log) if state == "CANCELLING" else end
+
+
+def _write_ends(session: Session, ends: Sequence[End], now: str, **also: Any) -> None:
+    """Write ends into their rows, fenced; progress is kept where there is no result.
+
+    Raises
+    ------
+    RuntimeError
+        When a row did not match although this transaction has just seen it: nothing is committed.
+    """
+    if not ends:
+        return
+    runs, names = cast("sa.Table", Run.__table__), ("state", "reason", "result_sha256", "summary")
+    is_held = sa.or_(*(runs.c.state == state for state in HELD))  # an IN would not go with many rows at once
+    fenced = (runs.c.id == sa.bindparam("held"), runs.c.attempt == sa.bindparam("under"), is_held)
+    fixed = {"ended_utc": now, "lease_until_utc": None} | also
+    write = sa.update(runs).where(*fenced).values({**fixed, **{name: sa.bindparam(f"new_{name}") for name in names}})
+    rows = [
+        {"held": end.run_id, "under": end.attempt, **{f"new_{name}": getattr(end, name) for name in names}}
+        for end in ends
+    ]
+    if session.connection().execute(write, rows).rowcount != len(rows):
+        raise RuntimeError(f"Expected {len(rows)} runs to end / Received another number")
+
+
+def _register_results(session: Session, ends: Sequence[End], now: str) -> None:
+    """Name the results' bytes, which the workers have put already; a worker may be on another machine."""
+    sizes = {end.result_sha256: end.result_bytes for end in ends if end.result_sha256 is not None}
+    known = set(session.scalars(sa.select(Blob.sha256).where(Blob.sha256.in_(sizes))))
+    rows = [
+        {"sha256": sha256, "size_bytes": size, "media_type": "application/json", "created_utc": now}
+        for sha256, size in sizes.items()
+        if sha256 not in known
+    ]
+    if rows:
+        session.execute(sa.insert(Blob), rows)
+
+
+def put_back(session: Session, run_id: int, attempt: int, cause: str) -> bool:
+    """Queue a run again whose attempt ended through no fault of its own; it does not count against the run."""
+    return _put_back(session, (run_id, attempt), cause, is_lost=False)
+
+
+def give_up_attempt(
+    session: Session, run_id: int, attempt: int, cause: str, max_attempts: int, *, end_state: str = "FAILED"
+) -> str | None:
+    """Count a lost attempt: queue the run again, or end it when it lost too many.
+
+    Returns
+    -------
+    str or None
+        The state the run is in now, None when this attempt no longer held it.
+    """
+    lost = session.scalar(
+        sa.select(sa.func.count()).where(RunEvent.run_id == run_id, RunEvent.kind == "lost"),
+    )
+    times = 1 + (lost or 0)
+    if times >= max_attempts:
+        reason = f"Given up after {times} lost attempt{'s' * (times > 1)}, the last because {cause}."
+        written = finish(session, run_id, attempt, end_state, reason)
+        if written is not None:
+            write_event(session, run_id, attempt, Line.attempt_ended(attempt, cause, is_lost=True))
+        return written
+    return "QUEUED" if _put_back(session, (run_id, attempt), cause, is_lost=True) else None
+
+
+def _put_back(session: Session, held: Held, cause: str, *, is_lost: bool) -> bool:
+    """Queue a run again under a line of its log; one that was asked to stop ends instead."""
+    if states_of(session, [held[0]]).get(held) == "CANCELLING":
+        return finish(session, *held, "CANCELLED") is not None
+    write = _fenced(held).values(state="QUEUED", owner=None, lease_until_utc=None, progress=sa.null())
+    if not _matched(session, write):
+        return False
+    lines = (Line.attempt_ended(held[1], cause, is_lost=is_lost), Line.queued_again(cause))
+    write_events(session, [(*held, line) for line in lines])
+    return True
+
+
+def give_up_expired(session: Session, max_attempts: int) -> list[Held]:
+    """Give up every attempt whose lease has lapsed: its server is gone. Return them."""
+    query = sa.select(Run.id, Run.attempt, Run.owner).where(Run.state.in_(HELD), Run.lease_until_utc < utc_now())
+    lapsed = session.execute(query.with_for_update(skip_locked=True)).all()
+    for run_id, attempt, owner in lapsed:
+        cause = f"its server {owner} was not heard of any more"
+        give_up_attempt(session, run_id, attempt, cause, max_attempts, end_state="LOST")
+    return [(run_id, attempt) for run_id, attempt, _ in lapsed]
+
+
+def _matched(session: Session, statement: sa.Update) -> bool:
+    """Say whether an update changed a row."""
+    return session.execute(statement.returning(Run.id)).first() is not None
+
+
+def runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
+    """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
+    uses = sa.or_(Run.telemetry_set_id == telemetry_set_id, Run.validation_set_id == telemetry_set_id)
+    newest = list(session.scalars(sa.select(Run).where(uses).order_by(Run.id.desc()).limit(limit)))
+    return newest, session.scalar(sa.select(sa.func.count()).select_from(Run).where(uses)) or 0
+
+
+def newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
+    """Return a sensor's newest runs that succeeded, those with a validation set before all others."""
+    query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED")
+    return list(session.scalars(query.order_by(Run.validation_set_id.is_(None), Run.id.desc()).limit(limit)))
+
+
+def count_queued_before(session: Session, run_id: int) -> int:
+    """Count the runs that wait longer than one."""
+    query = sa.select(sa.func.count()).select_from(Run).where(Run.state == "QUEUED", Run.id < run_id)
+    return session.scalar(query) or 0
+
+
+def neighbours(session: Session, run_id: int) -> tuple[int | None, int | None]:
+    """Return the numbers of the runs before and after one, None at an end."""
+    before = session.scalar(sa.select(sa.func.max(Run.id)).where(Run.id < run_id))
+    return before, session.scalar(sa.select(sa.func.min(Run.id)).where(Run.id > run_id))
+
+
+def count_by_state(session: Session) -> dict[str, int]:
+    """Count the runs of each state that has any."""
+    rows = session.execute(sa.select(Run.state, sa.func.count()).group_by(Run.state))
+    return {row[0]: row[1] for row in rows}
+
+
+def recent_runs(session: Session, method: str, limit: int) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Return settings and summary of the newest runs of a method that succeeded."""
+    query = sa.select(Run.settings, Run.summary).where(Run.state == "SUCCEEDED", Run.method == method)
+    newest = session.execute(query.where(Run.summary.is_not(None)).order_by(Run.id.desc()).limit(limit))
+    return [(settings, summary) for settings, summary in newest if summary]
+
+
+def sensors_of(session: Session, run_ids: Collection[int]) -> list[int]:
+    """Return the sensors that some runs are of, each once."""
+    return list(session.scalars(sa.select(Run.sensor_id).where(Run.id.in_(run_ids)).distinct().order_by(Run.sensor_id)))

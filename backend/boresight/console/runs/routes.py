@@ -1,0 +1,241 @@
+"""Runs: launch, follow, stop; the calibration, its log and its report.
+
+Presets: settings under a name, Boresight's own and the mission's.
+
+Frames of a run: listed, worst first where asked, and one with every star, residual and attitude.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import Path, Query
+from fastapi.responses import HTMLResponse
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.console import schemas as console_schemas
+from boresight.console.access.dependencies import (
+    Blobs,
+    Held,
+    OnlyAsked,
+    Reading,
+    SeenTag,
+    ServerSettings,
+    Sighted,
+    Stars,
+    Who,
+    Writing,
+)
+from boresight.console.operation import Answer, Beside, json_response, operations
+from boresight.console.runs import frames, presets, schemas
+from boresight.console.runs import service as runs
+from boresight.console.runs.calibration_document import Calibration
+from boresight.console.runs.frames import FrameLine
+from boresight.console.runs.presets import BUILT_IN, Offer
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
+from boresight.figures.report import render_report
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.keeping import SAME_FOR_ALL, whole_tag
+from boresight.platform.web.paging import GREATEST_ID, Id, Listing, Page, Paged
+
+router = operations("/runs", tags=["runs"])
+
+
+class Launch(BaseModel):
+    """A calibration to be made."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {"sensor_id": 1, "telemetry_set_id": 1, "settings": {"method": "batch"}, "label": "first look"}
+            ]
+        },
+    )
+    sensor_id: Id
+    telemetry_set_id: Id
+    settings: console_schemas.Settings = Field(
+        default_factory=dict, description="Method, variant, free parameters and so on."
+    )
+    validation_set_id: Id | None = Field(None, description="A set that is held out and only judged with.")
+    label: str = ""
+    validate_only: bool = Field(
+        default=False, description="Check everything, change nothing, and say what it would be."
+    )
+
+
+class Cancellation(BaseModel):
+    """Why a run is stopped."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: str = ""
+
+
+@router.get("", summary="List runs", response_model=Page[schemas.Run], dependencies=[SAME_FOR_ALL])
+def list_runs(
+    session: Reading,
+    page: Paged,
+    sensor_id: Id | None = None,
+    telemetry_set_id: Id | None = None,
+    method: str | None = None,
+    state: Annotated[list[schemas.RunState] | None, Query(description="Repeat for several.")] = None,
+) -> Listing[Run]:
+    """List runs, newest first."""
+    found = runs.list_runs(
+        session,
+        sensor_id=sensor_id,
+        telemetry_set_id=telemetry_set_id,
+        method=method,
+        state=state,
+        before_id=page.last_id,
+        limit=page.limit + 1,
+    )
+    return page.cut(found)
+
+
+@router.post(
+    "",
+    summary="Launch a run",
+    status_code=202,
+    response_model=schemas.Run,
+    responses={200: {"model": schemas.DryRun, "description": "The dry run of `validate_only`."}},
+)
+def launch_run(order: Launch, actor: Who, session: Writing, asked: OnlyAsked, sight: Sighted) -> Run | Answer:
+    """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be and would know."""
+    made = runs.launch(
+        session,
+        actor,
+        order.sensor_id,
+        order.telemetry_set_id,
+        order.settings,
+        validation_set_id=order.validation_set_id,
+        label=order.label,
+        validate_only=asked or order.validate_only,
+        sight=sight,
+    )
+    return Answer(made, shape=schemas.DryRun, is_trial=True) if isinstance(made, dict) else made
+
+
+@router.get("/{run_id}", summary="Read a run", response_model=schemas.Run, dependencies=[SAME_FOR_ALL])
+def get_run(run_id: Id, session: Reading, request: Request) -> Run:
+    """Read a run: its state, its progress, and when it has ended its summary."""
+    row = runs.get_run(session, run_id)
+    whole_tag(request, holds=row.state in TERMINAL_RUN_STATES)  # while it runs its progress moves under one tag
+    return row
+
+
+@router.post("/{run_id}:cancel", summary="Stop a run", response_model=schemas.Run)
+def cancel_run(
+    run_id: Id, actor: Who, seen: SeenTag, session: Writing, cancellation: Cancellation | None = None
+) -> Run:
+    """Stop a run: one that waits ends at once, one that computes as soon as it notices. The ETag is that of the run."""
+    seen.require(schemas.Run, runs.get_run(session, run_id), f"Run {run_id}")
+    return runs.cancel(session, actor, run_id, cancellation.reason if cancellation else "")
+
+
+@router.get("/{run_id}/result", summary="Read the calibration", response_model=Calibration)
+def get_run_result(run_id: Id, session: Reading, blobs: Blobs) -> Response:
+    """Read the calibration JSON; while the run computes, what there is so far with status `running`."""
+    return json_response(result_so_far(session, blobs, run_id))
+
+
+@router.get("/{run_id}/log", summary="Read the log", response_model=Page[schemas.LogLine], dependencies=[SAME_FOR_ALL])
+def get_run_log(run_id: Id, session: Reading, page: Paged) -> Listing[RunEvent]:
+    """Read a run's log in the order it happened."""
+    return page.cut(runs.log_lines(session, run_id, after_id=page.last_id or 0, limit=page.limit + 1))
+
+
+@router.get("/{run_id}/report", summary="Read the report", response_class=HTMLResponse)
+def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: Held) -> HTMLResponse:
+    """Read the report of a run that has ended: one HTML file that needs nothing else, figures included."""
+    report = render_report(runs.final_result(session, blobs, run_id), four_eyes=policy.four_eyes)
+    headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}
+    return HTMLResponse(report, headers=headers)
+
+
+def result_so_far(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:
+    """Return a run's calibration, complete or so far; with nothing yet, one that only says that it runs."""
+    found = runs.result(session, blobs, run_id)
+    return found if found is not None else _nothing_yet(runs.get_run(session, run_id).state)
+
+
+def _nothing_yet(state: str) -> dict[str, Any]:
+    """Say as a calibration that there is none."""
+    status: Literal["running", "none"] = "running" if state in {"QUEUED", "RUNNING", "CANCELLING"} else "none"
+    return {"schema": "boresight.calibration/1", "status": status, "run_state": state}
+
+
+preset_router = operations("/presets", tags=["runs"])
+
+
+class NewPreset(BaseModel):
+    """Settings to keep under a name."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(examples=["Thermal season"])
+    sentence: str = Field(description="When to use it.", examples=["While the radiator faces the Sun."])
+    settings: console_schemas.Settings = Field(default_factory=dict)
+
+
+def _own(offer: Offer) -> Beside:
+    """Return one of Boresight's own."""
+    return Beside(offer, **dict.fromkeys(("id", "number", "created_utc", "created_by", "archived_utc")))
+
+
+def _saved(row: Preset) -> Beside:
+    """Return a saved version."""
+    return Beside(row, key=str(row.id), settings=row.document)
+
+
+@preset_router.get("", summary="List presets", response_model=Page[schemas.Preset])
+def list_presets(session: Reading, page: Paged, archived: bool = False) -> Listing[Beside]:
+    """List saved versions, newest first, with the archived ones where asked; the first page begins with Boresight's own."""
+    found = presets.list_presets(session, archived=archived, before_id=page.last_id, limit=page.limit + 1)
+    saved = page.cut(found, _saved)
+    own = [_own(offer) for offer in BUILT_IN] if page.last_id is None else []
+    return Listing([*own, *saved.items], saved.next)
+
+
+@preset_router.post("", summary="Save a preset", status_code=201, response_model=schemas.Preset)
+def save_preset(preset: NewPreset, actor: Who, session: Writing) -> Beside:
+    """Keep settings under a name; a name that is there gets its next version."""
+    return _saved(presets.save_preset(session, actor, preset.name, preset.sentence, preset.settings))
+
+
+@preset_router.get("/{preset_id}", summary="Read a preset", response_model=schemas.Preset)
+def get_preset(preset_id: Id, session: Reading) -> Beside:
+    """Read a saved version, archived or not."""
+    return _saved(presets.get_preset(session, preset_id))
+
+
+@preset_router.post("/{preset_id}:archive", summary="Archive a preset", response_model=schemas.Preset)
+def archive_preset(preset_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
+    """Take a version out of the choice; nothing is deleted."""
+    seen.require(schemas.Preset, presets.get_preset(session, preset_id), f"Preset {preset_id}")
+    return _saved(presets.archive_preset(session, actor, preset_id))
+
+
+Order = Annotated[
+    Literal["frame", "worst"],
+    Query(description="`worst`: those that the result explains worst, at most a few hundred, first."),
+]
+FrameNumber = Annotated[int, Path(ge=-GREATEST_ID, le=GREATEST_ID, description="As the telemetry numbers it.")]
+
+
+@router.get("/{run_id}/frames", summary="List the frames", response_model=Page[schemas.FrameLine])
+def list_frames(run_id: Id, session: Reading, blobs: Blobs, page: Paged, order: Order = "frame") -> Listing[FrameLine]:
+    """List the frames of a run's calibration set."""
+    return page.cut(
+        frames.list_frames(session, blobs, run_id, order=order, after=page.last_id or 0, limit=page.limit + 1)
+    )
+
+
+@router.get("/{run_id}/frames/{frame}", summary="Read a frame", response_model=schemas.RunFrame)
+def get_frame(
+    run_id: Id, frame: FrameNumber, session: Reading, blobs: Blobs, stars: Stars, settings: ServerSettings
+) -> Response:
+    """Read one frame: its stars, matches, residuals and attitudes under the old and the new parameters."""
+    return json_response(frames.get_frame(session, blobs, stars(), settings.catalogue_folder, run_id, frame))

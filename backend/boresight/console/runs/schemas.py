@@ -1,0 +1,331 @@
+"""Runs, their logs, and what a run would be.
+
+Frames of a run: in a list, and one with every star.
+
+Presets, campaigns, and what the sensors of a campaign came to.
+
+Documents that are computed when they are read: figures, trends, comparisons, conversions, what held at a time.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from boresight.console.schemas import Document, Numbers, Row, _Shape
+
+RunState = Literal["QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST"]
+
+
+class RunProgress(Row):
+    """How far a run is."""
+
+    fraction: float | None = Field(None, description="0 to 1.")
+    message: str | None = None
+    elapsed_s: float | None = Field(None, description="Since its worker began.")
+    at_utc: str | None = Field(None, description="When the worker last reported.")
+
+
+class Run(Row):
+    """A calibration; this is also the job resource to poll."""
+
+    versioned_by = ("id", "state", "attempt")
+    moves_beneath = True  # so does its progress
+    location = "/runs/{row.id}"
+
+    id: int
+    sensor_id: int
+    telemetry_set_id: int
+    validation_set_id: int | None
+    label: str
+    method: str
+    settings: Document
+    state: RunState
+    reason: str | None = Field(description="Why it failed, was lost or was cancelled.")
+    attempt: int = Field(description="Grows when a worker or server was lost under it.")
+    progress: RunProgress | None
+    summary: Document | None = Field(description="The figures of a finished run that lists show.")
+    result_sha256: str | None
+    launched_utc: str
+    launched_by: int | None
+    started_utc: str | None
+    ended_utc: str | None
+
+
+class LogLine(Row):
+    """One line of a run's log."""
+
+    id: int
+    attempt: int
+    at_utc: str
+    kind: str = Field(description="`state`, `log` or `lost`.")
+    message: str
+    state: str | None = Field(description="The run's new state, where this line changed it.")
+    cause: str | None = Field(description="Why the state changed, or why an attempt ended without a result.")
+    level: Literal["info", "warning", "error"]
+    numbers: dict[str, float] | None = Field(
+        description="What the sentence counts: `fraction`, `elapsed_s`, `seconds`."
+    )
+
+
+class Forecast(BaseModel):
+    """What a run would know, from a sample of its own stars."""
+
+    model_config = ConfigDict(extra="allow")
+    sentence: str
+    sigma: dict[str, float | None] = Field(
+        description="Predicted one-sigma of each free parameter, SI; null is unknown."
+    )
+    weak: int | None = Field(description="Directions known worse than half a typical sigma.")
+    weak_directions: list[str]
+    help: list[str] = Field(description="What would make them known.")
+    observability: Document | None
+    frames_sampled: int
+    frames: int
+    at: Literal["fitted", "present"] | None = Field(description="Where the information was taken; null is nowhere.")
+
+
+class DryRun(BaseModel):
+    """What a run would be, from `validate_only=true`."""
+
+    model_config = ConfigDict(extra="allow")
+    sensor: str
+    telemetry_set: str
+    frames: int
+    stars: int
+    pairs: int
+    free: list[str]
+    predicted_s: float
+    predicted_range_s: tuple[float, float] = Field(
+        description="Four of five past runs of the method would lie between."
+    )
+    paced_by: int = Field(description="Past runs that the time follows from; 0 is a guess.")
+    forecast: Forecast | None
+    warnings: list[str]
+
+
+class FrameLine(Row):
+    """A frame in a list."""
+
+    id: int = Field(description="Its place in this list, from 1.")
+    frame: int = Field(description="Its number in the telemetry.")
+    detections: int
+    chi2_per_dof: float | None = Field(description="Of the run's best fit; null where the result does not keep it.")
+    deviation: float | None = Field(description="The same as a normal deviate: above 3 is bad.")
+
+
+class StarUnder(BaseModel):
+    """Where a parameter set puts a star, and what is left over; pairs are row, column."""
+
+    model_config = ConfigDict(extra="forbid")
+    row_px: float
+    col_px: float
+    d_px: list[float] = Field(description="Measured minus predicted.")
+    sigma_px: list[float] = Field(description="Of the residual, from centroid noise.")
+    d_arcsec: list[float]
+    sigma_arcsec: list[float]
+    apart_arcsec: float = Field(description="Angle between measured and predicted direction.")
+    normalised: list[float] = Field(description="Residual over its sigma.")
+
+
+class FrameStar(BaseModel):
+    """A detection and what became of it."""
+
+    model_config = ConfigDict(extra="forbid")
+    row: int = Field(description="Its row in the frame, from 0.")
+    row_px: float
+    col_px: float
+    sigma_px: float
+    magnitude: float | None = Field(description="As the telemetry gives it.")
+    star_id: int | None = Field(description="Hipparcos number it is matched with.")
+    catalogue_magnitude: float | None = Field(description="Hp of the matched or named star.")
+    given_star_id: int | None = Field(description="As the file names it.")
+    old_star_id: int | None = Field(description="As matched under the old parameters.")
+    fate: str = Field(description="`used`, `left out`, `rejected` or `unmatched`.")
+    reason: str | None
+    flags: list[str]
+    old: StarUnder | None
+    new: StarUnder | None
+
+
+class FrameAttitude(BaseModel):
+    """An exposure's attitude at one parameter set. Triad: x = increasing rows, z = boresight, right-handed."""
+
+    model_config = ConfigDict(extra="forbid")
+    quaternion: list[float] = Field(description="x y z w, Hamilton, ICRS to the detector triad.")
+    ra_deg: float
+    dec_deg: float
+    roll_deg: float = Field(description="Position angle of increasing rows, from north through east.")
+    covariance_rad2: list[list[float]] = Field(description="About x, y, z of the triad, from centroid noise.")
+    sigma_arcsec: list[float]
+    stars: int
+    rms_px: float
+    chi2: float
+    dof: int
+    worst_row: int | None = Field(description="Star with the largest normalised residual.")
+    from_telemetry_arcsec: list[float] | None = Field(
+        description="Turn about x, y, z from the quaternion that the telemetry gives to this one."
+    )
+
+
+class BothAttitudes(BaseModel):
+    """Under the old and the new parameters; null where there is none."""
+
+    model_config = ConfigDict(extra="forbid")
+    old: FrameAttitude | None
+    new: FrameAttitude | None
+
+
+class UndetectedStar(BaseModel):
+    """A catalogue star that lies on the detector and was not detected."""
+
+    model_config = ConfigDict(extra="forbid")
+    star_id: int
+    magnitude: float
+    row_px: float
+    col_px: float
+
+
+class FrameExposure(BaseModel):
+    """One image of a frame."""
+
+    model_config = ConfigDict(extra="forbid")
+    exposure: int
+    time_utc: str | None
+    detections: int
+    matched: int
+    used: int = Field(description="Of them in the fit.")
+    start: str = Field(description="Where matching began.")
+    why_invalid: str | None = Field(description="Why matching does not call it valid.")
+    why_no_attitude: str | None
+    attitude: BothAttitudes
+    stars: list[FrameStar]
+    undetected: list[UndetectedStar]
+
+
+class RunFrame(BaseModel):
+    """One frame of a run under its old and new parameters, computed for this answer."""
+
+    model_config = ConfigDict(extra="forbid")
+    run: int
+    sensor: str
+    method: str
+    place: int = Field(description="Among the frames of the set, from 1.")
+    frames: int
+    previous: int | None
+    next: int | None
+    rows: int
+    columns: int
+    partial: bool = Field(description="Whether the new parameters are those of a run that still computes.")
+    frame: int
+    time_utc: str | None
+    temperature_c: float | None
+    match: str
+    why_no_new: str | None
+    why_nothing: str | None
+    exposures: list[FrameExposure]
+
+
+class Preset(Row):
+    """Settings under a name."""
+
+    versioned_by = ("id", "archived_utc")
+    location = "/presets/{row.id}"
+
+    key: str = Field(description="What a launch names as its `preset`.")
+    id: int | None = Field(description="Of a saved version; null for those that come with Boresight.")
+    name: str
+    number: int | None = Field(description="Version.")
+    sentence: str = Field(description="When to use it.")
+    settings: Document
+    created_utc: str | None
+    created_by: int | None
+    archived_utc: str | None
+
+
+class FigureEntry(_Shape):
+    """A figure that a run has."""
+
+    name: str
+    title: str
+    guide: str = Field(description="How to read it, and what a good one looks like.")
+    href: str
+
+
+class PlotlyFigure(BaseModel):
+    """A figure for `Plotly.react`; `layout.meta.detail` says whether a closer look shows more."""
+
+    model_config = ConfigDict(extra="forbid")
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]
+
+
+class SharedData(_Shape):
+    """What a run's data have in common with the reference's."""
+
+    kind: Literal["same", "inside", "around", "partly", "disjoint"]
+    share: float
+    share_of_reference: float
+
+
+class JointTest(_Shape):
+    """The test of all parameters together."""
+
+    chi2: float | None
+    dof: int
+    p: float | None
+
+
+class ComparedRun(_Shape):
+    """A run of a comparison."""
+
+    id: int
+    label: str
+    state: str
+    method: str
+    shared_data: SharedData
+    sentence: str
+    joint: JointTest | None
+
+
+class ComparedParameter(_Shape):
+    """A parameter, a number a run."""
+
+    name: str
+    values: Numbers
+    sigmas: Numbers
+    differences: Numbers
+    sigmas_of_difference: Numbers
+    separations: Numbers
+
+
+class ComparedCorrelation(_Shape):
+    """A strong correlation, a number a run."""
+
+    names: list[str]
+    values: Numbers
+
+
+class RadialDifference(_Shape):
+    """How far a run places stars along the radius from where the reference places them."""
+
+    radius_px: Numbers
+    difference_px: Numbers
+    sigma_px: Numbers
+    difference_arcsec: Numbers
+    sigma_arcsec: Numbers
+    data_radius_px: float | None
+
+
+class Comparison(_Shape):
+    """Runs against a reference run."""
+
+    document_schema: Literal["boresight.comparison/1"] = Field(alias="schema")
+    camera_model: str
+    reference: int
+    assumption: str = Field(description="How the sigma of a difference is made from data that runs share.")
+    runs: list[ComparedRun]
+    parameters: list[ComparedParameter]
+    correlations: list[ComparedCorrelation]
+    radial: list[RadialDifference | None]

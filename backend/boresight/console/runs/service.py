@@ -1,0 +1,234 @@
+"""Launching, stopping and reading runs.
+
+What a run needs is fixed when it is launched: the sensor as it is then, the telemetry by content address, every setting
+by value. So a run can be computed again anywhere and gives the same result, whatever is edited meanwhile.
+
+The runs before and after one, for whoever reads them in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from boresight.console import list_queries as lists
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs import queries as run_lists
+from boresight.console.runs import run_events
+from boresight.console.runs.calibration_document import read_result
+from boresight.console.runs.dry_runs import Sight, dry_run
+from boresight.console.runs.requests import ordered
+from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.words import refuse_control_characters
+
+
+def launch(  # noqa: PLR0913 - who launches what, and four choices by name
+    session: Session,
+    actor: Actor,
+    sensor_id: int,
+    telemetry_set_id: int,
+    settings: Mapping[str, Any],
+    *,
+    validation_set_id: int | None = None,
+    label: str = "",
+    validate_only: bool = False,
+    sight: Sight | None = None,
+) -> Run | dict[str, Any]:
+    """Queue a calibration, or only say what it would be.
+
+    Parameters
+    ----------
+    sight
+        With `validate_only`: lets the dry run look at the stars.
+
+    Returns
+    -------
+    Run or dict
+        The QUEUED row; with `validate_only` the dry-run summary, see `dry_runs`.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    NotFoundError
+        When sensor or telemetry set do not exist.
+    RefusedInputError
+        When they do not belong together or a setting cannot be used.
+    ConflictError
+        When a telemetry set is archived.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    order = ordered(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
+    if validate_only:
+        return dry_run(session, order, sight)
+    run = run_lists.add_run(session, **order.columns(), launched_by=actor.user_id)
+    audit.append(session, actor, "launched", f"runs/{run.id}", None, order.on_record())
+    return run
+
+
+def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run:
+    """Stop a run: a QUEUED one ends at once, a RUNNING one as soon as it notices.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst, or the key lacks the scope `runs`.
+    NotFoundError
+        When there is no such run.
+    ConflictError
+        When it has ended already.
+    """
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    refuse_control_characters(reason=reason)
+    before = get_run(session, run_id).state
+    if before in TERMINAL_RUN_STATES:
+        raise ConflictError(f"Run {run_id} is {before} already; there is nothing to stop.")
+    said = f"Cancelled by {actor.printed_name}" + (f": {reason.strip()}" if reason.strip() else ".")
+    run_lists.request_cancel(session, run_id, said)
+    after = get_run(session, run_id)
+    if after.state != before:
+        audit.append(
+            session, actor, "cancelled", f"runs/{run_id}", {"state": before}, {"state": after.state}, reason or None
+        )
+    return after
+
+
+def get_run(session: Session, run_id: int) -> Run:
+    """Return a run.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none of this number.
+    """
+    run = run_lists.find_run(session, run_id)
+    if run is None:
+        raise NotFoundError(f"There is no run {run_id}; choose one of the list.")
+    return run
+
+
+def list_runs(
+    session: Session,
+    *,
+    sensor_id: int | None = None,
+    state: str | Collection[str] | None = None,
+    method: str | None = None,
+    telemetry_set_id: int | None = None,
+    before_id: int | None = None,
+    limit: int | None = None,
+) -> list[Run]:
+    """Return a page of runs, newest first; the next page starts before the last one's id.
+
+    Raises
+    ------
+    RefusedInputError
+        When a state is none.
+    """
+    asked = [state] if isinstance(state, str) else list(state or ())
+    if strange := [word for word in asked if word not in RUN_STATES]:
+        raise RefusedInputError(f"{', '.join(strange)} is no state of a run; choose from {', '.join(RUN_STATES)}.")
+    return lists.newest(
+        session,
+        Run,
+        before_id=before_id,
+        limit=limit,
+        sensor=sensor_id,
+        method=method,
+        data=telemetry_set_id,
+        state=asked or None,
+    )
+
+
+def runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
+    """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
+    return run_lists.runs_of_set(session, telemetry_set_id, limit)
+
+
+def newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
+    """Return a sensor's newest runs that succeeded, those with a validation set before all others."""
+    return run_lists.newest_finished(session, sensor_id, limit)
+
+
+def place_in_queue(session: Session, run_id: int) -> int:
+    """Return how many runs are in front of one that waits."""
+    return run_lists.count_queued_before(session, run_id)
+
+
+def count_by_state(session: Session) -> dict[str, int]:
+    """Count the runs in every state, zero where there are none."""
+    counted = run_lists.count_by_state(session)
+    return {state: counted.get(state, 0) for state in RUN_STATES}
+
+
+def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
+    """Return a run's calibration JSON; while it computes what there is so far (status `running`), None when nothing is.
+
+    A simulated sensor's true parameters are added as `truth`.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run, or its file is missing.
+    ConflictError
+        When its file is no calibration.
+    """
+    run = get_run(session, run_id)
+    document: dict[str, Any] | None = (run.progress or {}).get("partial")
+    if run.result_sha256 is not None:
+        document = read_result(blobs, run.result_sha256, run_id)
+    if document is None:
+        return None
+    truth = session.get_one(Sensor, run.sensor_id).truth
+    return _in_model_order(document if truth is None else {**document, "truth": truth})
+
+
+def final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
+    """Return the calibration JSON of a run that has ended with one.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run, or its file is missing.
+    ConflictError
+        When there is no result yet, or none was reached.
+    """
+    run = get_run(session, run_id)
+    document = result(session, blobs, run_id)
+    if run.result_sha256 is None or document is None:
+        raise ConflictError(f"Run {run_id} is {run.state} and has no result; wait for its end, or launch it again.")
+    return document
+
+
+def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
+    """Put every object keyed by parameters into the order of the camera model; stored rows sort their keys."""
+    names = document.get("parameter_names") or list(document.get("parameters") or ())
+    ordered = {
+        key: {name: value[name] for name in names}
+        for key, value in document.items()
+        if isinstance(value, dict) and set(value) == set(names)
+    }
+    return document | ordered
+
+
+def log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | None = None) -> list[RunEvent]:
+    """Return a run's log in order, from the line after `after_id`: all of it, or at most `limit` lines.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such run.
+    """
+    get_run(session, run_id)
+    return run_events.events_of_run(session, run_id, after_id, limit)
+
+
+def neighbours(session: Session, run_id: int) -> tuple[int | None, int | None]:
+    """Return the numbers of the runs before and after one, None at an end of the list."""
+    return run_lists.neighbours(session, run_id)

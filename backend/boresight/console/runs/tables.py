@@ -1,0 +1,85 @@
+"""Calibration runs and their log.
+
+Settings that were given a name, and the launches of one setting over many sensors.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.platform.db.declared import STRICT, Base, one_of
+from boresight.platform.db.documents import JsonText
+
+RUN_STATES = ("QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST")
+TERMINAL_RUN_STATES = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
+
+
+class Run(Base):
+    """A calibration. The row is the truth; engines only compute. Terminal states are written once."""
+
+    __tablename__ = "runs"
+    __table_args__ = (
+        one_of("state", RUN_STATES),
+        sa.Index("ix_runs_state_id", "state", "id"),
+        sa.Index("ix_runs_state_method_id", "state", "method", "id"),
+        sa.Index("ix_runs_sensor_state_id", "sensor_id", "state", "id", "ended_utc"),
+        STRICT,
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"), index=True)
+    telemetry_set_id: Mapped[int] = mapped_column(sa.ForeignKey("telemetry_sets.id"))
+    validation_set_id: Mapped[int | None] = mapped_column(sa.ForeignKey("telemetry_sets.id"))
+    method: Mapped[str] = mapped_column(sa.Text)
+    settings: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    sensor_document: Mapped[dict[str, Any]] = mapped_column(JsonText)  # the sensor as it was at launch
+    label: Mapped[str] = mapped_column(sa.Text, default="")
+    state: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str | None] = mapped_column(sa.Text)  # why it failed, was lost or was cancelled
+    attempt: Mapped[int] = mapped_column(default=0)
+    owner: Mapped[str | None] = mapped_column(sa.Text)
+    lease_until_utc: Mapped[str | None] = mapped_column(sa.Text)
+    cancel_requested: Mapped[int] = mapped_column(default=0)
+    launched_utc: Mapped[str] = mapped_column(sa.Text)
+    launched_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    started_utc: Mapped[str | None] = mapped_column(sa.Text)
+    ended_utc: Mapped[str | None] = mapped_column(sa.Text)
+    progress: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # fraction, message, partial history
+    result_sha256: Mapped[str | None] = mapped_column(sa.ForeignKey("blobs.sha256"))
+    summary: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # the figures a list shows
+
+
+class RunEvent(Base):
+    """One line of a run's log, in the order it happened; also what the event stream replays."""
+
+    __tablename__ = "run_events"
+    __table_args__ = (STRICT,)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    run_id: Mapped[int] = mapped_column(sa.ForeignKey("runs.id", ondelete="CASCADE"), index=True)
+    attempt: Mapped[int]
+    at_utc: Mapped[str] = mapped_column(sa.Text)
+    kind: Mapped[str] = mapped_column(sa.Text)  # state | log | lost
+    message: Mapped[str] = mapped_column(sa.Text)
+    state: Mapped[str | None] = mapped_column(sa.Text)  # the new one
+    cause: Mapped[str | None] = mapped_column(sa.Text)
+    level: Mapped[str] = mapped_column(sa.Text, default="info", server_default="info")  # info | warning | error
+    numbers: Mapped[dict[str, float] | None] = mapped_column(JsonText)
+    hash: Mapped[str | None] = mapped_column(sa.Text)  # chains it to the line before
+    outcome_hash: Mapped[str | None] = mapped_column(sa.Text)  # of the columns that the chain's hash leaves out
+
+
+class Preset(Base):
+    """Settings under a name, with a sentence on when to use them; each version is a row, and only archiving changes one."""
+
+    __tablename__ = "presets"
+    __table_args__ = (sa.UniqueConstraint("name", "number"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(sa.Text)
+    number: Mapped[int]
+    sentence: Mapped[str] = mapped_column(sa.Text)
+    document: Mapped[dict[str, Any]] = mapped_column(JsonText)  # the settings
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    archived_utc: Mapped[str | None] = mapped_column(sa.Text)

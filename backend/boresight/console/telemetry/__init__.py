@@ -1,0 +1,1 @@
+"""Telemetry sets: uploads, their tables and quality reports."""

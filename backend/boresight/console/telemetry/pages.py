@@ -1,0 +1,333 @@
+"""Telemetry sets: the list, and uploading one.
+
+The form works without scripts. With them the same form is sent with its progress shown (`upload.js`): then a refusal
+replaces only the place for refusals, so that the chosen file stays chosen. The file is streamed to the disk and checked
+before the transaction; a refused one leaves nothing behind.
+
+One telemetry set: the quality report before any run, and the runs that used it.
+"""
+
+from __future__ import annotations
+
+import csv
+import hmac
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.console.access.dependencies import CSRF_FIELD, Reading, Who, csrf
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.pages.sensors import choices_of
+from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
+from boresight.console.pages.rendering import Outcome, Refusal, attempt, redirect, render
+from boresight.console.pages.tables import (
+    Column,
+    Table,
+    View,
+    all_of,
+    csv_of,
+    is_number,
+    is_text,
+    one_of,
+    page_of,
+    read_view,
+)
+from boresight.console.runs import service as runs
+from boresight.console.runs.pages.list import Names, line_of, read_names
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.service import PURPOSES, Prepared
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.uploads import Upload, Uploaded
+from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, require_role
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.sessions import Session, reading
+from boresight.platform.web.keeping import Roles
+from boresight.platform.web.paging import row_number
+
+SCRIPTED = "x-boresight-upload"  # the header of an upload whose progress a script shows
+
+router = APIRouter()
+
+
+SETS = Table(
+    "telemetry",
+    "Telemetry sets",
+    (
+        Column("quality", "Quality"),
+        Column("set", "Set", "set", "name", head=True),
+        Column("sensor", "Sensor", "sensor", "nowrap"),
+        Column("frames", "Frames", "-frames", "num"),
+        Column("stars", "Stars", "-stars", "num"),
+        Column("unmatched", "Unmatched", "-unmatched", "num", "Detections without a star number"),
+        Column("begins", "Begins, span", "", "tight"),
+        Column("temperature", "Temperature", "", "num", "Least and greatest of the set", "°C", optional=True),
+        Column("uploaded", "Uploaded", "-uploaded", "tight"),
+    ),
+    {"sensor": is_number, "sensor_name": is_text, "purpose": one_of(PURPOSES), "archived": one_of({"1"}), "q": is_text},
+    "-uploaded",
+    kind="dense",
+)
+CSV_FIELDS = {
+    "quality": ("verdict",),
+    "set": ("set", "name", "purpose", "archived_utc"),
+    "sensor": ("sensor",),
+    "frames": ("frames",),
+    "stars": ("stars",),
+    "unmatched": ("unmatched_share",),
+    "begins": ("start_utc", "span_s"),
+    "temperature": ("smallest_temperature_c", "largest_temperature_c"),
+    "uploaded": ("uploaded_utc", "uploaded_by"),
+}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the upload form left behind: what was chosen and why it was refused."""
+
+    sensor: int | None = None
+    find: str = ""
+    purpose: str = PURPOSES[0]
+    refusal: Refusal | None = None
+
+
+def _in_use(view: View) -> dict[str, Any]:
+    """Narrow a view to sets that are not archived, where it does not show these too."""
+    return {"archived": None, "in_use": None if view.where.get("archived") else 1}
+
+
+def _page(request: Request, session: Session, roles: frozenset[str], view: View, shown: Shown) -> HTMLResponse:
+    """Render the list and the form."""
+    found = page_of(session, view, **_in_use(view))
+    return render(
+        request,
+        "telemetry/telemetry.html",
+        refused=shown.refusal,
+        view=view,
+        sets=found.rows,
+        last=found.last,
+        choices=choices_of(session, view, find=shown.find, keep=[shown.sensor] if shown.sensor else []),
+        names=read_names(session, sensors_of=found.rows),
+        purposes=PURPOSES,
+        may_upload="analyst" in roles,
+        limit_mb=request.app.state.settings.upload_limit_mb,
+        shown=shown,
+    )
+
+
+@router.get("/telemetry", response_class=HTMLResponse)
+def telemetry_page(request: Request, session: Reading, roles: Roles) -> HTMLResponse:
+    """Show a page of sets, and the form."""
+    view = read_view(request, SETS)
+    sensor = view.where.get("sensor")
+    find = request.query_params.get("find", "")
+    return _page(request, session, roles, view, Shown(row_number(sensor or ""), find))
+
+
+@router.get("/telemetry.csv")
+def telemetry_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
+    """Give every set of a view as CSV."""
+    view, names = read_view(request, SETS), read_names(session, sensors_of=None)
+    rows = (_csv_row(row, names) for row in all_of(session, view, **_in_use(view)))
+    return csv_of(view, CSV_FIELDS, rows)
+
+
+def _csv_row(row: TelemetrySet, names: Names) -> dict[str, Any]:
+    """Lay out a set for a program."""
+    time, temperature = (row.quality.get(name) or {} for name in ("time", "temperature_c"))
+    return {
+        "set": row.id,
+        "name": row.name,
+        "purpose": row.purpose,
+        "archived_utc": row.archived_utc,
+        "verdict": row.quality.get("verdict"),
+        "sensor": names.sensors[row.sensor_id],
+        "frames": row.frames,
+        "stars": row.stars,
+        "unmatched_share": row.quality.get("unmatched_share"),
+        "start_utc": time.get("start_utc"),
+        "span_s": time.get("span_s"),
+        "smallest_temperature_c": temperature.get("smallest"),
+        "largest_temperature_c": temperature.get("largest"),
+        "uploaded_utc": row.uploaded_utc,
+        "uploaded_by": names.person(row.uploaded_by),
+    }
+
+
+@router.post("/telemetry", response_class=HTMLResponse)
+async def upload(request: Request, actor: Who, upload: Uploaded) -> Response:
+    """Check and store the file, then show its quality report."""
+    _require_meant(request, upload)
+    outcome = await _attempt(request, actor, upload)
+    if outcome.value is None:
+        return await run_in_threadpool(_again, request, actor, upload, outcome.refusal)
+    row = outcome.value
+    response = redirect(f"/telemetry/{row.id}", flash=f"{row.name} is telemetry set {row.id}.")
+    if SCRIPTED in request.headers:
+        response.status_code = 201  # a script follows no redirect on its own: it opens the Location
+    return response
+
+
+def _require_meant(request: Request, upload: Upload) -> None:
+    """Refuse a form without this log-in's token; it comes with the body, which is streamed and read only once.
+
+    Raises
+    ------
+    ForbiddenError
+        When the token is missing or another's.
+    """
+    given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
+    if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
+        raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
+
+
+async def _attempt(request: Request, actor: Actor, upload: Upload) -> Outcome[TelemetrySet]:
+    """Read and check the file, then store it in a transaction."""
+    try:
+        async with contextmanager_in_threadpool(_prepared(request, actor, upload)) as ready:
+            return await attempt(request, partial(_store, request, actor, upload, ready))
+    except BoresightError as error:
+        return Outcome(None, Refusal.of(error))
+
+
+@contextmanager
+def _prepared(request: Request, actor: Actor, upload: Upload) -> Iterator[Prepared]:
+    """Read and check the file without the database."""
+    require_role(actor, "analyst")
+    if row_number(upload.fields.get("sensor_id", "")) is None:
+        raise RefusedInputError("Choose the sensor that the telemetry is of.")
+    if upload.path is None or not upload.file_name:
+        raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file.")
+    state = request.app.state
+    with reading(state.engine) as session:
+        document = sensors.get_sensor(session, upload.number("sensor_id")).document
+    limits = state.settings.telemetry_limits
+    with telemetry_sets.prepared(document, state.catalogue(), upload.path, upload.file_name, limits) as ready:
+        state.blobs.send_ahead(ready.original, ready.table)
+        yield ready
+
+
+def _store(request: Request, actor: Actor, upload: Upload, ready: Prepared, session: Session) -> TelemetrySet:
+    """Store the checked file."""
+    purpose = upload.fields.get("purpose", PURPOSES[0])
+    blobs = request.app.state.blobs
+    return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
+
+
+def _again(request: Request, actor: Actor, upload: Upload, refusal: Refusal | None) -> HTMLResponse:
+    """Render the page after a refusal, with what was chosen."""
+    sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
+    known = purpose if purpose in PURPOSES else PURPOSES[0]
+    shown = Shown(row_number(sensor), purpose=known, refusal=refusal)
+    with reading(request.app.state.engine) as session:
+        return _page(request, session, actor.roles, read_view(request, SETS), shown)
+
+
+RUNS_SHOWN = 100
+
+telemetry_set_router = APIRouter(dependencies=[Depends(csrf)])
+
+
+def drawings_of(quality: Mapping[str, Any]) -> list[Drawing]:
+    """Lay out the figures of a quality report; what it has no data for is left out."""
+    found = [detector_map(quality["detector_coverage"])]
+    radial = quality["radial_coverage"]
+    found.append(
+        histogram(
+            radial["edges_px"],
+            radial["counts"],
+            name="radial-coverage",
+            title="Radial coverage",
+            x_title="distance from the detector's centre (px)",
+            y_title="usable stars",
+            mark=_edge_of_data(radial),
+            extent=radial["corner_radius_px"],
+        )
+    )
+    found.append(
+        number_bars(
+            quality["stars_per_exposure"]["usable"],
+            name="stars-per-exposure",
+            title="Stars in an exposure",
+            x_title="usable stars in an exposure",
+            y_title="exposures",
+        )
+    )
+    if quality.get("magnitudes"):
+        magnitudes = quality["magnitudes"]
+        found.append(
+            histogram(
+                magnitudes["edges"],
+                magnitudes["counts"],
+                name="magnitudes",
+                title="Magnitudes",
+                x_title="magnitude",
+                y_title="detections",
+            )
+        )
+    return found
+
+
+def _edge_of_data(radial: Mapping[str, Any]) -> tuple[float, str] | None:
+    """Return where the data end, beyond which a distortion is extrapolated."""
+    largest = radial.get("largest_radius_px")
+    return None if largest is None else (largest, "no data beyond: distortion is extrapolated there")
+
+
+@telemetry_set_router.get("/telemetry/{set_id}", response_class=HTMLResponse)
+def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
+    """Show a set with its quality report."""
+    row = telemetry_sets.get_telemetry_set(session, set_id)
+    used_by, uses = runs.runs_of_set(session, row.id, RUNS_SHOWN)
+    names = read_names(session, used_by, sensors_of=[row])
+    blob = session.get(Blob, row.original_sha256)
+    return render(
+        request,
+        "telemetry/telemetry_set.html",
+        row=row,
+        quality=row.quality,
+        drawings=drawings_of(row.quality),
+        names=names,
+        size_bytes=blob.size_bytes if blob else None,
+        runs=[line_of(run, names) for run in used_by],
+        uses=uses,
+        is_analyst="analyst" in actor.roles,
+    )
+
+
+@telemetry_set_router.get("/telemetry/{set_id}/figures/{name}.csv")
+def figure_csv(session: Reading, actor: Who, set_id: int, name: str) -> Response:  # noqa: ARG001 - whoever is known may read
+    """Give a figure's numbers as CSV.
+
+    Raises
+    ------
+    NotFoundError
+        When the report has no such figure.
+    """
+    row = telemetry_sets.get_telemetry_set(session, set_id)
+    drawing = next((it for it in drawings_of(row.quality) if it.name == name), None)
+    if drawing is None:
+        raise NotFoundError(f"The quality report of telemetry set {set_id} has no figure {name}.")
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow([drawing.x_title, drawing.y_title])
+    writer.writerows(drawing.rows)
+    headers = {"Content-Disposition": f'attachment; filename="telemetry-{set_id}-{drawing.name}.csv"'}
+    return Response(text.getvalue(), media_type="text/csv", headers=headers)
+
+
+@telemetry_set_router.post("/telemetry/{set_id}/archive")
+async def archive(request: Request, actor: Who, set_id: int) -> Response:
+    """Put a set out of sight."""
+    change = partial(telemetry_sets.archive_telemetry_set, actor=actor, set_id=set_id)
+    outcome = await attempt(request, change)
+    if outcome.refusal is not None:
+        raise outcome.refusal.error
+    return redirect("/telemetry", flash=f"{outcome.made.name} is archived; runs that used it keep it.")

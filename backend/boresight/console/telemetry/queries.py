@@ -1,0 +1,51 @@
+"""Queries on telemetry sets."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import sqlalchemy as sa
+
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.platform.db.documents import among
+from boresight.platform.db.sessions import Session
+
+
+def set_with_bytes(session: Session, sensor_id: int, original_sha256: str) -> TelemetrySet | None:
+    """Return the sensor's set that was uploaded as these bytes."""
+    query = sa.select(TelemetrySet).where(TelemetrySet.sensor_id == sensor_id)
+    return session.scalar(query.where(TelemetrySet.original_sha256 == original_sha256))
+
+
+def oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
+    """Return the number of a sensor's oldest set of a purpose, of those in use or of all."""
+    query = sa.select(sa.func.min(TelemetrySet.id))
+    query = query.where(TelemetrySet.sensor_id == sensor_id, TelemetrySet.purpose == purpose)
+    return session.scalar(query if archived else query.where(TelemetrySet.archived_utc.is_(None)))
+
+
+def heads_of(session: Session, sensor_ids: Collection[int], newest: int, set_ids: Collection[int]) -> list[Any]:
+    """Return id, sensor_id, purpose, name and frames of sensors' sets in use, newest first.
+
+    Parameters
+    ----------
+    newest
+        How many of either purpose, the newest, of each sensor.
+    set_ids
+        Sets that are among them however old they are.
+    """
+    row = TelemetrySet
+    age = sa.func.row_number().over(partition_by=(row.sensor_id, row.purpose), order_by=row.id.desc()).label("age")
+    of_these = sa.select(row.id, row.sensor_id, row.purpose, row.name, row.frames, age)
+    aged = of_these.where(among(row.sensor_id, sensor_ids), row.archived_utc.is_(None)).subquery()
+    wanted = sa.or_(aged.c.age <= newest, among(aged.c.id, set_ids))
+    return list(session.execute(sa.select(aged).where(wanted).order_by(aged.c.id.desc())))
+
+
+def names(session: Session, set_ids: Collection[int] | None) -> dict[int, str]:
+    """Return the names of sets by their numbers; of all where None is given."""
+    query = sa.select(TelemetrySet.id, TelemetrySet.name)
+    if set_ids is not None:
+        query = query.where(among(TelemetrySet.id, set_ids))
+    return {row[0]: row[1] for row in session.execute(query)}

@@ -1,0 +1,134 @@
+"""Telemetry sets: upload, read, download, archive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from fastapi import Depends, Query
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.console.access.dependencies import (
+    Blobs,
+    Database,
+    Reading,
+    SeenTag,
+    ServerSettings,
+    Sighted,
+    Who,
+    Writing,
+)
+from boresight.console.fleet import service as sensors
+from boresight.console.operation import operations
+from boresight.console.telemetry import schemas
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.uploads import Uploaded
+from boresight.platform.actors import require_role
+from boresight.platform.db.sessions import reading
+from boresight.platform.web.keeping import SAME_FOR_ALL, whole_tag
+from boresight.platform.web.media import StoredFile
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+from boresight.platform.web.ready import knows
+
+router = operations("/telemetry-sets", tags=["telemetry sets"])
+
+FORM = {
+    "required": True,
+    "content": {
+        "multipart/form-data": {
+            "schema": {
+                "type": "object",
+                "required": ["sensor_id", "file"],
+                "properties": {
+                    "sensor_id": {"type": "integer", "description": "Whose telemetry it is."},
+                    "purpose": {"type": "string", "enum": ["calibration", "validation"], "default": "calibration"},
+                    "file": {"type": "string", "format": "binary", "description": "CSV, JSON Lines or Parquet."},
+                },
+            }
+        }
+    },
+}
+
+
+def _prepare(
+    actor: Who, upload: Uploaded, sight: Sighted, settings: ServerSettings, engine: Database
+) -> Iterator[telemetry_sets.Prepared]:
+    """Read and check the file before the transaction: a large one takes seconds, and there is one writer."""
+    require_role(actor, "analyst")
+    with reading(engine) as session:
+        document = sensors.get_sensor(session, upload.number("sensor_id")).document
+    limits = settings.telemetry_limits
+    with telemetry_sets.prepared(document, sight.catalogue(), upload.file(), upload.file_name, limits) as ready:
+        sight.blobs.send_ahead(ready.original, ready.table)
+        yield ready
+
+
+Ready = Annotated[telemetry_sets.Prepared, Depends(_prepare, scope="function")]
+
+
+@router.get("", summary="List telemetry sets", response_model=Page[schemas.TelemetrySet], dependencies=[SAME_FOR_ALL])
+def list_telemetry_sets(
+    session: Reading,
+    page: Paged,
+    sensor_id: Id | None = None,
+    purpose: Literal["calibration", "validation"] | None = None,
+    archived: Annotated[bool, Query(description="Show the archived ones too.")] = False,
+) -> Listing[TelemetrySet]:
+    """List telemetry sets, newest first."""
+    found = telemetry_sets.list_telemetry_sets(
+        session,
+        sensor_id=sensor_id,
+        purpose=purpose,
+        archived=archived,
+        before_id=page.last_id,
+        limit=page.limit + 1,
+    )
+    return page.cut(found)
+
+
+@router.post(
+    "",
+    summary="Upload telemetry",
+    status_code=201,
+    response_model=schemas.TelemetrySet,
+    openapi_extra={"requestBody": FORM},
+)
+def upload_telemetry_set(actor: Who, upload: Uploaded, ready: Ready, session: Writing, blobs: Blobs) -> TelemetrySet:
+    """Store a file with its quality report; a refused one leaves nothing behind and says row and column.
+
+    The same bytes again for the same sensor are the set that is there already.
+    """
+    purpose = upload.fields.get("purpose", "calibration")
+    return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
+
+
+@router.get(
+    "/{telemetry_set_id}",
+    summary="Read a telemetry set",
+    response_model=schemas.TelemetrySet,
+    dependencies=[SAME_FOR_ALL],
+)
+def get_telemetry_set(telemetry_set_id: Id, session: Reading, request: Request) -> TelemetrySet:
+    """Read a telemetry set with its quality report."""
+    whole_tag(request)
+    return telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+
+
+@router.get("/{telemetry_set_id}/file", summary="Download the original file", response_class=StoredFile)
+def get_telemetry_file(telemetry_set_id: Id, session: Reading, blobs: Blobs, request: Request) -> Response:
+    """Download the bytes as they were uploaded; their address is the tag, so a copy never goes out of date."""
+    row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+    headers = {"ETag": f'"{row.original_sha256}"'}
+    if knows(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
+        return Response(status_code=304, headers=headers)
+    return StoredFile(blobs.path(row.original_sha256), filename=row.name, headers=headers)
+
+
+@router.post("/{telemetry_set_id}:archive", summary="Archive a telemetry set", response_model=schemas.TelemetrySet)
+def archive_telemetry_set(telemetry_set_id: Id, actor: Who, seen: SeenTag, session: Writing) -> TelemetrySet:
+    """Put a set out of sight; nothing is deleted. Uploading the same bytes brings it back."""
+    row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+    seen.require(schemas.TelemetrySet, row, row.name)
+    return telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id)

@@ -1,0 +1,309 @@
+"""Telemetry sets: what was downlinked, kept as it came and as the table that is worked on.
+
+A file is read and checked whole before anything of it is stored, so a refusal leaves nothing behind. Reading a large
+file takes seconds, and there is one writer at a time: a door that has others waiting calls `prepared` before it opens
+the transaction and `store_prepared` inside; `add_telemetry_set` does both.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Any
+
+from boresight.console import list_queries as lists
+from boresight.console.telemetry import queries as rows
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.transitions import get_sensor
+from boresight.errors import NotFoundError, RefusedInputError, UnavailableError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs import files
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.web.words import normal_name
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.quality.report import QualityParts
+from boresight.telemetry.read.chunks import read_chunks
+from boresight.telemetry.read.limits import LIMITS, Limits
+from boresight.telemetry.sensors import Sensor, parse_sensor
+from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts
+
+PURPOSES = ("calibration", "validation")
+MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
+PARQUET = "application/vnd.apache.parquet"
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """An uploaded file that was read, found usable and turned into the table that is worked on; nothing is stored yet.
+
+    Parameters
+    ----------
+    original, table
+        The files: as it came, and as Parquet.
+    name, media_type
+        Of the original.
+    original_sha256
+        Address that the original will have.
+    frames, stars
+        How many the table has.
+    quality
+        The quality report.
+    """
+
+    original: Path
+    table: Path
+    name: str
+    media_type: str
+    original_sha256: str
+    frames: int
+    stars: int
+    quality: dict[str, Any]
+
+
+@contextmanager
+def prepared(
+    sensor_document: Mapping[str, Any],
+    catalogue: Catalogue | None,
+    path: Path,
+    file_name: str,
+    limits: Limits = LIMITS,
+) -> Iterator[Prepared]:
+    """Read and check an uploaded file, without the database.
+
+    Parameters
+    ----------
+    sensor_document
+        The contract's sensor file, that the quality report compares with.
+    catalogue
+        Tells which star ids exist; None leaves that out of the report.
+    path
+        Where the uploaded bytes are now.
+    file_name
+        As the sender called it; its suffix says what it is.
+    limits
+        How much it may hold.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file cannot be read, with rows and columns.
+    """
+    sensor, name = parse_sensor(sensor_document), _base_name(file_name)
+    with tempfile.TemporaryDirectory() as folder:
+        table = Path(folder) / "table"
+        quality = _checked(path, name, sensor, catalogue, table, limits)
+        yield Prepared(
+            original=path,
+            table=table,
+            name=name,
+            media_type=MEDIA_TYPES.get(PurePath(name).suffix.lower(), PARQUET),
+            original_sha256=_sha256_of_file(path),
+            frames=quality["frames"],
+            stars=quality["stars"],
+            quality=quality,
+        )
+
+
+def _checked(
+    path: Path, name: str, sensor: Sensor, catalogue: Catalogue | None, table: Path, limits: Limits
+) -> dict[str, Any]:
+    """Read a file in chunks into the table that is worked on; returns its quality report. A large file is never whole in memory."""
+    quality = QualityParts(sensor, catalogue)
+    with WorkingTableParts(table) as parts:
+        for chunk in read_chunks(path, name, limits=limits):
+            parts.write(chunk)
+            quality.add(chunk)
+    quality.off_detector.refuse()
+    return quality.report()
+
+
+def add_telemetry_set(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    catalogue: Catalogue | None,
+    sensor_id: int,
+    path: Path,
+    file_name: str,
+    purpose: str = "calibration",
+) -> TelemetrySet:
+    """Read, check and store an uploaded file of a sensor; see `prepared` and `store_prepared`.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst.
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the file cannot be read, with rows and columns; or the purpose does not exist.
+    """
+    _refuse_upload(actor, purpose)
+    sensor = get_sensor(session, sensor_id)
+    if (existing := rows.set_with_bytes(session, sensor_id, _sha256_of_file(path))) is not None:
+        return _in_use_again(session, actor, existing)
+    with prepared(sensor.document, catalogue, path, file_name) as upload:
+        return store_prepared(session, actor, blobs, sensor_id, upload, purpose)
+
+
+def _put_both(session: Session, blobs: BlobStore, upload: Prepared) -> tuple[str, str]:
+    """Put the file and its table, or neither: a disk that is full after the first keeps nothing of the upload."""
+    original = blobs.put(upload.original)
+    try:
+        return original, blobs.put(upload.table)
+    except UnavailableError:
+        if not files.sizes(session, [original]):
+            blobs.discard(original)
+        raise
+
+
+def store_prepared(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    sensor_id: int,
+    upload: Prepared,
+    purpose: str = "calibration",
+) -> TelemetrySet:
+    """Store what was prepared; the same bytes again are the set that is there.
+
+    Parameters
+    ----------
+    purpose
+        `calibration`, or `validation` to be held out.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no analyst.
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the purpose does not exist.
+    """
+    _refuse_upload(actor, purpose)
+    sensor_id = get_sensor(session, sensor_id).id
+    if (existing := rows.set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
+        return _in_use_again(session, actor, existing)
+    original, table = _put_both(session, blobs, upload)
+    register_blob(session, blobs, original, upload.media_type)
+    register_blob(session, blobs, table, MEDIA_TYPE)
+    row = TelemetrySet(
+        sensor_id=sensor_id,
+        name=upload.name,
+        purpose=purpose,
+        original_sha256=original,
+        table_sha256=table,
+        frames=upload.frames,
+        stars=upload.stars,
+        quality=upload.quality,
+        uploaded_utc=utc_now(),
+        uploaded_by=actor.user_id,
+    )
+    session.add(row)
+    session.flush()
+    after = {"name": row.name, "sensor_id": sensor_id, "purpose": purpose, "original_sha256": original}
+    audit.append(session, actor, "uploaded", _subject(row), None, after)
+    return row
+
+
+def _refuse_upload(actor: Actor, purpose: str) -> None:
+    """Refuse who may not upload, and a purpose that does not exist."""
+    require_role(actor, "analyst")
+    require_scope(actor, "telemetry-sets")
+    if purpose not in PURPOSES:
+        raise RefusedInputError(f"The purpose is calibration or validation, not {purpose!r}.")
+
+
+def _sha256_of_file(path: Path) -> str:
+    """Return the address that a file's bytes would have."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _in_use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySet:
+    """Take a set out of the archive, where it is in it."""
+    if row.archived_utc is not None:
+        row.archived_utc = None
+        audit.append(session, actor, "took out of the archive", _subject(row))
+    return row
+
+
+def _base_name(file_name: str) -> str:
+    """Return a sender's file name in its normal form, without the folders of either kind of path."""
+    name = normal_name("file name", _without_folders(file_name))
+    return _without_folders(name) or "telemetry"  # once more: normal forms of other characters are slashes
+
+
+def _without_folders(path: str) -> str:
+    return path.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
+    """Return a set.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(TelemetrySet, set_id)
+    if row is None:
+        raise NotFoundError(f"There is no telemetry set {set_id}.")
+    return row
+
+
+def names_of(session: Session, set_ids: Collection[int] | None = None) -> dict[int, str]:
+    """Return the names of these sets by their numbers; of all sets where None is given."""
+    return rows.names(session, set_ids)
+
+
+def sets_of(session: Session, sensor_ids: Collection[int], *, newest: int, keep: Collection[int] = ()) -> Sequence[Any]:
+    """Return id, sensor_id, purpose, name and frames of the sets in use of some sensors, newest first.
+
+    Parameters
+    ----------
+    newest
+        How many of either purpose, the newest, of each sensor.
+    keep
+        Numbers of sets that are among them however old they are.
+    """
+    return rows.heads_of(session, sensor_ids, newest, keep)
+
+
+def list_telemetry_sets(
+    session: Session,
+    *,
+    sensor_id: int | None = None,
+    purpose: str | None = None,
+    archived: bool = False,
+    before_id: int | None = None,
+    limit: int | None = None,
+) -> Sequence[TelemetrySet]:
+    """Return a page of sets, newest first, with the archived ones where asked; the next starts before the last id."""
+    in_use = None if archived else True
+    return lists.newest(
+        session, TelemetrySet, before_id=before_id, limit=limit, sensor=sensor_id, purpose=purpose, in_use=in_use
+    )
+
+
+def archive_telemetry_set(session: Session, actor: Actor, set_id: int) -> TelemetrySet:
+    """Put a set out of sight; nothing is deleted, and runs that used it keep it."""
+    require_role(actor, "analyst")
+    require_scope(actor, "telemetry-sets")
+    row = get_telemetry_set(session, set_id)
+    if row.archived_utc is None:
+        row.archived_utc = utc_now()
+        audit.append(session, actor, "archived", _subject(row))
+    return row
+
+
+def _subject(row: TelemetrySet) -> str:
+    """Name a set as the audit log does."""
+    return f"telemetry-sets/{row.id}"

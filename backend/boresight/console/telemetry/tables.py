@@ -1,0 +1,30 @@
+"""Star trackers, their telemetry and the files behind it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.platform.db.declared import STRICT, Base
+from boresight.platform.db.documents import JsonText
+
+
+class TelemetrySet(Base):
+    """An uploaded file of one sensor: the original bytes, the Parquet form that is worked on, the quality report."""
+
+    __tablename__ = "telemetry_sets"
+    __table_args__ = (sa.UniqueConstraint("sensor_id", "original_sha256"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"), index=True)
+    name: Mapped[str] = mapped_column(sa.Text)
+    purpose: Mapped[str] = mapped_column(sa.Text)  # calibration | validation
+    original_sha256: Mapped[str] = mapped_column(sa.ForeignKey("blobs.sha256"))
+    table_sha256: Mapped[str] = mapped_column(sa.ForeignKey("blobs.sha256"))
+    frames: Mapped[int]
+    stars: Mapped[int]
+    quality: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    uploaded_utc: Mapped[str] = mapped_column(sa.Text)
+    uploaded_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+    archived_utc: Mapped[str | None] = mapped_column(sa.Text)

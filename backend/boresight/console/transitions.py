@@ -1,0 +1,144 @@
+"""What every change of state has in common: the row, the version that was seen, the move with its audit record."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals.tables import Approval, ChangeProposal
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import queries as rows
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.errors import NotFoundError, PreconditionRequiredError, StaleError
+from boresight.platform.actors import Actor
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import Session
+
+Versioned = Alarm | Approval | ChangeProposal | ParameterSet | Sensor
+
+
+def get_approval(session: Session, approval_id: int) -> Approval:
+    """Return a request.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Approval, approval_id)
+    if row is None:
+        raise NotFoundError(f"There is no request for approval {approval_id}.")
+    return row
+
+
+def get_parameter_set(session: Session, parameter_set_id: int) -> ParameterSet:
+    """Return a set.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(ParameterSet, parameter_set_id)
+    if row is None:
+        raise NotFoundError(f"There is no parameter set {parameter_set_id}.")
+    return row
+
+
+def get_sensor(session: Session, sensor_id: int) -> Sensor:
+    """Return a sensor.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Sensor, sensor_id)
+    if row is None:
+        raise NotFoundError(f"There is no sensor {sensor_id}.")
+    return row
+
+
+def subject_of(row: Versioned) -> str:
+    """Name a row as the audit log does, by its REST address."""
+    nouns: dict[type, str] = {
+        Alarm: "alarms",
+        Approval: "approvals",
+        ChangeProposal: "change-proposals",
+        ParameterSet: "parameter-sets",
+        Sensor: "sensors",
+    }
+    noun = nouns[type(row)]
+    return f"{noun}/{row.id}"
+
+
+def label_of(row: Versioned) -> str:
+    """Name a row as people do."""
+    if isinstance(row, Alarm):
+        return f"Alarm {row.id}"
+    if isinstance(row, ChangeProposal):
+        return f"Proposal {row.id}"
+    return f"Request {row.id}" if isinstance(row, Approval) else row.name
+
+
+def require_seen(session: Session, row: Versioned, seen_version: int | None) -> None:
+    """Refuse a change by someone who did not see the row as it is.
+
+    Raises
+    ------
+    PreconditionRequiredError
+        When no version was given.
+    StaleError
+        When the row changed since; says who changed what and when.
+    """
+    if seen_version is None:
+        raise PreconditionRequiredError(f'Say which version of {label_of(row)} you saw: If-Match: "v<number>".')
+    if seen_version != row.version:
+        raise StaleError(
+            f"{label_of(row)} has changed since you looked (you saw v{seen_version}, it is v{row.version}): "
+            f"{who_changed(session, row)}. Reload, look again and decide."
+        )
+
+
+def who_changed(session: Session, row: Versioned) -> str:
+    """Say who changed a row last, what and when."""
+    record = audit.last_change(session, subject_of(row))
+    return f"{record.actor} {record.action} it at {record.at_utc}" if record else "nobody is on record for it"
+
+
+def whose_baseline(session: Session, sensor_id: int) -> str:
+    """Say which set is the baseline and who made it that; nothing where there is none."""
+    row = rows.baseline(session, sensor_id)
+    return f" The baseline is {row.name}: {who_changed(session, row)}." if row else ""
+
+
+def move(
+    session: Session,
+    actor: Actor,
+    row: Approval | ChangeProposal | ParameterSet,
+    state: str,
+    action: str,
+    *,
+    reason: str | None = None,
+    **told: Any,
+) -> None:
+    """Bring a row into a state, one version further, with its audit record.
+
+    Parameters
+    ----------
+    told
+        What else the record says of the row as it is now.
+    """
+    column = "ground_state" if isinstance(row, ParameterSet) else "state"
+    before = {column: getattr(row, column), "version": row.version}
+    setattr(row, column, state)
+    row.version += 1
+    after: dict[str, Any] = {column: state, "version": row.version, **told}
+    if isinstance(row, ParameterSet):
+        after["sha256"] = row.sha256
+    audit.append(session, actor, action, subject_of(row), before, after, reason)
+
+
+def resting_state(parameter_set: ParameterSet, otherwise: str) -> str:
+    """Return where a set goes when its request ends without a promotion: a former baseline stays SUPERSEDED."""
+    return otherwise if parameter_set.baseline_from_utc is None else "SUPERSEDED"

@@ -1,0 +1,1 @@
+"""Uplink packages, tables on board, and what was recorded of them."""

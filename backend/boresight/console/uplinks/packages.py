@@ -1,0 +1,391 @@
+"""Uplink packages: what an approved set, or the baseline, goes to the spacecraft as.
+
+`inputs` gathers everything that the bytes follow from into one document, which is kept in the row; the bytes are built of it
+alone. So the same set under the same definition, signatures and way back is the package that exists already, byte for byte,
+with the audit head of the moment when it was first built.
+
+What an uplink package says of a set: its document, its run, its gates and waivers, its request with the signatures.
+
+Only what lasts is in it. What goes on changing (the version, what is recorded on board) would make another package of the
+same set tomorrow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from boresight import __version__
+from boresight.console import list_queries as lists
+from boresight.console.access.tables import User
+from boresight.console.approvals import queries as approval_rows
+from boresight.console.approvals import staleness
+from boresight.console.approvals.gates import newest_report, with_waivers
+from boresight.console.approvals.signers import second_persons
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import queries as set_rows
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.transitions import get_parameter_set, who_changed
+from boresight.console.uplinks import queries as rows
+from boresight.console.uplinks.tables import Package, TableDefinition
+from boresight.errors import ConflictError, CorruptFileError, NotFoundError, RefusedInputError
+from boresight.platform.actors import POLICY, Actor, Policy, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.uplink.package import build_package
+
+SIGNED = ("printed_name", "decision", "meaning", "comment", "signed_utc", "shown_sha256", "console")
+WAIVED = ("gate", "code", "reason", "printed_name", "made_utc", "expires_utc")
+
+
+def described(session: Session, row: ParameterSet) -> dict[str, Any]:
+    """Return everything that a package says of a set."""
+    return {
+        "id": row.id,
+        "name": row.name,
+        "sha256": row.sha256,
+        "ground_state": row.ground_state,
+        "document": row.document,
+        "created_utc": row.created_utc,
+        "run": _run(session, row),
+        "gates": _gates(session, row),
+        "approval": _approval(session, row),
+    }
+
+
+def four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, Any]:
+    """Say whether this installation asks for a second person, and whether one approved this set.
+
+    `kept` is what happened, not what is asked now: None of a ground calibration, which nobody signed.
+    """
+    approval = approval_rows.latest_of(session, row.id, "APPROVED")
+    second = None if approval is None else second_persons(session, approval, Policy())
+    kept = None if approval is None or second is None else len(second) >= approval.needed
+    if not policy.four_eyes:
+        sentence = "FOUR EYES ARE OFF: this installation lets one person submit, sign and export alone."
+    elif kept is None:
+        sentence = "Nobody signed this set: it is the ground calibration."
+    elif kept:
+        sentence = "Four eyes: it was approved by who neither submitted nor created it, nor launched its run."
+    else:
+        sentence = "FOUR EYES WERE NOT KEPT: it was approved by who submitted or created it, or launched its run."
+    return {"enforced": policy.four_eyes, "kept": kept, "sentence": sentence}
+
+
+def _run(session: Session, row: ParameterSet) -> dict[str, Any] | None:
+    """Say which run a set was made of, from which data; None for a ground calibration."""
+    run = None if row.run_id is None else session.get_one(Run, row.run_id)
+    if run is None:
+        return None
+    return {
+        "id": run.id,
+        "method": run.method,
+        "result_sha256": run.result_sha256,
+        "launched_utc": run.launched_utc,
+        "launched_by": _printed(session, run.launched_by),
+        "started_from": run.sensor_document["initial"],
+        "telemetry": _telemetry(session, run.telemetry_set_id),
+        "validation": _telemetry(session, run.validation_set_id),
+    }
+
+
+def _telemetry(session: Session, telemetry_set_id: int | None) -> dict[str, Any] | None:
+    """Say which telemetry it was: its hash, when it was taken and how warm it was."""
+    if telemetry_set_id is None:
+        return None
+    row = session.get_one(TelemetrySet, telemetry_set_id)
+    time = row.quality.get("time") or {}
+    return {
+        "id": row.id,
+        "name": row.name,
+        "original_sha256": row.original_sha256,
+        "frames": row.frames,
+        "epoch_utc": {key: time.get(key) for key in ("start_utc", "end_utc")},
+        "temperature_c": row.quality.get("temperature_c"),
+    }
+
+
+def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
+    """Say what the gate report that was signed found, and which gates were waived by whom; None when nothing was judged.
+
+    The verdict is the signed one: the report with the waivers that the request binds, though they expired since. Of a set that
+    nobody signed it is the one that stands now. `document` is the report without waivers, as `sha256` has it.
+    """
+    approval = approval_rows.latest_of(session, row.id, "APPROVED")
+    bound = {} if approval is None else approval.bound
+    report = newest_report(session, row.id, bound.get("gate_report_sha256"))
+    if report is None:
+        return None
+    laid_over = with_waivers(session, report, bound.get("waivers"))
+    return {
+        "sha256": report.sha256,
+        "verdict": laid_over["verdict"],
+        "words": laid_over["words"],
+        "waived": laid_over["waived"],
+        "waivers": [
+            {key: getattr(waiver, key) for key in WAIVED} for waiver in approval_rows.waivers(session, [row.id])
+        ],
+        "document": report.document,
+    }
+
+
+def _approval(session: Session, row: ParameterSet) -> dict[str, Any] | None:
+    """Return the request by which a set was approved, with its signatures; None for a ground calibration."""
+    approval: Approval | None = approval_rows.latest_of(session, row.id, "APPROVED")
+    if approval is None:
+        return None
+    return {
+        "id": approval.id,
+        "kind": approval.kind,
+        "reason": approval.reason,
+        "submitted_by": _printed(session, approval.submitted_by),
+        "submitted_utc": approval.submitted_utc,
+        "needed": approval.needed,
+        "bound": approval.bound,
+        "signatures": [_signed(signature) for signature in approval_rows.signatures(session, approval.id)],
+    }
+
+
+def _signed(signature: Signature) -> dict[str, Any]:
+    """Say who signed what, and who else knew the password, where somebody did."""
+    said = {key: getattr(signature, key) for key in SIGNED}
+    return said if signature.password_by is None else said | {"password_by": signature.password_by}
+
+
+def _printed(session: Session, user_id: int | None) -> str:
+    """Return a person's printed name."""
+    user = None if user_id is None else session.get(User, user_id)
+    return "Boresight" if user is None else user.printed_name
+
+
+EXPORTED = ("APPROVED", "BASELINE")
+MEDIA_TYPE = "application/zip"
+
+
+def build(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    parameter_set_id: int,
+    *,
+    flight_software_version: str | None = None,
+    table_id: str | None = None,
+    policy: Policy = POLICY,
+) -> Package:
+    """Build the package of a set, or return the one that exists.
+
+    Parameters
+    ----------
+    flight_software_version, table_id
+        What the spacecraft has, where the caller says so: a table for another is refused.
+    policy
+        Whether four eyes are asked here; the package says so.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is neither operator nor analyst, or a key without the scope.
+    NotFoundError
+        When there is no such set.
+    ConflictError
+        When the set is neither approved nor baseline, its approval expired, or the spacecraft's versions are not those of the
+        definition in force.
+    StaleError
+        When what an approval was bound to has moved: it is STALE from now on, and what was signed is not what would be sent.
+    RefusedInputError
+        When a set does not fit into the table.
+    """
+    require_role(actor, "operator", "analyst")
+    require_scope(actor, "uplinks")
+    row = get_parameter_set(session, parameter_set_id)
+    if row.ground_state not in EXPORTED:
+        raise ConflictError(
+            f"{row.name} is {row.ground_state}: {who_changed(session, row)}. Only an approved set or the baseline is exported."
+        )
+    _refuse_unsigned(session, actor, row)
+    definition = rows.definition_in_force(session, row.sensor_id)
+    _refuse_other_versions(session, row, definition, flight_software_version, table_id)
+    inputs = _inputs(session, row, definition, policy)
+    existing = _existing(session, row, inputs)
+    if existing is not None:
+        return _kept(session, blobs, existing)
+    inputs["first_built"] = {"at_utc": utc_now(), "audit_head": audit.head(session)}
+    return _store(session, actor, blobs, row, definition, inputs)
+
+
+def _refuse_unsigned(session: Session, actor: Actor, row: ParameterSet) -> None:
+    """Refuse an approved set that is not any more what was signed; a baseline stays what it became."""
+    approval = approval_rows.latest_of(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
+    if approval is not None:
+        staleness.refuse_expired(session, approval, row)
+        staleness.refuse_moved(session, actor, approval, row)
+
+
+def _refuse_other_versions(
+    session: Session,
+    row: ParameterSet,
+    definition: TableDefinition | None,
+    flight_software_version: str | None,
+    table_id: str | None,
+) -> None:
+    """Refuse a table for other flight software, or another table, than the definition in force."""
+    said = {"flight_software_version": flight_software_version, "table_id": table_id}
+    asked = {key: value for key, value in said.items() if value is not None}
+    if not asked:
+        return
+    sensor = session.get_one(Sensor, row.sensor_id)
+    if definition is None:
+        raise ConflictError(f"{sensor.name} has no table definition, so nothing can be exported for {_listed(asked)}.")
+    wrong = [key for key in asked if definition.document[key] != asked[key]]
+    if wrong:
+        raise ConflictError(
+            f"The table definition of {sensor.name} in force, number {definition.number}, is for "
+            f"{_listed({key: definition.document[key] for key in wrong})}, not for {_listed({key: asked[key] for key in wrong})}: "
+            "a table laid out for another version overwrites what it was not meant for. Set the definition of that version first."
+        )
+
+
+def _listed(versions: Mapping[str, str]) -> str:
+    """Name versions in a sentence."""
+    return " and ".join(f"{key.replace('_', ' ')} {value}" for key, value in versions.items())
+
+
+def _inputs(session: Session, row: ParameterSet, definition: TableDefinition | None, policy: Policy) -> dict[str, Any]:
+    """Gather what the bytes follow from, apart from when they were first built."""
+    sensor = session.get_one(Sensor, row.sensor_id)
+    baseline = set_rows.baseline(session, row.sensor_id)
+    way_back = rows.baseline_before(session, row) if row.ground_state == "BASELINE" else baseline
+    way_back = way_back or row
+    active = set_rows.active_set(session, row.sensor_id)
+    elsewhere = active is not None and active.id not in {row.id, way_back.id}
+    return {
+        "sensor": sensor.document,
+        "simulated": bool(sensor.simulated),
+        "subject": described(session, row),
+        "backout": described(session, way_back),
+        "active": described(session, active) if active is not None and elsewhere else None,
+        "definition": None
+        if definition is None
+        else {"number": definition.number, "sha256": definition.sha256, "document": definition.document},
+        "four_eyes": four_eyes(session, row, policy),
+        "software": {"name": "Boresight", "version": __version__},
+    }
+
+
+def _existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any]) -> Package | None:
+    """Return the package that was built from the same inputs."""
+    for package in lists.newest(session, Package, set=row.id):
+        if {key: value for key, value in package.inputs.items() if key != "first_built"} == inputs:
+            return package
+    return None
+
+
+def _kept(session: Session, blobs: BlobStore, package: Package) -> Package:
+    """Return a package, its bytes laid down again where the folder lost or spoiled them."""
+    try:
+        blobs.path(package.sha256)
+    except (NotFoundError, CorruptFileError):
+        if blobs.put(rebuild(package.inputs)) != package.sha256:
+            raise
+        register_blob(session, blobs, package.sha256, MEDIA_TYPE)
+    return package
+
+
+def _store(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    row: ParameterSet,
+    definition: TableDefinition | None,
+    inputs: dict[str, Any],
+) -> Package:
+    """Build the bytes and keep them with what they follow from."""
+    sha256 = register_blob(session, blobs, blobs.put(rebuild(inputs)), MEDIA_TYPE).sha256
+    package = Package(
+        parameter_set_id=row.id,
+        table_definition_id=None if definition is None else definition.id,
+        inputs=inputs,
+        sha256=sha256,
+        created_utc=inputs["first_built"]["at_utc"],
+        created_by=actor.user_id,
+    )
+    session.add(package)
+    session.flush()
+    after = {
+        "parameter_set": row.name,
+        "parameter_set_sha256": row.sha256,
+        "sha256": sha256,
+        "table_definition_id": package.table_definition_id,
+        "backout": inputs["backout"]["name"],
+        "audit_head": inputs["first_built"]["audit_head"],
+    }
+    audit.append(session, actor, "exported", f"packages/{package.id}", None, after)
+    return package
+
+
+def rebuild(inputs: Mapping[str, Any]) -> bytes:
+    """Build the bytes of a package from its inputs; they hash to the `sha256` of its row."""
+    return build_package(inputs)
+
+
+def get_package(session: Session, package_id: int) -> Package:
+    """Return a package.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    package = session.get(Package, package_id)
+    if package is None:
+        raise NotFoundError(f"There is no package {package_id}.")
+    return package
+
+
+def read(session: Session, blobs: BlobStore, package_id: int) -> bytes:
+    """Return the bytes of a package, checked against their hash.
+
+    Raises
+    ------
+    NotFoundError, ConflictError
+        When there is no such package, or its bytes are missing or were altered on the disk.
+    """
+    return blobs.read(get_package(session, package_id).sha256)
+
+
+def file_name(session: Session, package: Package) -> str:
+    """Return a name for the file: the set, and the first digits of the hash."""
+    row = session.get_one(ParameterSet, package.parameter_set_id)
+    return f"{row.name.replace(' ', '_')}-{package.sha256[:12]}.zip"
+
+
+def list_packages(
+    session: Session,
+    *,
+    parameter_set_id: int | None = None,
+    sensor_id: int | None = None,
+    before_id: int | None = None,
+    limit: int | None = None,
+) -> Sequence[Package]:
+    """Return a page of packages, newest first; the next page starts before the last one's id."""
+    return lists.newest(session, Package, before_id=before_id, limit=limit, set=parameter_set_id, sensor=sensor_id)
+
+
+def set_named(session: Session, name: str) -> ParameterSet:
+    """Return a set by its number or its name, `PS-<sensor>-<n>`.
+
+    Raises
+    ------
+    RefusedInputError
+        When there is none.
+    """
+    row = rows.set_named(session, name) or (
+        session.get(ParameterSet, int(name)) if name.isdecimal() and len(name) < 19 else None
+    )
+    if row is None:
+        raise RefusedInputError(f"There is no parameter set {name}: give its name, PS-<sensor>-<n>, or its number.")
+    return row

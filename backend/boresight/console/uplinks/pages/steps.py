@@ -1,0 +1,319 @@
+"""A set's way to the spacecraft: exported, sent, loaded, verified, active, each with its time, person and source.
+
+What is shown is the present climb: what was recorded since the set was last sent. Everything recorded before stands in the
+list below it. The page offers the steps that the state allows, and says why it offers no other.
+
+The rungs of a set's way to the spacecraft, and the files of the package that goes there, as the page shows them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+from starlette.datastructures import UploadFile
+
+from boresight.console import transitions
+from boresight.console.access.dependencies import Who, csrf
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet import timeline
+from boresight.console.fleet.timeline import how_known
+from boresight.console.pages.rendering import Refusal, attempt, proof_of_own, redirect, render, seen_version, texts_of
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.pages.list import Names, read_names
+from boresight.console.uplinks import packages, read_backs
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.tables import Package, Uplink
+from boresight.errors import BoresightError
+from boresight.platform.actors import Actor
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Session, reading
+from boresight.platform.web.paging import row_number
+
+LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One rung of the ladder.
+
+    Parameters
+    ----------
+    name
+        What it is called.
+    level, word
+        `normal` when it is taken, `critical` when the read-back failed there, `standby` when it is next, else `off`.
+    at_utc, who, source, how
+        Of the record that took it; empty before.
+    """
+
+    name: str
+    level: str
+    word: str
+    at_utc: str | None = None
+    who: str = ""
+    source: str = ""
+    how: str = ""
+
+
+def steps_of(exported: Package | None, records: Sequence[Uplink], names: Names) -> list[Step]:
+    """Lay out the present climb.
+
+    Parameters
+    ----------
+    exported
+        The package that the climb carries.
+    records
+        Everything recorded of the set, newest first.
+    """
+    climb = climb_of(records)
+    taken = [_exported(exported, names), *(_taken(climb, state, names) for state in LADDER)]
+    following = next((place for place, step in enumerate(taken) if step is None), len(taken))
+    if records and records[0].onboard_state in {"MISMATCH", "UNKNOWN"}:
+        following = len(taken)
+    titles = ("Exported", *(state.capitalize() for state in LADDER))
+    return [
+        step or Step(title, "standby" if place == following else "off", "next" if place == following else "to come")
+        for place, (title, step) in enumerate(zip(titles, taken, strict=True))
+    ]
+
+
+def climb_of(records: Sequence[Uplink]) -> Sequence[Uplink]:
+    """Return what was recorded since the set was last sent, newest first."""
+    sent = next((place for place, row in enumerate(records) if row.onboard_state == "SENT"), len(records) - 1)
+    return records[: sent + 1]
+
+
+def exported_of(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
+    """Return the package that the present climb carries: the one that was sent, before that the newest; None where none is.
+
+    Parameters
+    ----------
+    packages, records
+        Of the set, newest first.
+    """
+    named = [(row.evidence or {}).get("package") for row in climb_of(records) if row.onboard_state == "SENT"]
+    if named and named[-1] is not None:
+        return next((package for package in packages if package.id == named[-1]["id"]), None)
+    return packages[0] if packages else None
+
+
+def _exported(package: Package | None, names: Names) -> Step | None:
+    """Return the first rung, where there is a package."""
+    if package is None:
+        return None
+    return Step(
+        "Exported", "normal", "done", package.created_utc, names.person(package.created_by), f"package {package.id}"
+    )
+
+
+def _taken(climb: Sequence[Uplink], state: str, names: Names) -> Step | None:
+    """Return a rung that was taken, or at which the read-back failed."""
+    wanted = {"VERIFIED", "MISMATCH"} if state == "VERIFIED" else {state}
+    row = next((row for row in climb if row.onboard_state in wanted), None)
+    if row is None:
+        return None
+    failed = row.onboard_state == "MISMATCH"
+    who = row.printed_name or names.person(row.recorded_by)
+    level, word = ("critical", "MISMATCH") if failed else ("normal", "done")
+    return Step(state.capitalize(), level, word, row.recorded_utc, who, row.source, how_known(row))
+
+
+@dataclass(frozen=True)
+class Member:
+    """A file inside a package."""
+
+    name: str
+    size_bytes: int
+    sha256: str
+
+
+def members_of(content: bytes) -> list[Member]:
+    """List the files of a package with their hashes."""
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        return [
+            Member(name, len(inside), hashlib.sha256(inside).hexdigest())
+            for name in packed.namelist()
+            for inside in (packed.read(name),)
+        ]
+
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+NO_ROLE = (
+    "Recording what is on board needs the role operator. An administrator can give it, on the page Users and keys."
+)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a form left behind: which one, what was typed, and why it was refused."""
+
+    form: str = ""
+    typed: dict[str, str] = field(default_factory=dict)
+    refusal: Refusal | None = None
+
+
+@router.get("/parameter-sets/{set_id:int}/uplink", response_class=HTMLResponse)
+def steps_page(request: Request, actor: Who, set_id: int) -> HTMLResponse:
+    """Show a set's way to the spacecraft."""
+    return _page(request, actor, set_id, Shown())
+
+
+def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResponse:
+    """Render the page, with the refusal of a step and what was typed."""
+    with reading(request.app.state.engine) as session:
+        row = transitions.get_parameter_set(session, set_id)
+        records = uplinks.list_uplinks(session, parameter_set_id=set_id)
+        built = packages.list_packages(session, parameter_set_id=set_id)
+        exported = exported_of(built, records)
+        names = read_names(session)
+        reference, why = _reference(session, request.app.state.blobs, row)
+        return render(
+            request,
+            "uplinks/uplink_steps.html",
+            refused=shown.refusal,
+            set=row,
+            sensor=sensors.get_sensor(session, row.sensor_id),
+            known=timeline.as_of(session, row.sensor_id),
+            steps=steps_of(exported, records, names),
+            records=records,
+            compared=next((it for it in climb_of(records) if it.method), None) if records else None,
+            packages=built,
+            exported=exported,
+            members=_members(session, request.app.state.blobs, exported),
+            reference=reference,
+            why_no_reference=why,
+            next_states=uplinks.next_statements(session, row),
+            why_not_sent=_why_not_sent(row),
+            may_export=row.ground_state in packages.EXPORTED,
+            readable=row.onboard_state in read_backs.READABLE,
+            blocked=None if "operator" in actor.roles else NO_ROLE,
+            names=names,
+            shown=shown,
+        )
+
+
+def _why_not_sent(row: ParameterSet) -> str | None:
+    """Say why a set cannot be sent."""
+    if row.ground_state == "BASELINE" or row.onboard_state != "NOT SENT":
+        return None
+    return f"{row.name} is {row.ground_state}: only the baseline is sent. Have it approved and promote it."
+
+
+def _members(session: Session, blobs: BlobStore, exported: Package | None) -> list[Member]:
+    """List what a package holds; nothing where its bytes cannot be read."""
+    if exported is None:
+        return []
+    try:
+        return members_of(packages.read(session, blobs, exported.id))
+    except BoresightError:
+        return []
+
+
+def _reference(session: Session, blobs: BlobStore, row: ParameterSet) -> tuple[read_backs.Reference | None, str | None]:
+    """Return what a read-back would be held against, or why there is nothing."""
+    try:
+        return read_backs.reference_of(session, blobs, row), None
+    except BoresightError as refusal:
+        return None, str(refusal)
+
+
+async def _form(request: Request) -> tuple[dict[str, str], bytes | None]:
+    """Read the form's texts, and the dump if one was chosen."""
+    form, dump = await request.form(), None
+    file = form.get("file")
+    if isinstance(file, UploadFile):
+        dump = await file.read() if file.filename else None
+        await file.close()
+    return texts_of(form), dump
+
+
+async def _taken_step(
+    request: Request,
+    actor: Actor,
+    set_id: int,
+    form: str,
+    typed: dict[str, str],
+    change: Callable[..., Any],
+    said: str,
+    prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
+) -> Response:
+    """Take a step and show where the set is now, or show why it was refused with what was typed."""
+    outcome = await attempt(request, change, prepare)
+    if outcome.value is None:
+        kept = {name: value for name, value in typed.items() if name != "password"}
+        return await run_in_threadpool(partial(_page, request, actor, set_id, Shown(form, kept, outcome.refusal)))
+    matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself says of a mismatch what it is
+    return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
+
+
+@router.post("/parameter-sets/{set_id:int}/uplink/package")
+async def export(request: Request, actor: Who, set_id: int) -> Response:
+    """Build the set's package, or show the one that exists."""
+    typed, _ = await _form(request)
+    state = request.app.state
+
+    def change(session: Session) -> Package:
+        return packages.build(session, actor, state.blobs, set_id, policy=state.policy)
+
+    return await _taken_step(
+        request, actor, set_id, "package", typed, change, "The package is built; download it below."
+    )
+
+
+@router.post("/parameter-sets/{set_id:int}/uplink/record")
+async def record(request: Request, actor: Who, set_id: int) -> Response:
+    """Record the next state by statement."""
+    typed, _ = await _form(request)
+    package = typed.get("package_id", "")
+
+    def change(session: Session) -> Uplink:
+        state, source = typed.get("onboard_state", ""), typed.get("source", "")
+        package_id = row_number(package)
+        happened = typed.get("happened_utc")
+        return uplinks.record(
+            session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened
+        )
+
+    return await _taken_step(request, actor, set_id, "record", typed, change, "Recorded.")
+
+
+@router.post("/parameter-sets/{set_id:int}/uplink/read-back")
+async def read_back(request: Request, actor: Who, set_id: int) -> Response:
+    """Hold a dump or a CRC against what was sent."""
+    typed, dump = await _form(request)
+
+    def change(session: Session) -> Uplink:
+        read = read_backs.dump_or_crc(dump, typed.get("crc", ""))
+        blobs, source = request.app.state.blobs, typed.get("source", "")
+        return read_backs.read_back(
+            session, actor, blobs, set_id, read, source, seen_version(typed), typed.get("happened_utc")
+        )
+
+    by = "by CRC" if dump is None else "byte for byte"
+    return await _taken_step(request, actor, set_id, "read-back", typed, change, f"What was read back matches, {by}.")
+
+
+@router.post("/parameter-sets/{set_id:int}/uplink/activate")
+async def activate(request: Request, actor: Who, set_id: int) -> Response:
+    """Sign that the set is active."""
+    typed, _ = await _form(request)
+
+    def change(session: Session, proof: PasswordProof) -> Uplink:
+        source, meaning, seen = typed.get("source", ""), typed.get("meaning", ""), seen_version(typed)
+        happened = typed.get("happened_utc")
+        return uplinks.activate(session, actor, set_id, source, meaning, proof, seen, happened=happened)
+
+    prove = proof_of_own(request, actor, typed.get("password", ""))
+    said = "Signed: the set is ACTIVE on board."
+    return await _taken_step(request, actor, set_id, "activate", typed, change, said, prove)

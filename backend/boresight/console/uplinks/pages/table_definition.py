@@ -1,0 +1,197 @@
+"""How a sensor's camera lies in the table on board: the definition as text, the bytes it makes, and every version there was.
+
+Everybody may look and try; analysts and administrators put a definition into force. What was typed stays in the form, whether
+it was tried, refused or lost the race with another's change.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.access.dependencies import Who, csrf
+from boresight.console.approvals import proposals
+from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.change_proposals import service as second_person
+from boresight.console.fleet import service as sensors
+from boresight.console.fleet.pages.sensors import read_document, typed_document
+from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.console.runs.pages.list import read_names
+from boresight.console.uplinks import table_definitions
+from boresight.console.uplinks.table_definitions import Layout
+from boresight.console.uplinks.tables import TableDefinition
+from boresight.errors import BoresightError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, Policy
+from boresight.platform.db.sessions import Session, reading
+from boresight.platform.web.paging import row_number
+from boresight.uplink.checksum import CHECKSUMS
+from boresight.uplink.fields import Field
+from boresight.uplink.table_definition import DecodedField, plain_definition
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+MAY_SET = frozenset({"analyst", "administrator"})
+ENTRIES = (
+    ("table_id", "Name of the table on board."),
+    ("flight_software_version", "The version that the table lies in this way for; a package is refused for another."),
+    ("byte_order", "big or little; a field may have its own."),
+    ("length_bytes, fill", "Size of the image, and the value of bytes that nothing lies in."),
+    (
+        "fields",
+        "name, offset_bytes or offset_bits, type (float32, float64, int<n>, uint<n>), and parameter or constant.",
+    ),
+    ("scale, offset", "Of a field: number = scale raw + offset. An integer with a scale is fixed-point."),
+    ("crc", f"Optional: {', '.join(CHECKSUMS)}, or every parameter; offset_bytes where the table stores it."),
+    ("cfe", "Optional: table_name and ids of cFE's file headers."),
+    ("pus", "Optional: parameter_ids for TC[20,3]."),
+)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A line of the layout."""
+
+    name: str
+    parameter: str
+    byte: str
+    kind: str
+    raw: str
+    value: str
+    hexadecimal: str
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a form left behind on the page."""
+
+    text: str = ""
+    reason: str = ""
+    refusal: Refusal | None = None
+    tried: bool = False
+
+
+def written_as_text(document: Mapping[str, Any]) -> str:
+    """Write a definition for people: a line a field."""
+    lines = [f'  "{key}": {json.dumps(value)}' for key, value in document.items() if key != "fields"]
+    fields = ",\n".join(f"    {json.dumps(entry)}" for entry in document.get("fields", ()))
+    at = list(document).index("fields") if "fields" in document else len(lines)
+    lines.insert(at, f'  "fields": [\n{fields}\n  ]')
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def places_of(layout: Layout) -> Sequence[Place]:
+    """Lay the fields out, a line each, the stored CRC among them."""
+    fields = [_place(one) for one in layout.decoded.fields]
+    stored, crc = layout.definition.crc_field, layout.definition.crc
+    if stored is not None and crc is not None and layout.decoded.stored_crc is not None:
+        value = layout.decoded.stored_crc
+        text = layout.image[stored.bit // 8 : stored.end // 8].hex().upper()
+        fields.append(Place("CRC", crc.name, f"{stored.bit // 8}", _kind(stored), "", str(value), text))
+    return sorted(fields, key=lambda place: float(place.byte.replace(" bit ", ".")))
+
+
+def _place(one: DecodedField) -> Place:
+    """Write one field."""
+    field = one.field
+    byte = f"{field.bit // 8}" if field.bit % 8 == 0 else f"{field.bit // 8} bit {field.bit % 8}"
+    raw = "" if field.plain else f"raw {one.raw:.9g}" if field.floating else f"raw {one.raw}"
+    what = field.parameter or "constant"
+    return Place(field.name, what, byte, _kind(field), raw, f"{one.value:.12g}", one.hexadecimal)
+
+
+def _kind(field: Field) -> str:
+    """Write a type with its byte order."""
+    return f"{field.kind}, {'little' if field.little else 'big'}"
+
+
+@router.get("/sensors/{sensor_id:int}/table-definition", response_class=HTMLResponse)
+def table_definition_page(request: Request, actor: Who, sensor_id: int, example: str = "") -> HTMLResponse:
+    """Show the definition in force, or an example to begin with."""
+    return _page(request, actor, sensor_id, Shown(tried=bool(example)))
+
+
+def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLResponse:
+    """Render the definition, with what a form left behind."""
+    with reading(request.app.state.engine) as session:
+        sensor = sensors.get_sensor(session, sensor_id)
+        versions = table_definitions.list_definitions(session, sensor_id)
+        current = versions[0] if versions else None
+        text = shown.text or written_as_text(
+            current.document if current else plain_definition(sensor.document["camera_model"])
+        )
+        begun = bool(current or shown.text or shown.tried)
+        layout, refusal = (
+            _laid_out(session, sensor_id, text) if begun and shown.refusal is None else (None, shown.refusal)
+        )
+        return render(
+            request,
+            "uplinks/table_definition.html",
+            refused=refusal,
+            sensor=sensor,
+            current=current,
+            versions=versions,
+            text=text if begun else "",
+            layout=layout,
+            in_force=bool(current and layout and layout.definition.document == current.document),
+            places=[] if layout is None else places_of(layout),
+            refusal=refusal,
+            names=read_names(session),
+            pending=proposals.open_proposals(session, sensor_id, "table-definition"),
+            confirmed=proposals.confirmed_by_number(session, sensor_id, "table-definition"),
+            second_person=request.app.state.policy.second_person,
+            entries=ENTRIES,
+            parameters=CAMERA_MODELS[sensor.document["camera_model"]].parameter_names,
+            may_set=bool(MAY_SET & actor.roles),
+            shown=shown,
+        )
+
+
+def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, Refusal | None]:
+    """Lay the baseline out by what the text says, or say why that cannot be."""
+    try:
+        return table_definitions.layout(session, sensor_id, read_document(text)), None
+    except NotFoundError:
+        raise
+    except BoresightError as error:
+        return None, Refusal.of(error)
+
+
+@router.post("/sensors/{sensor_id:int}/table-definition", response_class=HTMLResponse)
+async def change(request: Request, actor: Who, sensor_id: int) -> Response:
+    """Try a definition, or put it into force."""
+    form = await request.form()
+    reason = str(form.get("reason", ""))
+    try:
+        text = await typed_document(form)
+    except RefusedInputError as error:
+        return await run_in_threadpool(_page, request, actor, sensor_id, Shown("", reason, Refusal.of(error)))
+    if form.get("action") != "set":
+        return await run_in_threadpool(_page, request, actor, sensor_id, Shown(text, reason, tried=True))
+    number = str(form.get("number", ""))
+    seen = row_number(number)
+    outcome = await attempt(request, partial(_set, actor, sensor_id, text, reason, seen, request.app.state.policy))
+    if outcome.value is not None:
+        if isinstance(outcome.value, ChangeProposal):
+            flash = "Proposed: it takes effect when another person confirms it."
+            return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
+        flash = f"Version {outcome.value.number} is in force; undecided requests of the sensor are stale."
+        return redirect(f"/sensors/{sensor_id}/table-definition", flash=flash)
+    return await run_in_threadpool(_page, request, actor, sensor_id, Shown(text, reason, outcome.refusal))
+
+
+def _set(
+    actor: Actor, sensor_id: int, text: str, reason: str, seen: int | None, policy: Policy, session: Session
+) -> GateProfile | TableDefinition | ChangeProposal:
+    """Hand the typed definition to the service."""
+    if not text.strip():
+        raise RefusedInputError("There is no table definition: type its JSON, or begin with the example.")
+    asked = ("table-definition", sensor_id, read_document(text), reason, seen)
+    return second_person.change(session, actor, *asked, policy=policy)

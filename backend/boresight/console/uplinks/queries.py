@@ -1,0 +1,87 @@
+"""Queries on what was recorded about the sets on board.
+
+Queries on uplink packages and on what is said of a set inside one.
+
+Queries on the definitions of the tables on board.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sqlalchemy as sa
+
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.uplinks.tables import TableDefinition, Uplink
+from boresight.platform.db.sessions import Session
+
+
+def records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
+    """Return each of a sensor's sets with its newest record at a time."""
+    newest = (
+        sa.select(sa.func.max(Uplink.id))
+        .join(ParameterSet)
+        .where(ParameterSet.sensor_id == sensor_id, Uplink.recorded_utc <= time_utc)
+        .group_by(Uplink.parameter_set_id)
+    )
+    query = sa.select(ParameterSet, Uplink).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
+    rows = session.execute(query.where(Uplink.id.in_(newest)).order_by(Uplink.id))
+    return [(parameter_set, uplink) for parameter_set, uplink in rows]
+
+
+def newest_states(session: Session) -> dict[int, list[tuple[int, str]]]:
+    """Return of every sensor with records its sets and what was recorded last of each, by sensor, in the order of recording."""
+    newest = sa.select(sa.func.max(Uplink.id)).group_by(Uplink.parameter_set_id)
+    columns = (ParameterSet.sensor_id, ParameterSet.id, Uplink.onboard_state)
+    query = sa.select(*columns).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
+    found: dict[int, list[tuple[int, str]]] = {}
+    for sensor_id, set_id, state in session.execute(query.where(Uplink.id.in_(newest)).order_by(Uplink.id)):
+        found.setdefault(sensor_id, []).append((set_id, state))
+    return found
+
+
+def newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:
+    """Return what was recorded last of a set, or last in a state."""
+    query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id).order_by(Uplink.id.desc()).limit(1)
+    return session.scalar(query if onboard_state is None else query.where(Uplink.onboard_state == onboard_state))
+
+
+def newest_compared(session: Session, parameter_set_id: int, method: str, after_id: int) -> Uplink | None:
+    """Return the newest of a set's records after one that rests on a comparison by a method."""
+    query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id, Uplink.method == method)
+    return session.scalar(query.where(Uplink.id > after_id).order_by(Uplink.id.desc()).limit(1))
+
+
+def other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
+    """Return the other sets of a set's sensor that were ever baseline, newest first: what may be on board instead."""
+    query = sa.select(ParameterSet).where(ParameterSet.sensor_id == row.sensor_id, ParameterSet.id != row.id)
+    return session.scalars(
+        query.where(ParameterSet.baseline_from_utc.is_not(None)).order_by(ParameterSet.id.desc())
+    ).all()
+
+
+def baseline_before(session: Session, row: ParameterSet) -> ParameterSet | None:
+    """Return the set that was a sensor's baseline last, apart from this one."""
+    query = sa.select(ParameterSet).join(Promotion, Promotion.parameter_set_id == ParameterSet.id)
+    query = query.where(Promotion.sensor_id == row.sensor_id, Promotion.parameter_set_id != row.id)
+    return session.scalar(query.order_by(Promotion.at_utc.desc(), Promotion.id.desc()).limit(1))
+
+
+def set_named(session: Session, name: str) -> ParameterSet | None:
+    """Return the set of a name."""
+    return session.scalar(sa.select(ParameterSet).where(ParameterSet.name == name))
+
+
+def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | None:
+    """Return a sensor's newest definition."""
+    return next(iter(definitions(session, sensor_id, limit=1)), None)
+
+
+def definitions(
+    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None
+) -> Sequence[TableDefinition]:
+    """Return a page of a sensor's definitions, newest first."""
+    query = sa.select(TableDefinition).where(TableDefinition.sensor_id == sensor_id)
+    if before_number is not None:
+        query = query.where(TableDefinition.number < before_number)
+    return session.scalars(query.order_by(TableDefinition.number.desc()).limit(limit)).all()

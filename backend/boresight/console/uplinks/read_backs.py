@@ -1,0 +1,238 @@
+"""Read-backs: the dump of a table, or the CRC that the spacecraft tells of it, held against what was sent.
+
+A dump that is the same in every byte makes a set VERIFIED by bytes; a CRC that is the same makes it VERIFIED by CRC, which
+is weaker: of w bits it passes one wrong table in 2^w. Anything else is MISMATCH, with the differing bytes and fields kept
+as evidence beside the dump itself. A mismatch that bytes showed is taken back by bytes only, or by sending again, whatever
+was recorded in between.
+
+What was sent is the table in the package that the SENT record names; without one, the set in the definition in force when
+it was sent, or where there was none yet, in the one in force now.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from boresight.console.fleet import queries as history
+from boresight.console.fleet.timeline import happened_on
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.transitions import require_seen
+from boresight.console.uplinks import packages
+from boresight.console.uplinks import queries as rows
+from boresight.console.uplinks.service import Basis, add_entry, refuse_shown_mismatch, set_for_entry
+from boresight.console.uplinks.table_definitions import parsed
+from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
+from boresight.errors import ConflictError, RefusedInputError
+from boresight.platform.actors import Actor
+from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.uplink import table_definition as tables
+from boresight.uplink.cfe import table_image
+from boresight.uplink.comparison import compare
+
+READABLE = ("LOADED", "VERIFIED", "ACTIVE", "MISMATCH", "UNKNOWN")
+MOST_DUMP_BYTES = 200_000  # over the largest table with any header
+TABLE_FILE = "table.bin"
+HEXADECIMAL = re.compile(r"(?:0[xX])?([0-9a-fA-F]{1,16})")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The table that a read-back is held against.
+
+    Parameters
+    ----------
+    row, definition
+        The table definition, as stored and as read.
+    content
+        (length_bytes,) bytes as they were sent.
+    package
+        The package that carried them, where one is on record.
+    """
+
+    row: TableDefinition
+    definition: tables.TableDefinition
+    content: bytes
+    package: Package | None
+
+    @property
+    def crc(self) -> str | None:
+        """The CRC that the spacecraft should tell, with all its digits; None where the definition names none."""
+        value = tables.table_crc(self.definition, self.content)
+        return None if value is None or self.definition.crc is None else self.definition.crc.text(value)
+
+    def document(self) -> dict[str, Any]:
+        """Say what was compared with."""
+        named = {"definition": {"number": self.row.number, "sha256": self.row.sha256}}
+        if self.package is not None:
+            named["package"] = {"id": self.package.id, "sha256": self.package.sha256}
+        return named
+
+
+def reference_of(session: Session, blobs: BlobStore, parameter_set: ParameterSet) -> Reference:
+    """Return the table that was sent of a set.
+
+    Raises
+    ------
+    RefusedInputError
+        When the sensor has no table definition, or the set does not fit in it.
+    NotFoundError, ConflictError
+        When the bytes of the package are missing or were altered on the disk.
+    """
+    sent = rows.newest_record(session, parameter_set.id, "SENT")
+    package = _package_of(session, sent)
+    row = None if package is None else session.get(TableDefinition, package.table_definition_id or 0)
+    if row is None:
+        at_utc = utc_now() if sent is None else sent.recorded_utc
+        row = history.in_force_at(session, TableDefinition, parameter_set.sensor_id, at_utc)
+    row = row or history.in_force_at(session, TableDefinition, parameter_set.sensor_id, utc_now())
+    if row is None:
+        raise RefusedInputError(
+            f"There is no table definition to read {parameter_set.name} back with: "
+            "have an analyst or an administrator set one."
+        )
+    definition = parsed(session, row)
+    if package is not None and package.table_definition_id == row.id:
+        return Reference(row, definition, _carried(session, blobs, package), package)
+    return Reference(row, definition, tables.encode(definition, parameter_set.document["parameters"]), None)
+
+
+def _carried(session: Session, blobs: BlobStore, package: Package) -> bytes:
+    """Return the table inside a package: the very bytes that were sent."""
+    with zipfile.ZipFile(io.BytesIO(packages.read(session, blobs, package.id))) as packed:
+        return packed.read(TABLE_FILE)
+
+
+def _package_of(session: Session, sent: Uplink | None) -> Package | None:
+    """Return the package that a record says was sent."""
+    named = ((sent.evidence if sent else None) or {}).get("package")
+    return None if named is None else session.get(Package, named["id"])
+
+
+def read_back(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    parameter_set_id: int,
+    read: bytes | str,
+    source: str,
+    seen_version: int | None,
+    happened: str | None = None,
+) -> Uplink:
+    """Hold a dump, or the CRC that was told, against what was sent, and record what came of it.
+
+    Parameters
+    ----------
+    read
+        The dump, bytes as they were read from the spacecraft, with or without cFE's file headers; or the CRC that it
+        told, text in hexadecimal.
+    source
+        Pass, procedure or packet that it came with.
+    seen_version
+        Version of the set that was looked at.
+    happened
+        When it was read, ISO 8601, where that is earlier than now.
+
+    Returns
+    -------
+    Uplink
+        VERIFIED, or MISMATCH with `evidence`; of a set that is ACTIVE, a read-back that matches leaves it so.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no operator.
+    PreconditionRequiredError, StaleError
+        When no version was given, or the set changed since.
+    RefusedInputError
+        When dump or CRC cannot be read, or there is no table definition.
+    ConflictError
+        When nothing of this set was loaded, or only a dump can take its mismatch back.
+    """
+    row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    require_seen(session, row, seen_version)
+    _refuse_unreadable(session, row, read)
+    reference = reference_of(session, blobs, row)
+    if isinstance(read, str):
+        matches, found = _by_crc(reference, read)
+    else:
+        matches, found = _by_bytes(session, blobs, row, reference, read)
+    evidence = {**reference.document(), **found, **happened_on(happened)}
+    held = "ACTIVE" if row.onboard_state == "ACTIVE" else "VERIFIED"
+    basis = Basis(evidence, method="crc" if isinstance(read, str) else "bytes")
+    return add_entry(session, actor, row, held if matches else "MISMATCH", source, basis)
+
+
+def dump_or_crc(dump: bytes | None, crc: str) -> bytes | str:
+    """Return the one that was given.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is both or neither, or the dump is too long to be one table's.
+    """
+    if (dump is None) == (not crc.strip()):
+        raise RefusedInputError("Give the dump or the CRC that the spacecraft told: one of them.")
+    if dump is not None and len(dump) > MOST_DUMP_BYTES:
+        raise RefusedInputError(f"The dump is over {MOST_DUMP_BYTES:,} bytes; upload the dump of this table alone.")
+    return crc if dump is None else dump
+
+
+def _refuse_unreadable(session: Session, row: ParameterSet, read: bytes | str) -> None:
+    """Refuse a read-back of what was not loaded, and a CRC against what a dump has shown."""
+    if row.onboard_state not in READABLE:
+        raise ConflictError(
+            f"{row.name} is {row.onboard_state} on board; record it as LOADED before a read-back of it."
+        )
+    if isinstance(read, str):
+        refuse_shown_mismatch(session, row)
+
+
+def _by_crc(reference: Reference, told: str) -> tuple[bool, dict[str, Any]]:
+    """Hold a typed CRC against the one that was sent."""
+    checksum, expected = reference.definition.crc, reference.crc
+    if checksum is None or expected is None:
+        raise RefusedInputError("The table definition names no CRC, so a typed one says nothing; upload the dump.")
+    match = HEXADECIMAL.fullmatch(told.strip())
+    if match is None or int(match[1], 16) >> checksum.width:
+        raise RefusedInputError(f"{told.strip()!r} is no {checksum.name}; write it in hexadecimal, such as {expected}.")
+    found = checksum.text(int(match[1], 16))
+    same = found == expected
+    sentence = (
+        f"{checksum.name} is {found}, as it was sent."
+        if same
+        else f"{checksum.name} is {found} and was {expected} when it was sent: upload the dump to see where they differ."
+    )
+    return same, {"sentence": sentence, "crc": {"name": checksum.name, "expected": expected, "found": found}}
+
+
+def _by_bytes(
+    session: Session, blobs: BlobStore, row: ParameterSet, reference: Reference, dump: bytes
+) -> tuple[bool, dict[str, Any]]:
+    """Hold a dump against the bytes that were sent; the dump is kept, and the evidence is its document."""
+    definition = reference.definition
+    image = table_image(definition.cfe, definition.length_bytes, dump)
+    comparison = compare(definition, reference.content, image)
+    sha256 = register_blob(session, blobs, blobs.put(dump), "application/octet-stream").sha256
+    kept: Mapping[str, Any] = {"sha256": sha256, "bytes": len(dump), "header_bytes": len(dump) - len(image)}
+    found = {**comparison.document(), "dump": kept}
+    if not comparison.matches and (other := _twin(session, row, definition, image)) is not None:
+        found["same_as"] = other
+        found["sentence"] += f" The dump is {other}, byte for byte."
+    return comparison.matches, found
+
+
+def _twin(session: Session, row: ParameterSet, definition: tables.TableDefinition, image: bytes) -> str | None:
+    """Return the name of another set of the sensor that a dump is the table of: most often the one before."""
+    for other in rows.other_sets(session, row):
+        try:
+            if tables.encode(definition, other.document["parameters"]) == image:
+                return other.name
+        except RefusedInputError:
+            continue  # a set that does not fit in the table is not what was read from it
+    return None

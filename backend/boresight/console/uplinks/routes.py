@@ -1,0 +1,347 @@
+"""Uplinks: what people recorded of a parameter set on board.
+
+By statement, or signed where the body carries a password and a meaning: then it is the entry that `:activate` makes.
+
+Transitions of a set on board that no statement makes: a read-back, and the signed entry that it is active.
+
+A dump is small, so its form is read whole, under the limit that the border sets for every body.
+
+Uplink packages: build one of an approved set or the baseline, list them, read the ZIP.
+
+Table definitions of a sensor: how its camera lies in the table on board, in force and before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends
+from pydantic import BaseModel, ConfigDict, Field, SecretStr
+from starlette.datastructures import UploadFile
+from starlette.requests import Request
+
+from boresight.console import schemas as console_schemas
+from boresight.console.access.credentials import who_acts
+from boresight.console.access.dependencies import Blobs, Held, Reading, SeenVersion, Who, Writing, own_password
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
+from boresight.console.operation import FORM_CONTENT, Answer, operations
+from boresight.console.uplinks import packages, read_backs, schemas, table_definitions
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
+from boresight.errors import RefusedInputError
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session
+from boresight.platform.web.media import StoredFile, ZipFile
+from boresight.platform.web.openapi import refusals
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+router = operations("/uplinks", tags=["uplinks"])
+
+
+class Record(BaseModel):
+    """A step on board, and where it is known from."""
+
+    model_config = ConfigDict(extra="forbid")
+    parameter_set_id: Id
+    onboard_state: str = Field(examples=["SENT"])
+    source: str = Field(
+        description="The pass, the procedure or the read-back file.", examples=["Pass 4711, TC log line 88"]
+    )
+    package_id: Id | None = Field(None, description="The uplink package that was sent, where one was built.")
+    happened_utc: str | None = Field(None, description="When it happened, where that is earlier than now.")
+    meaning: str | None = Field(None, description="Of ACTIVE: what the signature means.")
+    password: SecretStr | None = Field(None, description="Of ACTIVE: once more, for the signature is of the person.")
+
+    @property
+    def signed(self) -> bool:
+        """Whether it comes with anything of a signature."""
+        return self.password is not None or self.meaning is not None
+
+
+def _entry(session: Session, actor: Actor, record: Record, proof: PasswordProof, seen: int | None) -> Uplink:
+    """Make the entry: a signed one as `:activate` does, any other by statement."""
+    set_id, happened = record.parameter_set_id, record.happened_utc
+    if not record.signed:
+        return uplinks.record(
+            session,
+            actor,
+            set_id,
+            record.onboard_state,
+            record.source,
+            seen,
+            package_id=record.package_id,
+            happened=happened,
+        )
+    if record.onboard_state != "ACTIVE" or record.package_id is not None:
+        raise RefusedInputError(
+            "Only ACTIVE is signed, and of a package that was named before; leave out password and meaning, or the package."
+        )
+    return uplinks.activate(session, actor, set_id, record.source, record.meaning or "", proof, seen, happened=happened)
+
+
+@router.get("", summary="List records", response_model=Page[schemas.Uplink])
+def list_uplinks(
+    session: Reading, page: Paged, parameter_set_id: Id | None = None, sensor_id: Id | None = None
+) -> Listing[Uplink]:
+    """List what was recorded, newest first."""
+    found = uplinks.list_uplinks(
+        session, parameter_set_id=parameter_set_id, sensor_id=sensor_id, before_id=page.last_id, limit=page.limit + 1
+    )
+    return page.cut(found)
+
+
+@router.post("", summary="Record a step on board", status_code=201, response_model=schemas.Uplink)
+def record_uplink(
+    signed: Record,
+    actor: Who,
+    seen: SeenVersion,
+    proof: Annotated[PasswordProof, own_password(Record)],
+    session: Writing,
+) -> Uplink:
+    """Record the next on-board state of a set by statement: SENT, LOADED, MISMATCH or UNKNOWN.
+
+    `If-Match` is the ETag of the parameter set. VERIFIED comes only of `:read-back` of the set, which compares; ACTIVE only
+    of a signed entry: `:activate`, or this with the password and the meaning of a person.
+    """
+    return _entry(session, actor, signed, proof, seen)
+
+
+@router.get("/{uplink_id}", summary="Read a record", response_model=schemas.Uplink)
+def get_uplink(uplink_id: Id, session: Reading) -> Uplink:
+    """Read a record with its evidence."""
+    return uplinks.get_uplink(session, uplink_id)
+
+
+@router.get("/{uplink_id}/dump", summary="Download the dump", response_class=StoredFile)
+def get_uplink_dump(uplink_id: Id, session: Reading, blobs: Blobs) -> StoredFile:
+    """Download the bytes that a read-back compared, as they were uploaded."""
+    sha256 = uplinks.dump_of(session, uplink_id)
+    return StoredFile(blobs.path(sha256), filename=f"uplink-{uplink_id}-dump.bin", headers={"ETag": f'"{sha256}"'})
+
+
+onboard_router = operations("/parameter-sets", tags=["uplinks"])
+
+MOST_FIELDS = 10
+FORM = {
+    "required": True,
+    "content": {
+        "multipart/form-data": {
+            "schema": {
+                "type": "object",
+                "required": ["source"],
+                "properties": {
+                    "source": {"type": "string", "description": "The pass, the procedure or the packet."},
+                    "file": {"type": "string", "format": "binary", "description": "The dump of the table."},
+                    "crc": {"type": "string", "description": "Or the CRC that was told, in hexadecimal."},
+                    "happened_utc": {"type": "string", "description": "When it was read, where that is earlier."},
+                },
+            }
+        }
+    },
+}
+
+
+@dataclass(frozen=True)
+class ReadBack:
+    """What came: the fields, and the dump if there was one."""
+
+    source: str
+    crc: str
+    happened: str
+    dump: bytes | None
+
+    def content(self) -> bytes:
+        """Return what came, to be digested: a form's text differs from one sending to the next, this does not."""
+        return repr((self.source, self.crc, self.happened)).encode() + hashlib.sha256(self.dump or b"").digest()
+
+
+async def read_form(
+    request: Request,
+    actor: Annotated[Actor, Depends(who_acts)],  # noqa: ARG001 - nothing is read for nobody
+) -> ReadBack:
+    """Read the form; what is no file is a text, and a field that is left out is an empty one."""
+    async with request.form(max_files=1, max_fields=MOST_FIELDS) as form:
+        file = form.get("file")
+        dump = await file.read() if isinstance(file, UploadFile) and file.filename else None
+        texts = {name: value for name, value in form.items() if isinstance(value, str)}
+    came = ReadBack(texts.get("source", ""), texts.get("crc", ""), texts.get("happened_utc", ""), dump)
+    setattr(request.state, FORM_CONTENT, came.content)
+    return came
+
+
+@onboard_router.post(
+    "/{parameter_set_id}:read-back",
+    summary="Compare a dump or a CRC",
+    status_code=201,
+    response_model=schemas.Uplink,
+    openapi_extra={"requestBody": FORM},
+)
+def read_back(
+    parameter_set_id: Id,
+    actor: Who,
+    seen: SeenVersion,
+    came: Annotated[ReadBack, Depends(read_form)],
+    session: Writing,
+    blobs: Blobs,
+) -> Uplink:
+    """Hold the dump of the table, or the CRC that the spacecraft told, against what was sent.
+
+    Records VERIFIED (`method` says by what), or MISMATCH with the differing bytes and fields in `evidence`.
+    """
+    read = read_backs.dump_or_crc(came.dump, came.crc)
+    return read_backs.read_back(session, actor, blobs, parameter_set_id, read, came.source, seen, came.happened)
+
+
+class Activation(BaseModel):
+    """The signed entry that a set is what the sensor runs with."""
+
+    model_config = ConfigDict(extra="forbid")
+    source: str = Field(description="Where it is known from.", examples=["TM page STR-2, pass 4711"])
+    meaning: str = Field(description="What the signature means.", examples=["I saw this table active in telemetry."])
+    password: SecretStr = Field(description="Once more: the signature is of the person, not of the log-in.")
+    happened_utc: str | None = Field(None, description="When it became active, where that is earlier.")
+
+
+@onboard_router.post(
+    "/{parameter_set_id}:activate", summary="Sign that it is active", status_code=201, response_model=schemas.Uplink
+)
+def activate_parameter_set(
+    parameter_set_id: Id,
+    signed: Activation,
+    actor: Who,
+    seen: SeenVersion,
+    proof: Annotated[PasswordProof, own_password(Activation)],
+    session: Writing,
+) -> Uplink:
+    """Record a verified set as ACTIVE, signed by an operator in person; the set that was active becomes UNKNOWN."""
+    return uplinks.activate(
+        session,
+        actor,
+        parameter_set_id,
+        signed.source,
+        signed.meaning,
+        proof,
+        seen,
+        happened=signed.happened_utc,
+    )
+
+
+package_router = operations(tags=["uplinks"])
+
+
+class Export(BaseModel):
+    """What the spacecraft has; said, the package is refused for anything else."""
+
+    model_config = ConfigDict(extra="forbid")
+    flight_software_version: str | None = Field(None, examples=["4.2.1"])
+    table_id: str | None = Field(None, examples=["STR_CAM"])
+
+
+@package_router.post(
+    "/parameter-sets/{parameter_set_id}:export",
+    summary="Build the uplink package",
+    status_code=201,
+    response_model=schemas.Package,
+    responses=refusals(412),
+)
+def export_parameter_set(
+    parameter_set_id: Id, actor: Who, policy: Held, session: Writing, blobs: Blobs, export: Export | None = None
+) -> Package:
+    """Build the package of an approved set or the baseline; built again of the same, it is the one that exists."""
+    said = {} if export is None else export.model_dump()
+    return packages.build(session, actor, blobs, parameter_set_id, policy=policy, **said)
+
+
+@package_router.get("/packages", summary="List packages", response_model=Page[schemas.Package])
+def list_packages(
+    session: Reading, page: Paged, parameter_set_id: Id | None = None, sensor_id: Id | None = None
+) -> Listing[Package]:
+    """List the packages that were built, newest first."""
+    found = packages.list_packages(
+        session, parameter_set_id=parameter_set_id, sensor_id=sensor_id, before_id=page.last_id, limit=page.limit + 1
+    )
+    return page.cut(found)
+
+
+@package_router.get("/packages/{package_id}", summary="Read a package's entry", response_model=schemas.Package)
+def get_package(package_id: Id, session: Reading) -> Package:
+    """Read whose package it is and what it is for; `/content` is the file."""
+    return packages.get_package(session, package_id)
+
+
+@package_router.get("/packages/{package_id}/content", summary="Read a package", response_class=ZipFile)
+def get_package_content(package_id: Id, session: Reading, blobs: Blobs) -> ZipFile:
+    """Read the ZIP, its bytes checked against their hash."""
+    row = packages.get_package(session, package_id)
+    headers = {
+        "Content-Disposition": f'attachment; filename="{packages.file_name(session, row)}"',
+        "ETag": f'"{row.sha256}"',
+    }
+    return ZipFile(packages.read(session, blobs, package_id), headers=headers)
+
+
+table_definition_router = operations("/sensors", tags=["uplinks"])
+
+EXAMPLE = {
+    "table_id": "STR_CAM",
+    "flight_software_version": "4.2.1",
+    "byte_order": "big",
+    "length_bytes": 28,
+    "fields": [{"name": "FOCAL_LENGTH", "parameter": "f_m", "offset_bytes": 0, "type": "float32"}],
+    "crc": {"name": "CRC-16/CCITT-FALSE", "offset_bytes": 26},
+}
+
+
+class NewTableDefinition(BaseModel):
+    """A definition to put into force, and why."""
+
+    model_config = ConfigDict(extra="forbid")
+    document: console_schemas.Document = Field(
+        description="Every parameter of the camera model lies in one field.", examples=[EXAMPLE]
+    )
+    reason: str = Field(examples=["Flight software 4.2.1 holds the focal length in millimetres."])
+
+
+@table_definition_router.get(
+    "/{sensor_id}/table-definitions",
+    summary="List the table definitions of a sensor",
+    response_model=Page[schemas.TableDefinition],
+)
+def list_table_definitions(sensor_id: Id, session: Reading, page: Paged) -> Answer:
+    """List every version, newest first; the first is in force, and the ETag is for setting another, `"v0"` for none."""
+    found = table_definitions.list_definitions(session, sensor_id)
+    tag = schemas.TableDefinition.etag(found[0]) if found else '"v0"'
+    return Answer(page.cut_whole(found), headers={"ETag": tag})
+
+
+@table_definition_router.post(
+    "/{sensor_id}/table-definitions",
+    summary="Set the table definition of a sensor",
+    status_code=201,
+    response_model=schemas.TableDefinition,
+    responses=PROPOSED,
+)
+def set_table_definition(
+    sensor_id: Id, definition: NewTableDefinition, actor: Who, seen: SeenVersion, policy: Held, session: Writing
+) -> GateProfile | TableDefinition | Answer:
+    """Put another layout into force. The sensor's undecided requests become STALE, for they would be other bytes.
+
+    Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
+    analyst or administrator confirms it.
+    """
+    made = second_person.change(
+        session,
+        actor,
+        "table-definition",
+        sensor_id,
+        definition.document,
+        definition.reason,
+        seen,
+        policy=policy,
+    )
+    return in_force_or_proposed(session, made)

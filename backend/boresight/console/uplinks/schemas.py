@@ -1,0 +1,145 @@
+"""What is known to be on board, and what held for a sensor at a time.
+
+Table definitions, and the uplink packages that are built by them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, Field, model_validator
+
+from boresight.console.approvals.schemas import Approval
+from boresight.console.parameter_sets.schemas import ParameterSet
+from boresight.console.schemas import Document, Row
+
+
+class Uplink(Row):
+    """What was recorded about a set on board."""
+
+    location = "/uplinks/{row.id}"
+
+    id: int
+    parameter_set_id: int
+    onboard_state: str
+    source: str
+    recorded_utc: str
+    recorded_by: int
+    method: Literal["bytes", "crc"] | None = Field(description="How a read-back was compared; null of a statement.")
+    evidence: Document | None = Field(description="Package, dump, CRC, differing bytes and fields, when it happened.")
+    printed_name: str | None = Field(description="Of who signed that the set is active.")
+    meaning: str | None = Field(description="What the signature means.")
+
+
+class Version(Row):
+    """A gate profile or table definition that was in force."""
+
+    number: int
+    sha256: str
+    reason: str
+    created_utc: str
+    created_by: int | None
+
+
+class Promotion(Row):
+    """How a set became the baseline."""
+
+    id: int
+    parameter_set_id: int
+    approval_id: int | None = Field(description="Null of a ground calibration.")
+    at_utc: str
+    promoted_by: int | None
+
+
+class OnBoard(BaseModel):
+    """A set with what was recorded of it."""
+
+    parameter_set: str
+    sha256: str
+    record: Uplink
+
+
+class AsOf(BaseModel):
+    """What held for a sensor at a time, and who said so."""
+
+    sensor_id: int
+    time_utc: str
+    sentence: str = Field(description="Ground and board in one line.")
+    differs: bool = Field(description="Whether another set was active on board than was baseline.")
+    baseline: ParameterSet | None
+    promotion: Promotion | None
+    approval: Approval | None = Field(description="The request that was carried out, with its signatures.")
+    on_board: list[OnBoard] = Field(description="Of every set the newest record by then.")
+    learned_later: list[OnBoard] = Field(description="Recorded after the time, of what had happened by then.")
+    gate_profile: Version | None
+    table_definition: Version | None
+
+
+class Event(Row):
+    """One line of a sensor's timeline."""
+
+    id: int
+    at_utc: str = Field(description="When it was recorded.")
+    kind: str = Field(
+        description="`ground calibration`, `request`, `signature`, `waiver`, `promotion`, `roll-back`, `package`, "
+        "`uplink`, `read-back`, `gate profile` or `table definition`."
+    )
+    state: str | None
+    parameter_set_id: int | None
+    parameter_set: str | None
+    who: str | None
+    sentence: str
+    said: str | None = Field(description="Reason, meaning, comment or source, in the person's words.")
+    sha256: str | None
+    happened_utc: str | None = Field(description="When it happened, where its source puts that earlier.")
+    subject: str | None = Field(description="Its address: `approvals/3`.")
+
+
+class TableDefinition(Row):
+    """How a sensor's camera lies in the table on board; every version is kept."""
+
+    versioned_by = ("number",)
+    location = "/sensors/{row.sensor_id}/table-definitions"
+
+    id: int
+    sensor_id: int
+    number: int = Field(description='Counts the sensor\'s definitions; the ETag is `"v<number>"`.')
+    document: Document
+    sha256: str = Field(description="SHA-256 of the canonical JSON of `document`.")
+    reason: str
+    created_utc: str
+    created_by: int | None
+
+
+class Package(Row):
+    """An uplink package: the ZIP is at `/content`, and everything that its bytes follow from is in its manifest."""
+
+    location = "/packages/{row.id}"
+
+    id: int
+    parameter_set_id: int
+    table_definition_id: int | None = Field(description="Null where none was in force: the package holds no table.")
+    flight_software_version: str | None
+    table_id: str | None
+    sha256: str = Field(description="SHA-256 of the ZIP.")
+    backout: str = Field(description="The set that it goes back to, in the folder `backout/`.")
+    four_eyes: str = Field(description="Whether a second person approved the set.")
+    audit_head: str = Field(description="Head of the audit log when the package was first built.")
+    created_utc: str
+    created_by: int | None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_row(cls, row: Any) -> Any:
+        """Take what is shown out of the inputs of a stored package."""
+        if not hasattr(row, "inputs"):
+            return row
+        columns = ("id", "parameter_set_id", "table_definition_id", "sha256", "created_utc", "created_by")
+        document = (row.inputs["definition"] or {}).get("document", {})
+        return {name: getattr(row, name) for name in columns} | {
+            "flight_software_version": document.get("flight_software_version"),
+            "table_id": document.get("table_id"),
+            "backout": row.inputs["backout"]["name"],
+            "four_eyes": row.inputs["four_eyes"]["sentence"],
+            "audit_head": row.inputs["first_built"]["audit_head"],
+        }

@@ -1,0 +1,396 @@
+"""What is on board, as people recorded it; Boresight commands no spacecraft.
+
+    NOT SENT --> SENT --> LOADED --> VERIFIED --> ACTIVE
+
+One step at a time, each with its source, and each by its own door:
+
+    SENT, LOADED, MISMATCH, UNKNOWN     somebody's statement          `record`
+    VERIFIED, MISMATCH                  a comparison of what was read `read_backs.read_back`
+    ACTIVE                              a signature in person         `activate`
+
+ACTIVE therefore always follows a read-back that agreed. MISMATCH and UNKNOWN can be recorded for anything that was sent, and
+are left by sending again or by a read-back; what `onboard.shown_mismatch` says stands, no statement takes back. One set is
+active: when another is signed as ACTIVE, the one before becomes UNKNOWN. Nothing on the ground moves these states: a set
+that is promoted or rolled back says nothing about what the sensor runs with.
+
+An entry about a set on board: who may make one, and what it rests on. Entries are only ever added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from boresight.console import list_queries as lists
+from boresight.console.access import users
+from boresight.console.access.passwords import PasswordProof
+from boresight.console.alarms.watch import watch
+from boresight.console.fleet.timeline import happened_on
+from boresight.console.parameter_sets import queries as set_rows
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.transitions import get_parameter_set, require_seen, subject_of
+from boresight.console.uplinks import queries as rows
+from boresight.console.uplinks.table_definitions import definition_in_force
+from boresight.console.uplinks.tables import Package, Uplink
+from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, require_person, require_role, require_scope, require_user
+from boresight.platform.audit import log as audit
+from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.db.times import read_time
+from boresight.platform.web.words import refuse_control_characters
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What an entry rests on; nothing but its source makes it a statement.
+
+    Parameters
+    ----------
+    evidence
+        What goes with it as a document: the package, the dump and what was found in it, when it happened.
+    method
+        How a read-back was compared: `bytes` or `crc`.
+    printed_name, meaning
+        Of who signed it, and what the signature means.
+    """
+
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    method: str | None = None
+    printed_name: str | None = None
+    meaning: str | None = None
+
+
+STATEMENT = Basis()
+
+
+def set_for_entry(
+    session: Session, actor: Actor, parameter_set_id: int, source: str, seen_version: int | None
+) -> ParameterSet:
+    """Return the set that an operator makes an entry for.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no operator, or nobody who answers for it.
+    StaleError
+        When the set changed since the version that was seen.
+    RefusedInputError
+        When no source is given.
+    """
+    require_role(actor, "operator")
+    require_scope(actor, "uplinks")
+    require_user(actor, "record an uplink")
+    refuse_control_characters(source=source)
+    row = get_parameter_set(session, parameter_set_id)
+    if seen_version is not None:
+        require_seen(session, row, seen_version)
+    if not source.strip():
+        raise RefusedInputError("Say where this is known from: the pass, the procedure or the read-back file.")
+    return row
+
+
+def shown_mismatch(session: Session, row: ParameterSet) -> bool:
+    """Say whether a dump of what was last sent differed, and no dump has agreed since.
+
+    What was recorded in between, by statement or by CRC, changes nothing of it: of all that was recorded since the set was
+    last SENT only the comparisons of bytes count, and the newest of them decides.
+    """
+    sent = rows.newest_record(session, row.id, "SENT")
+    compared = rows.newest_compared(session, row.id, "bytes", 0 if sent is None else sent.id)
+    return compared is not None and compared.onboard_state == "MISMATCH"
+
+
+def refuse_shown_mismatch(session: Session, row: ParameterSet) -> None:
+    """Refuse what would take back, without bytes, a mismatch that bytes showed.
+
+    Raises
+    ------
+    ConflictError
+        When a mismatch stands.
+    """
+    if shown_mismatch(session, row):
+        raise ConflictError(
+            f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again."
+        )
+
+
+def add_entry(
+    session: Session, actor: Actor, row: ParameterSet, onboard_state: str, source: str, basis: Basis = STATEMENT
+) -> Uplink:
+    """Add the entry and show its state on the set, with one audit record."""
+    uplink = Uplink(
+        parameter_set_id=row.id,
+        onboard_state=onboard_state,
+        source=source.strip(),
+        recorded_utc=utc_now(),
+        recorded_by=require_user(actor, "record an uplink"),
+        method=basis.method,
+        evidence=dict(basis.evidence) or None,
+        printed_name=basis.printed_name,
+        meaning=basis.meaning,
+    )
+    before = {"onboard_state": row.onboard_state, "version": row.version}
+    row.onboard_state = onboard_state
+    row.version += 1
+    session.add(uplink)
+    session.flush()
+    told = {"method": basis.method, "meaning": basis.meaning, "found": basis.evidence.get("sentence")}
+    after = {"onboard_state": onboard_state, "version": row.version, "record": f"uplinks/{uplink.id}"}
+    after |= {name: value for name, value in told.items() if value is not None}
+    audit.append(session, actor, f"recorded {onboard_state} for", subject_of(row), before, after, source.strip())
+    watch(session, [row.sensor_id])
+    return uplink
+
+
+NEXT: dict[str, tuple[str, ...]] = {
+    "NOT SENT": ("SENT",),
+    "SENT": ("LOADED", "MISMATCH", "UNKNOWN"),
+    "LOADED": ("VERIFIED", "MISMATCH", "UNKNOWN"),
+    "VERIFIED": ("ACTIVE", "SENT", "MISMATCH", "UNKNOWN"),
+    "ACTIVE": ("MISMATCH", "UNKNOWN"),
+    "MISMATCH": ("SENT", "UNKNOWN"),
+    "UNKNOWN": ("SENT", "LOADED", "VERIFIED", "MISMATCH"),
+}
+STATED = ("SENT", "LOADED", "MISMATCH", "UNKNOWN")
+
+
+def record(
+    session: Session,
+    actor: Actor,
+    parameter_set_id: int,
+    onboard_state: str,
+    source: str,
+    seen_version: int | None = None,
+    *,
+    package_id: int | None = None,
+    happened: str | None = None,
+) -> Uplink:
+    """Record the next on-board state of a set by statement, with where it is known from.
+
+    Parameters
+    ----------
+    onboard_state
+        Of STATED; nobody's word makes a set VERIFIED or ACTIVE.
+    source
+        Pass, procedure or log line that it is known from; needed.
+    seen_version
+        Version of the set that was looked at; None where a form shows the next steps itself.
+    package_id
+        The uplink package that was sent or loaded, where one was built.
+    happened
+        When it happened, ISO 8601, where that is earlier than now.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no operator, or a key would have the set ACTIVE.
+    StaleError
+        When the set changed since.
+    RefusedInputError
+        When the state does not exist, the source is missing, the package is another set's, or the time is none.
+    ConflictError
+        When the state is VERIFIED or ACTIVE, or does not follow the one recorded, or a dump showed otherwise than LOADED, or
+        what is to be sent is not the baseline, or its package was built for a table definition that is no longer in force.
+    """
+    row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    _refuse_statement(actor, row, onboard_state)
+    _refuse_step(row, onboard_state)
+    if onboard_state == "LOADED":
+        refuse_shown_mismatch(session, row)
+    evidence = _package(session, row, package_id, onboard_state) | happened_on(happened)
+    return add_entry(session, actor, row, onboard_state, source, Basis(evidence))
+
+
+def activate(
+    session: Session,
+    actor: Actor,
+    parameter_set_id: int,
+    source: str,
+    meaning: str,
+    proof: PasswordProof,
+    seen_version: int | None,
+    *,
+    happened: str | None = None,
+) -> Uplink:
+    """Record that a verified set is what the sensor runs with: an entry signed by a person who gives the password again.
+
+    Parameters
+    ----------
+    source
+        Where it is known from: the telemetry page, the pass, the procedure.
+    meaning
+        What the signature means, in words that are kept with it.
+    happened
+        When it became active, ISO 8601, where that is earlier than now.
+
+    Raises
+    ------
+    ForbiddenError, UnauthenticatedError
+        When this person may not sign, or the password is wrong.
+    PreconditionRequiredError, StaleError
+        When no version was given, or the set changed since.
+    RefusedInputError
+        When source or meaning is missing.
+    ConflictError
+        When the set is not VERIFIED, or no read-back verified it.
+    """
+    require_person(actor, "sign that a set is active")
+    if "administrator" in actor.roles:
+        raise ForbiddenError("An administrator cannot sign; an operator who is no administrator must.")
+    if users.must_change_password(session, actor):
+        raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
+    row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    require_seen(session, row, seen_version)
+    _refuse_step(row, "ACTIVE")
+    _refuse_unread(session, row)
+    refuse_control_characters(meaning=meaning)
+    if not meaning.strip():
+        raise RefusedInputError("Say what your signature means, such as: I saw this table active in telemetry.")
+    evidence = happened_on(happened) | {"shown_sha256": shown_sha256(session, row)}
+    users.require_password(session, actor, proof)
+    _retire_active(session, actor, row, source.strip())
+    signed = Basis(evidence, printed_name=actor.printed_name, meaning=meaning.strip())
+    return add_entry(session, actor, row, "ACTIVE", source, signed)
+
+
+def shown_sha256(session: Session, row: ParameterSet) -> str:
+    """Return the hash of what a signature that a set is active stands for: the set, and the record that verified it."""
+    newest = lists.newest(session, Uplink, set=row.id, limit=1)
+    verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in newest]
+    return sha256_of({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
+
+
+def next_statements(session: Session, row: ParameterSet) -> list[str]:
+    """Return the states that can be recorded next of a set by statement."""
+    told = [state for state in NEXT[row.onboard_state] if state in STATED]
+    return [state for state in told if state != "LOADED"] if shown_mismatch(session, row) else told
+
+
+def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> None:
+    """Refuse what is nobody's to state, and name the door that it comes by."""
+    if onboard_state == "VERIFIED":
+        raise ConflictError(
+            f"VERIFIED is not recorded by statement: give the dump or the CRC of {row.name} to `:read-back`, which compares."
+        )
+    if onboard_state == "ACTIVE":
+        require_person(actor, "sign that a set is active")
+        raise ConflictError(
+            f"ACTIVE is not recorded by statement: an operator signs it for {row.name} with password and meaning, "
+            "by `:activate`."
+        )
+
+
+def _refuse_unread(session: Session, row: ParameterSet) -> None:
+    """Refuse to sign for a set that was recorded as VERIFIED by word alone, as earlier versions let it be."""
+    newest = rows.newest_record(session, row.id)
+    if newest is None or newest.method is None:
+        raise ConflictError(f"{row.name} is VERIFIED by statement alone; read it back by dump or CRC, then sign.")
+
+
+def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
+    """Refuse a step off the ladder."""
+    if onboard_state not in NEXT:
+        raise RefusedInputError(f"There is no on-board state {onboard_state!r}; the states are {', '.join(NEXT)}.")
+    if onboard_state not in NEXT[row.onboard_state]:
+        steps = ", ".join(NEXT[row.onboard_state])
+        raise ConflictError(f"{row.name} is {row.onboard_state} on board; next can be {steps}, not {onboard_state}.")
+    if onboard_state == "SENT" and row.ground_state != "BASELINE":
+        raise ConflictError(
+            f"{row.name} is {row.ground_state}; only the baseline is sent. Have it approved and promote it."
+        )
+
+
+def _package(session: Session, row: ParameterSet, package_id: int | None, onboard_state: str) -> dict[str, Any]:
+    """Return what is kept of the package that was sent; refuse another set's, and to send one for another table."""
+    if package_id is None:
+        return {}
+    package = session.get(Package, package_id)
+    if package is None or package.parameter_set_id != row.id:
+        raise RefusedInputError(f"There is no package {package_id} of {row.name}; name one that was built for it.")
+    definition = definition_in_force(session, row.sensor_id)
+    if onboard_state == "SENT" and package.table_definition_id != (definition.id if definition else None):
+        raise ConflictError(
+            f"Package {package_id} was built for another table definition than the one in force: "
+            "build the package again and send that."
+        )
+    return {"package": {"id": package.id, "sha256": package.sha256}}
+
+
+def _retire_active(session: Session, actor: Actor, row: ParameterSet, source: str) -> None:
+    """Make the set that was active UNKNOWN: another is active now."""
+    if (active := set_rows.active_set(session, row.sensor_id)) is not None and active.id != row.id:
+        add_entry(session, actor, active, "UNKNOWN", f"{row.name} was read back as active: {source}")
+
+
+def get_uplink(session: Session, uplink_id: int) -> Uplink:
+    """Return a record.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    row = session.get(Uplink, uplink_id)
+    if row is None:
+        raise NotFoundError(f"There is no uplink record {uplink_id}.")
+    return row
+
+
+def dump_of(session: Session, uplink_id: int) -> str:
+    """Return the SHA-256 of the dump that a record rests on.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such record, or none of bytes.
+    """
+    dump = (get_uplink(session, uplink_id).evidence or {}).get("dump")
+    if dump is None:
+        raise NotFoundError(f"Uplink record {uplink_id} rests on no dump; see its method and evidence.")
+    return str(dump["sha256"])
+
+
+def list_uplinks(
+    session: Session,
+    *,
+    parameter_set_id: int | None = None,
+    sensor_id: int | None = None,
+    before_id: int | None = None,
+    limit: int | None = None,
+) -> Sequence[Uplink]:
+    """Return a page of records, newest first; the next page starts before the last one's id."""
+    return lists.newest(session, Uplink, before_id=before_id, limit=limit, set=parameter_set_id, sensor=sensor_id)
+
+
+def baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | None:
+    """Return what was the sensor's baseline at a time; None before there was one.
+
+    Parameters
+    ----------
+    time
+        ISO 8601, UTC when it names no zone.
+
+    Raises
+    ------
+    RefusedInputError
+        When the time cannot be read.
+    """
+    return set_rows.baseline_at(session, sensor_id, read_time(time))
+
+
+def onboard_at(session: Session, sensor_id: int, time: str) -> Sequence[tuple[ParameterSet, Uplink]]:
+    """Return each set that was on its way or on board at a time, with the record that says so.
+
+    Raises
+    ------
+    RefusedInputError
+        When the time cannot be read.
+    """
+    return rows.records_until(session, sensor_id, read_time(time))
+
+
+def promotions_of(session: Session, sensor_id: int) -> Sequence[Promotion]:
+    """Return every promotion of a sensor, newest first."""
+    return set_rows.promotions(session, sensor_id)

@@ -1,0 +1,228 @@
+"""Table definitions: how a sensor's camera lies in the table on board. Every version is kept; the newest is in force.
+
+Another definition is another set of bytes and another rounding, so setting one makes the sensor's undecided requests stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.approvals import proposals, staleness
+from boresight.console.approvals.tables import ChangeProposal
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets import queries as set_rows
+from boresight.console.transitions import get_sensor
+from boresight.console.uplinks import queries as rows
+from boresight.console.uplinks.tables import TableDefinition
+from boresight.errors import PreconditionRequiredError, RefusedInputError, StaleError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.db.documents import canonical, sha256_of
+from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.web.words import refuse_control_characters
+from boresight.telemetry.sensors import parse_sensor
+from boresight.uplink import table_definition
+
+LARGEST_DOCUMENT = 200_000
+
+
+def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | None:
+    """Return the definition that a sensor's sets are exported by; None where the mission configured none."""
+    return rows.definition_in_force(session, sensor_id)
+
+
+def list_definitions(
+    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None = None
+) -> Sequence[TableDefinition]:
+    """Return a page of a sensor's definitions, newest first; the next page starts before the last one's number."""
+    get_sensor(session, sensor_id)
+    return rows.definitions(session, sensor_id, before_number=before_number, limit=limit)
+
+
+def parsed(session: Session, row: TableDefinition) -> table_definition.TableDefinition:
+    """Return what a stored definition says."""
+    sensor = session.get_one(Sensor, row.sensor_id)
+    return table_definition.parse_definition(row.document, parse_sensor(sensor.document))
+
+
+def parse_for(session: Session, sensor_id: int, document: Mapping[str, Any]) -> table_definition.TableDefinition:
+    """Read a definition that is not stored, as `set_definition` would.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the document cannot be used; names the entry.
+    """
+    sensor = get_sensor(session, sensor_id)
+    definition = table_definition.parse_definition(document, parse_sensor(sensor.document))
+    if len(canonical(document)) > LARGEST_DOCUMENT:
+        raise RefusedInputError(f"The table definition has more than {LARGEST_DOCUMENT:,} characters: shorten it.")
+    return definition
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A definition with the baseline's numbers in it.
+
+    Parameters
+    ----------
+    definition
+        As read.
+    image
+        (length_bytes,) bytes.
+    decoded
+        The image read back, field by field.
+    effect
+        `max_px` and `max_arcsec`, what the number format does to the camera.
+    filled_with
+        The set whose numbers they are; "the sensor file" where there is no baseline.
+    """
+
+    definition: table_definition.TableDefinition
+    image: bytes
+    decoded: table_definition.Decoded
+    effect: Mapping[str, float]
+    filled_with: str
+
+
+def layout(session: Session, sensor_id: int, document: Mapping[str, Any]) -> Layout:
+    """Lay the sensor's baseline out by a definition, stored or not.
+
+    Raises
+    ------
+    NotFoundError
+        When there is no such sensor.
+    RefusedInputError
+        When the document cannot be used, or the baseline does not fit into its fields.
+    """
+    definition = parse_for(session, sensor_id, document)
+    sensor = parse_sensor(get_sensor(session, sensor_id).document)
+    camera, baseline = CAMERA_MODELS[sensor.camera_model], set_rows.baseline(session, sensor_id)
+    values = dict(zip(camera.parameter_names, sensor.initial.tolist(), strict=True))
+    if baseline is not None:
+        values = baseline.document["parameters"]
+    image = table_definition.encode(definition, values)
+    held = table_definition.quantised(definition, values)
+    return Layout(
+        definition=definition,
+        image=image,
+        decoded=table_definition.decode(definition, image),
+        effect=table_definition.quantisation_effect(camera, sensor, values, held),
+        filled_with="the sensor file" if baseline is None else baseline.name,
+    )
+
+
+def set_definition(
+    session: Session,
+    actor: Actor,
+    sensor_id: int,
+    document: Mapping[str, Any],
+    reason: str,
+    seen_number: int | None,
+) -> TableDefinition:
+    """Put a definition into force for a sensor.
+
+    Parameters
+    ----------
+    document
+        As `boresight.uplink.definition_document` reads it.
+    reason
+        Why it changes; needed, for the flight software is changed elsewhere.
+    seen_number
+        Number of the definition that was seen in force; 0 for none.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is neither analyst nor administrator, or a key without the scope.
+    NotFoundError
+        When there is no such sensor.
+    PreconditionRequiredError, StaleError
+        When no number was given, or another definition is in force by now.
+    RefusedInputError
+        When the document cannot be used, says what is in force already, or no reason is given.
+    """
+    complete = checked(session, actor, sensor_id, document, reason, seen_number)
+    return put_into_force(session, actor, sensor_id, complete, reason)
+
+
+def checked(
+    session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], reason: str, seen_number: int | None
+) -> dict[str, Any]:
+    """Return a definition as it would be stored, if this actor may put it into force now.
+
+    Raises
+    ------
+    BoresightError
+        As `set_definition`.
+    """
+    require_role(actor, "analyst", "administrator")
+    require_scope(actor, "sensors")
+    refuse_control_characters(reason=reason)
+    sensor = get_sensor(session, sensor_id)
+    current = rows.definition_in_force(session, sensor_id)
+    _require_seen(session, sensor, current, seen_number)
+    parse_for(session, sensor_id, document)
+    if not reason.strip():
+        raise RefusedInputError("Give the reason why the table on board is another one.")
+    if current is not None and current.sha256 == sha256_of(dict(document)):
+        raise RefusedInputError(f"This is definition {current.number}, which is in force: change something.")
+    return dict(document)
+
+
+def put_into_force(
+    session: Session,
+    actor: Actor,
+    sensor_id: int,
+    document: Mapping[str, Any],
+    reason: str,
+    proposal: ChangeProposal | None = None,
+) -> TableDefinition:
+    """Make a definition the one in force, of whoever proposed it where somebody did.
+
+    Raises
+    ------
+    RefusedInputError
+        When the sensor has changed so that the document cannot be used any more.
+    """
+    parse_for(session, sensor_id, document)
+    sensor, current = get_sensor(session, sensor_id), rows.definition_in_force(session, sensor_id)
+    row = TableDefinition(
+        sensor_id=sensor_id,
+        number=1 if current is None else current.number + 1,
+        document=dict(document),
+        sha256=sha256_of(dict(document)),
+        reason=reason.strip(),
+        created_utc=utc_now(),
+        created_by=actor.user_id if proposal is None else proposal.proposed_by,
+    )
+    session.add(row)
+    session.flush()
+    before = None if current is None else {"number": current.number, "sha256": current.sha256}
+    after = {"sensor": sensor.name, "number": row.number, "sha256": row.sha256, "document": row.document}
+    after |= {} if proposal is None else {"proposal": proposal.id}
+    audit.append(session, actor, "defined", f"table-definitions/{row.id}", before, after, row.reason)
+    proposals.make_stale(session, actor, sensor_id, "table-definition", row.number)
+    staleness.make_stale_of_sensor(session, actor, sensor_id, f"the table definition became version {row.number}")
+    return row
+
+
+def _require_seen(session: Session, sensor: Sensor, current: TableDefinition | None, seen_number: int | None) -> None:
+    """Refuse a change by someone who did not see what is in force."""
+    number = 0 if current is None else current.number
+    if seen_number is None:
+        raise PreconditionRequiredError(
+            f'Say which table definition of {sensor.name} you saw: If-Match: "v<number>", "v0" for none.'
+        )
+    if seen_number != number:
+        record = None if current is None else audit.last_change(session, f"table-definitions/{current.id}")
+        by = "" if record is None else f": {record.actor} {record.action} it at {record.at_utc}"
+        raise StaleError(
+            f"The table definition of {sensor.name} has changed since you looked (you saw v{seen_number}, "
+            f"it is v{number}){by}. Reload, look again and decide."
+        )

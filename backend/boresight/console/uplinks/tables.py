@@ -1,0 +1,58 @@
+"""What goes to the spacecraft and what is known to be there: table definitions, packages, records."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.console.parameter_sets.tables import ONBOARD_STATES
+from boresight.platform.db.declared import STRICT, Base, one_of
+from boresight.platform.db.documents import JsonText
+
+
+class Uplink(Base):
+    """What was exported or recorded as loaded on board, entry by entry; never edited."""
+
+    __tablename__ = "uplinks"
+    __table_args__ = (one_of("onboard_state", ONBOARD_STATES), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
+    onboard_state: Mapped[str] = mapped_column(sa.Text)
+    source: Mapped[str] = mapped_column(sa.Text)
+    recorded_utc: Mapped[str] = mapped_column(sa.Text)
+    recorded_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
+    method: Mapped[str | None] = mapped_column(sa.Text)  # how a read-back was compared: bytes | crc
+    evidence: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # package, dump, CRC, differing fields
+    printed_name: Mapped[str | None] = mapped_column(sa.Text)  # of who signed that it is active
+    meaning: Mapped[str | None] = mapped_column(sa.Text)
+
+
+class TableDefinition(Base):
+    """How a sensor's parameters lie in the table on board; each version is a row, the newest is in force."""
+
+    __tablename__ = "table_definitions"
+    __table_args__ = (sa.UniqueConstraint("sensor_id", "number"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
+    number: Mapped[int]
+    document: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    sha256: Mapped[str] = mapped_column(sa.Text)
+    reason: Mapped[str] = mapped_column(sa.Text)
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
+
+
+class Package(Base):
+    """An uplink package that was built: from what, and the SHA-256 of its bytes."""
+
+    __tablename__ = "packages"
+    __table_args__ = (STRICT,)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
+    table_definition_id: Mapped[int | None] = mapped_column(sa.ForeignKey("table_definitions.id"))
+    inputs: Mapped[dict[str, Any]] = mapped_column(JsonText)  # everything the bytes follow from
+    sha256: Mapped[str] = mapped_column(sa.ForeignKey("blobs.sha256"))
+    created_utc: Mapped[str] = mapped_column(sa.Text)
+    created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))

@@ -1,0 +1,160 @@
+"""Webhooks: who is told what happens, the trial, and the log of every message with its outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import HTMLResponse, Response
+
+from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.pages.rendering import Refusal, attempt, redirect, redirect_refused, render
+from boresight.console.webhooks import service as webhooks
+from boresight.console.webhooks.secrets import state_of
+from boresight.errors import BoresightError
+from boresight.platform.actors import Actor
+from boresight.platform.db.sessions import Session, reading
+from boresight.platform.web.paging import row_number
+
+router = APIRouter(dependencies=[Depends(csrf)])
+
+ROWS_A_PAGE = 50
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a form left behind: its refusal, what was typed, a secret that is shown once."""
+
+    refusal: Refusal | None = None
+    typed: Mapping[str, str] = field(default_factory=dict)
+    secret: str = ""
+
+
+@router.get("/webhooks", response_class=HTMLResponse)
+def webhooks_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+    """Show every webhook, and the form for another."""
+    return _page(request, session, actor, Shown())
+
+
+def _page(request: Request, session: Session, actor: Actor, shown: Shown) -> HTMLResponse:
+    """Render the list, or to whom it is not shown who may see it."""
+    may = "administrator" in actor.roles
+    return render(
+        request,
+        "webhooks/webhooks.html",
+        refused=shown.refusal,
+        may=may,
+        hooks=webhooks.list_webhooks(session, actor) if may else [],
+        state_of=partial(state_of, box=request.app.state.secret_box),
+        shown=shown,
+    )
+
+
+def _again(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
+    """Render the list after a form was refused, or with a secret."""
+    with reading(request.app.state.engine) as session:
+        return _page(request, session, actor, shown)
+
+
+@router.post("/webhooks", response_class=HTMLResponse)
+async def create(
+    request: Request,
+    actor: Who,
+    label: Annotated[str, Form()] = "",
+    url: Annotated[str, Form()] = "",
+    actions: Annotated[str, Form()] = "",
+) -> Response:
+    """Make a webhook and show its secret, this once."""
+    wanted = actions.replace(",", " ").split()
+    state, typed = request.app.state, {"label": label, "url": url, "actions": actions}
+    try:
+        await run_in_threadpool(webhooks.judge_address, actor, url, state.deliveries.targets)
+    except BoresightError as error:
+        return await run_in_threadpool(_again, request, actor, Shown(Refusal.of(error), typed))
+    change = partial(webhooks.create_webhook, actor=actor, box=state.secret_box, label=label, url=url, actions=wanted)
+    outcome = await attempt(request, change)
+    shown = Shown(outcome.refusal, typed) if outcome.value is None else Shown(secret=outcome.value[1])
+    return await run_in_threadpool(_again, request, actor, shown)
+
+
+@router.get("/webhooks/{webhook_id:int}", response_class=HTMLResponse)
+def webhook_page(request: Request, session: Reading, actor: Who, webhook_id: int, before: str = "") -> HTMLResponse:
+    """Show a webhook with its messages, newest first."""
+    return _webhook_page(request, session, actor, webhook_id, before)
+
+
+def _webhook_page(
+    request: Request, session: Session, actor: Actor, webhook_id: int, before: str = "", secret: str = ""
+) -> HTMLResponse:
+    """Render a webhook, with a secret that was made just now."""
+    before_id = row_number(before)
+    hook = webhooks.get_webhook(session, actor, webhook_id)
+    found = webhooks.list_deliveries(session, actor, webhook_id, before_id=before_id, limit=ROWS_A_PAGE + 1)
+    return render(
+        request,
+        "webhooks/webhook.html",
+        hook=hook,
+        state=state_of(hook, request.app.state.secret_box),
+        secret=secret,
+        deliveries=found[:ROWS_A_PAGE],
+        next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
+    )
+
+
+@router.post("/webhooks/{webhook_id:int}/try", response_class=HTMLResponse)
+async def try_webhook(request: Request, actor: Who, webhook_id: int) -> Response:
+    """Queue a trial."""
+    change = partial(webhooks.try_webhook, actor=actor, webhook_id=webhook_id)
+    return await _done(request, webhook_id, change, "A trial is on its way: reload to see what came of it.")
+
+
+@router.post("/webhooks/{webhook_id:int}/renew-secret", response_class=HTMLResponse)
+async def renew_secret(
+    request: Request, actor: Who, webhook_id: int, overlap_hours: Annotated[str, Form()] = "24"
+) -> Response:
+    """Give a webhook a new secret and show it, this once."""
+    hours, box = (0.0 if overlap_hours == "0" else 24.0), request.app.state.secret_box
+    change = partial(webhooks.renew_secret, actor=actor, box=box, webhook_id=webhook_id, overlap_hours=hours)
+    outcome = await attempt(request, change)
+    if outcome.refusal is not None:
+        return redirect_refused(f"/webhooks/{webhook_id}", outcome.refusal)
+    return await run_in_threadpool(_renewed, request, actor, webhook_id, outcome.made[1])
+
+
+def _renewed(request: Request, actor: Actor, webhook_id: int, secret: str) -> HTMLResponse:
+    """Render a webhook with its new secret."""
+    with reading(request.app.state.engine) as session:
+        return _webhook_page(request, session, actor, webhook_id, secret=secret)
+
+
+@router.post("/webhooks/{webhook_id:int}/disable", response_class=HTMLResponse)
+async def disable(request: Request, actor: Who, webhook_id: int) -> Response:
+    """Tell an address nothing more."""
+    change = partial(webhooks.disable_webhook, actor=actor, webhook_id=webhook_id)
+    return await _done(request, webhook_id, change, "Disabled: it is told nothing more.")
+
+
+@router.post("/webhooks/{webhook_id:int}/enable", response_class=HTMLResponse)
+async def enable(request: Request, actor: Who, webhook_id: int) -> Response:
+    """Tell an address again."""
+    change = partial(webhooks.enable_webhook, actor=actor, webhook_id=webhook_id)
+    return await _done(request, webhook_id, change, "Enabled: it is told what happens from now on.")
+
+
+@router.post("/webhooks/{webhook_id:int}/deliveries/{delivery_id:int}/redeliver", response_class=HTMLResponse)
+async def redeliver(request: Request, actor: Who, webhook_id: int, delivery_id: int) -> Response:
+    """Queue a message once more."""
+    change = partial(webhooks.redeliver, actor=actor, delivery_id=delivery_id)
+    return await _done(request, webhook_id, change, "The message is on its way once more.")
+
+
+async def _done(request: Request, webhook_id: int, change: Callable[..., Any], words: str) -> Response:
+    """Make a change and go back to the webhook with what came of it."""
+    outcome = await attempt(request, change)
+    if outcome.refusal is not None:
+        return redirect_refused(f"/webhooks/{webhook_id}", outcome.refusal)
+    return redirect(f"/webhooks/{webhook_id}", flash=words)

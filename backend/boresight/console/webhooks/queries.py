@@ -1,0 +1,96 @@
+"""Queries on webhooks and their deliveries."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import sqlalchemy as sa
+
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
+from boresight.platform.audit import seals as journals
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.sessions import Engine, Session
+
+
+def webhooks(session: Session, *, enabled_only: bool = False) -> Sequence[Webhook]:
+    """Return every webhook, newest first, or those that are told things now."""
+    query = sa.select(Webhook).order_by(Webhook.id.desc())
+    return session.scalars(query.where(Webhook.disabled_utc.is_(None)) if enabled_only else query).all()
+
+
+def records_after(session: Session, audit_id: int, limit: int) -> Sequence[AuditRecord]:
+    """Return audit records after a number, oldest first."""
+    query = sa.select(AuditRecord).where(AuditRecord.id > audit_id).order_by(AuditRecord.id).limit(limit)
+    return session.scalars(query).all()
+
+
+def newest_audit_id(session: Session) -> int:
+    """Return the number of the newest audit record, 0 when there is none."""
+    return session.scalar(sa.select(sa.func.max(AuditRecord.id))) or 0
+
+
+def next_delivery_id(session: Session) -> int:
+    """Return the number that the next message will have: messages are numbered by their writer, of whom there is one at a time."""
+    session.flush()
+    return journals.newest(session, journals.JOURNALS[WebhookDelivery.__tablename__])[0] + 1
+
+
+def is_told(session: Session, webhook_id: int, kind: str, text: str) -> bool:
+    """Whether the newest message of a kind to a webhook holds a text."""
+    of_kind = WebhookDelivery.body.contains(f'"type": "{kind}"', autoescape=True)
+    query = sa.select(WebhookDelivery.body).where(WebhookDelivery.webhook_id == webhook_id, of_kind)
+    body = session.scalar(query.order_by(WebhookDelivery.id.desc()).limit(1))
+    return body is not None and text in body
+
+
+def due(
+    session: Session, now_utc: str, limit: int, of_each: int = 1, *, among: Collection[int]
+) -> Sequence[tuple[WebhookDelivery, Webhook]]:
+    """Return what is to be delivered now to some webhooks that are told things, at most so many of each: one of each first."""
+    place = sa.func.row_number().over(
+        partition_by=WebhookDelivery.webhook_id, order_by=(WebhookDelivery.due_utc, WebhookDelivery.id)
+    )
+    is_due = (
+        WebhookDelivery.state == "PENDING",
+        WebhookDelivery.due_utc <= now_utc,
+        WebhookDelivery.webhook_id.in_(among),
+    )
+    ranked = sa.select(WebhookDelivery.id, place.label("place")).where(*is_due).subquery()
+    query = sa.select(WebhookDelivery, Webhook).join(Webhook, WebhookDelivery.webhook_id == Webhook.id)
+    query = query.join(ranked, ranked.c.id == WebhookDelivery.id)
+    query = query.where(ranked.c.place <= of_each, Webhook.disabled_utc.is_(None))
+    found = session.execute(query.order_by(ranked.c.place, WebhookDelivery.due_utc, WebhookDelivery.id).limit(limit))
+    return [(delivery, webhook) for delivery, webhook in found]
+
+
+def put_off(session: Session, webhook_id: int, until_utc: str) -> None:
+    """Let everything that waits for a webhook wait until a time at least."""
+    waits = (WebhookDelivery.webhook_id == webhook_id, WebhookDelivery.state == "PENDING")
+    session.flush()
+    session.execute(
+        sa.update(WebhookDelivery).where(*waits, WebhookDelivery.due_utc < until_utc).values(due_utc=until_utc)
+    )
+
+
+def is_any_untold(session: Session) -> bool:
+    """Whether there is an audit record that a webhook was not told of."""
+    newest = newest_audit_id(session)
+    untold = sa.select(Webhook.id).where(Webhook.disabled_utc.is_(None), Webhook.told_audit_id < newest).limit(1)
+    return session.scalar(untold) is not None
+
+
+def overwrite_what_is_deleted(session: Session) -> None:
+    """Let SQLite write zeros over what this connection replaces; PostgreSQL's vacuum clears its pages."""
+    if session.connection().dialect.name == "sqlite":
+        session.connection().exec_driver_sql("PRAGMA secure_delete=ON").close()
+
+
+def empty_journal(engine: Engine) -> None:
+    """Fold SQLite's write-ahead log into the file and empty it, unless somebody reads just now."""
+    if engine.dialect.name != "sqlite":
+        return
+    connection = engine.raw_connection()
+    try:
+        connection.cursor().execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+    finally:
+        connection.close()

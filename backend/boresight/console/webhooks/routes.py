@@ -1,0 +1,138 @@
+"""Webhooks: who is told what happens, and every message that was sent. For administrators in person."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Depends
+from pydantic import BaseModel, ConfigDict, Field
+
+from boresight.console.access.dependencies import Reading, Who, Writing, of_server
+from boresight.console.jobs.deliveries import Deliveries
+from boresight.console.operation import Answer, Beside, operations
+from boresight.console.webhooks import schemas
+from boresight.console.webhooks import service as webhooks
+from boresight.console.webhooks.secrets import state_of
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+router = operations("/webhooks", tags=["webhooks"])
+
+OVERLAP_HOURS = 24.0
+
+
+class WantedWebhook(BaseModel):
+    """An address to be told what happens."""
+
+    model_config = ConfigDict(extra="forbid")
+    label: str = Field(description="Who listens there.", examples=["Mission chat"])
+    url: str = Field(examples=["https://mission.example/hooks/boresight"])
+    actions: Annotated[
+        list[str],
+        Field(
+            description="Kinds of events, or a noun with a star. None: all.",
+            examples=[["parameter-sets.promoted", "approvals.*"]],
+        ),
+    ] = []
+
+
+class Renewal(BaseModel):
+    """How long the former secret signs beside the new one."""
+
+    model_config = ConfigDict(extra="forbid")
+    overlap_hours: float = Field(
+        OVERLAP_HOURS, ge=0.0, le=webhooks.LONGEST_OVERLAP_HOURS, description="0: it ends at once."
+    )
+
+
+def _judge(wanted: WantedWebhook, actor: Who, deliveries: Annotated[Deliveries, of_server("deliveries")]) -> None:
+    """Look up where the address leads before the writing transaction: that takes time, and there is one writer."""
+    webhooks.judge_address(actor, wanted.url, deliveries.targets)
+
+
+Box = Annotated[SecretBox, of_server("secret_box")]
+
+
+def _shown(row: Webhook, box: SecretBox, **more: str) -> Beside:
+    """Return a webhook without its secret."""
+    return Beside(row, state=state_of(row, box), former_secret_until_utc=row.previous_until_utc, **more)
+
+
+def _with_secret(row: Webhook, secret: str, box: SecretBox) -> Answer:
+    """Show a secret this once."""
+    headers = {"Cache-Control": "no-store", "Location": f"/api/v1/webhooks/{row.id}"}
+    return Answer(_shown(row, box, secret=secret), headers=headers, shown_once=("secret",))
+
+
+@router.get("", summary="List webhooks", response_model=Page[schemas.Webhook])
+def list_webhooks(actor: Who, session: Reading, page: Paged, box: Box) -> Listing[Beside]:
+    """List webhooks, newest first."""
+    return page.cut_whole(webhooks.list_webhooks(session, actor), lambda row: _shown(row, box))
+
+
+@router.post(
+    "",
+    summary="Make a webhook",
+    status_code=201,
+    response_model=schemas.NewWebhook,
+    dependencies=[Depends(_judge)],
+)
+def create_webhook(wanted: WantedWebhook, actor: Who, box: Box, session: Writing) -> Answer:
+    """Tell an address what happens from now on. `secret` is in this answer and nowhere else.
+
+    The host is judged by every address that its name leads to, now and before each message.
+    """
+    row, secret = webhooks.create_webhook(session, actor, box, **dict(wanted))
+    return _with_secret(row, secret, box)
+
+
+@router.post("/{webhook_id}:renew-secret", summary="Give it a new secret", response_model=schemas.NewWebhook)
+def renew_webhook_secret(
+    webhook_id: Id, actor: Who, box: Box, session: Writing, renewal: Renewal | None = None
+) -> Answer:
+    """Give a webhook a new secret; the former one signs beside it for some hours, so that the receiver can change over."""
+    hours = OVERLAP_HOURS if renewal is None else renewal.overlap_hours
+    row, secret = webhooks.renew_secret(session, actor, box, webhook_id, overlap_hours=hours)
+    return _with_secret(row, secret, box)
+
+
+@router.get("/{webhook_id}", summary="Read a webhook", response_model=schemas.Webhook)
+def get_webhook(webhook_id: Id, actor: Who, session: Reading, box: Box) -> Beside:
+    """Read a webhook."""
+    return _shown(webhooks.get_webhook(session, actor, webhook_id), box)
+
+
+@router.post("/{webhook_id}:disable", summary="Tell it nothing more", response_model=schemas.Webhook)
+def disable_webhook(webhook_id: Id, actor: Who, box: Box, session: Writing) -> Beside:
+    """Tell an address nothing more; its log stays."""
+    return _shown(webhooks.disable_webhook(session, actor, webhook_id), box)
+
+
+@router.post("/{webhook_id}:enable", summary="Tell it again", response_model=schemas.Webhook)
+def enable_webhook(webhook_id: Id, actor: Who, box: Box, session: Writing) -> Beside:
+    """Tell an address again what happens from now on."""
+    return _shown(webhooks.enable_webhook(session, actor, webhook_id), box)
+
+
+@router.post("/{webhook_id}:try", summary="Send a trial", status_code=202, response_model=schemas.WebhookDelivery)
+def try_webhook(webhook_id: Id, actor: Who, session: Writing) -> WebhookDelivery:
+    """Queue a message that says nothing but that it came."""
+    return webhooks.try_webhook(session, actor, webhook_id)
+
+
+@router.get("/{webhook_id}/deliveries", summary="List messages", response_model=Page[schemas.WebhookDelivery])
+def list_webhook_deliveries(webhook_id: Id, actor: Who, session: Reading, page: Paged) -> Listing[WebhookDelivery]:
+    """List what was sent and what is to be sent, newest first."""
+    return page.cut(webhooks.list_deliveries(session, actor, webhook_id, before_id=page.last_id, limit=page.limit + 1))
+
+
+@router.post(
+    "/deliveries/{delivery_id}:redeliver",
+    summary="Send a message again",
+    status_code=202,
+    response_model=schemas.WebhookDelivery,
+)
+def redeliver(delivery_id: Id, actor: Who, session: Writing) -> WebhookDelivery:
+    """Queue a message once more; its id and its words stay."""
+    return webhooks.redeliver(session, actor, delivery_id)

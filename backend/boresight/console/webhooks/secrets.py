@@ -1,0 +1,122 @@
+"""Secrets of webhooks at rest: encrypted with a key of the installation, which no backup holds.
+
+A secret of before there was encryption is encrypted when a server starts, by `boresight migrate` and before a backup. A
+secret whose key is not here, as after a restore on another machine, pauses its webhook on this server: its messages wait
+until the key is here again or the webhook has a new secret.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from boresight.console.webhooks import queries as rows
+from boresight.console.webhooks.tables import Webhook
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
+from boresight.platform.db.secret_box import SecretBox, is_sealed
+from boresight.platform.db.sessions import Engine, Session, reading, writing
+
+PREFIX = "whsec_"
+KEY_BYTES = 32
+
+
+def new_secret() -> str:
+    """Return a secret in the form that libraries of Standard Webhooks read."""
+    return PREFIX + base64.b64encode(secrets.token_bytes(KEY_BYTES)).decode()
+
+
+def key_of(secret: str) -> bytes:
+    """Return the key that a secret stands for: the bytes behind the prefix.
+
+    Raises
+    ------
+    ValueError
+        When they are no base64.
+    """
+    try:
+        return base64.b64decode(secret.removeprefix(PREFIX), validate=True)
+    except binascii.Error as error:
+        raise ValueError("Expected a secret whsec_<base64> / Received another text") from error
+
+
+def _standard(secret: str) -> str:
+    """Write the same key as libraries read it: older versions wrote it in the alphabet for addresses, unpadded."""
+    bare = secret.removeprefix(PREFIX).replace("-", "+").replace("_", "/")
+    return PREFIX + bare + "=" * (-len(bare) % 4)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """How the secrets of an installation are kept, after a look at all of them.
+
+    Parameters
+    ----------
+    encrypted
+        How many were encrypted now.
+    unreadable
+        Labels of the webhooks whose secret the key here does not decrypt.
+    """
+
+    encrypted: int
+    unreadable: Sequence[str]
+
+    @property
+    def sentence(self) -> str | None:
+        """Say what is to be done; None when nothing is."""
+        if not self.unreadable:
+            return None
+        return (
+            f"The secrets of these webhooks cannot be decrypted with the key that is here, so they are paused: "
+            f"{', '.join(self.unreadable)}. Copy the key file of the installation that made them, or give each webhook a "
+            "new secret and tell it to its receiver."
+        )
+
+
+def encrypt_all(engine: Engine, box: SecretBox) -> Kept:
+    """Encrypt every secret that is stored plain, and say which cannot be read here."""
+    with reading(engine) as session:
+        if not any(not is_sealed(row.secret) for row in rows.webhooks(session)):
+            return _kept(session, box, 0)
+    with writing(engine) as session:
+        rows.overwrite_what_is_deleted(session)
+        plain = [row for row in rows.webhooks(session) if not is_sealed(row.secret)]
+        for row in plain:
+            row.secret = box.seal(_standard(row.secret))
+            row.version += 1
+            audit.append(session, SYSTEM, "encrypted the secret of", f"webhooks/{row.id}")
+        kept = _kept(session, box, len(plain))
+    rows.empty_journal(engine)
+    return kept
+
+
+def _kept(session: Session, box: SecretBox, encrypted: int) -> Kept:
+    found = rows.webhooks(session)
+    return Kept(encrypted, [row.label for row in found if box.open(row.secret) is None])
+
+
+def encrypt_anew(session: Session, box: SecretBox) -> int:
+    """Encrypt every secret that can be read with the newest key; return how many."""
+    found = [row for row in rows.webhooks(session) if box.open(row.secret) is not None]
+    for row in found:
+        row.secret = box.seal(str(box.open(row.secret)))
+        earlier = box.open(row.previous_secret)
+        row.previous_secret = None if earlier is None else box.seal(earlier)
+        row.version += 1
+        audit.append(session, SYSTEM, "encrypted the secret of", f"webhooks/{row.id}")
+    return len(found)
+
+
+def readable_ids(session: Session, box: SecretBox) -> list[int]:
+    """Return the webhooks that are told things now and whose secret can be read here."""
+    return [row.id for row in rows.webhooks(session, enabled_only=True) if box.open(row.secret) is not None]
+
+
+def state_of(row: Webhook, box: SecretBox) -> str:
+    """Return DISABLED, PAUSED where the secret cannot be read here, or ENABLED."""
+    if row.disabled_utc is not None:
+        return "DISABLED"
+    return "ENABLED" if box.open(row.secret) is not None else "PAUSED"

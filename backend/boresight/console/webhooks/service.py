@@ -1,0 +1,394 @@
+"""Webhooks: telling other programs what happened, at least once, signed, with a log of every message.
+
+Every audit record is told to the webhooks that asked for its kind, `<noun>.<action>` such as `parameter-sets.promoted`.
+A message is a row before it is sent, so nothing is lost when the server dies; whoever receives the same id twice knows it
+by its `webhook-id`. `webhook_messages` says how a message is signed, `webhook_secrets` how secrets are kept, and
+`webhook_targets` where messages may go.
+
+Failed attempts are repeated after 5 s, and then after four times as long each time; the eighth that fails is the last,
+some two hours after the first. A person can have any message sent again. What is sent goes out at the server's own
+door (`boresight.console.jobs.deliveries`); here is only what is to be sent and what came of it.
+
+What a webhook's message says and how it is signed.
+
+With the key k, the bytes whose base64 stands behind `whsec_` in a secret, the message's id, the second t at which it is
+sent and its body::
+
+    webhook-signature: v1,base64(HMAC-SHA256(k, id "." t "." body))
+
+These are the headers and the scheme of Standard Webhooks, so receivers have libraries that check it; they refuse a t
+more than five minutes off, so each attempt is signed anew. While a former secret still holds there is one signature by
+each, with a space between them.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import json
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+
+from boresight.console import list_queries as lists
+from boresight.console.webhooks import queries as rows
+from boresight.console.webhooks.secrets import key_of, new_secret, readable_ids
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.platform.actors import Actor, refuse_key, require_role
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.kept_heads import KeptHead
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.web.targets import Targets, parsed, refuse_address
+from boresight.platform.web.words import refuse_control_characters
+
+
+def signature(secrets: Sequence[str], message_id: str, timestamp: int, body: str) -> str:
+    """Return the `webhook-signature` of a message sent at a second of Unix time, by each secret that holds."""
+    signed = f"{message_id}.{timestamp}.{body}".encode()
+    digests = (hmac.new(key_of(secret), signed, hashlib.sha256).digest() for secret in secrets)
+    return " ".join(f"v1,{base64.b64encode(digest).decode()}" for digest in digests)
+
+
+def message_id(delivery_id: int) -> str:
+    """Return the id under which a receiver knows a message again."""
+    return f"msg_{delivery_id}"
+
+
+def kind_of(record: AuditRecord) -> str:
+    """Name the kind of an audit record: `parameter-sets.promoted`."""
+    return f"{record.object.partition('/')[0]}.{'-'.join(record.action.split())}"
+
+
+def told(record: AuditRecord) -> dict[str, object]:
+    """Tell an audit record to programs."""
+    return {
+        "type": kind_of(record),
+        "at_utc": record.at_utc,
+        "object": record.object,
+        "action": record.action,
+        "actor": record.actor,
+        "data": {"before": record.before, "after": record.after, "reason": record.reason, "audit_hash": record.hash},
+    }
+
+
+FIRST_WAIT_S = 5.0
+WAIT_GROWS = 4.0
+MOST_ATTEMPTS = 8
+LEASE_S = 60.0  # a message under way is not taken up by another server before this
+RECORDS_A_TURN = 200
+MESSAGES_A_TURN = 5  # to one webhook, so that none takes the places of the others
+LONGEST_OVERLAP_HOURS = 168.0
+HOUR_S = 3600.0
+TRIAL = "boresight.trial"
+HEAD = "audit.head"
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message under way: where to, signed with which secrets, and what."""
+
+    delivery_id: int
+    webhook_id: int
+    url: str
+    body: str
+    secrets: tuple[str, ...] = field(repr=False)
+
+
+def judge_address(actor: Actor, url: str, targets: Targets) -> None:
+    """Refuse an address that messages may not go to; this looks names up, so it comes before the writing transaction.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no administrator in person.
+    RefusedInputError
+        When it is no address, or leads where messages may not go.
+    """
+    _require_administrator(actor)
+    refuse_control_characters(url=url)
+    refuse_address(url.strip(), targets)
+
+
+def create_webhook(
+    session: Session, actor: Actor, box: SecretBox, *, label: str, url: str, actions: Collection[str] = ()
+) -> tuple[Webhook, str]:
+    """Tell an address what happens from now on; return the webhook and its secret, which is stored encrypted.
+
+    Parameters
+    ----------
+    url
+        `https://` or `http://` address that takes a POST.
+    actions
+        Kinds of events, such as `parameter-sets.promoted`, or a noun with a star, `approvals.*`; none: all.
+
+    Raises
+    ------
+    ForbiddenError
+        When the actor is no administrator in person: whoever reads events could otherwise send them anywhere.
+    RefusedInputError
+        When label, address or kinds cannot be used.
+    """
+    _require_administrator(actor)
+    refuse_control_characters(label=label, url=url)
+    if not label.strip():
+        raise RefusedInputError("The webhook needs a label that says who listens there.")
+    parsed(url.strip())
+    secret = new_secret()
+    row = Webhook(
+        label=label.strip(),
+        url=url.strip(),
+        actions=sorted({_known_kind(action) for action in actions}),
+        secret=box.seal(secret),
+        told_audit_id=rows.newest_audit_id(session),
+        created_utc=utc_now(),
+        created_by=actor.user_id,
+    )
+    session.add(row)
+    session.flush()
+    audit.append(session, actor, "created", _subject(row), None, _described(row))
+    row.told_audit_id = rows.newest_audit_id(session)
+    return row, secret
+
+
+def renew_secret(
+    session: Session, actor: Actor, box: SecretBox, webhook_id: int, *, overlap_hours: float = 24.0
+) -> tuple[Webhook, str]:
+    """Give a webhook a new secret, and return both; the former one signs beside it for some hours more.
+
+    Parameters
+    ----------
+    overlap_hours
+        0 where the former secret is known to others. One that cannot be read here signs nothing more in any case.
+
+    Raises
+    ------
+    ForbiddenError, NotFoundError
+        When the actor is no administrator in person, or there is no such webhook.
+    RefusedInputError
+        When the overlap is no time from 0 to `LONGEST_OVERLAP_HOURS` hours.
+    """
+    row = get_webhook(session, actor, webhook_id)
+    if not 0.0 <= overlap_hours <= LONGEST_OVERLAP_HOURS:
+        raise RefusedInputError(f"The former secret may sign for 0 to {LONGEST_OVERLAP_HOURS:g} hours more.")
+    overlaps = overlap_hours > 0.0 and box.open(row.secret) is not None
+    row.previous_secret = row.secret if overlaps else None
+    row.previous_until_utc = utc_after(overlap_hours * HOUR_S) if overlaps else None
+    secret = new_secret()
+    row.secret = box.seal(secret)
+    row.version += 1
+    told_of = {"former_secret_until_utc": row.previous_until_utc}
+    audit.append(session, actor, "renewed the secret of", _subject(row), None, told_of)
+    return row, secret
+
+
+def _known_kind(action: str) -> str:
+    """Return a kind of event as it is compared."""
+    noun, dot, verb = action.strip().partition(".")
+    if not (noun and dot and verb) or not action.strip().replace(".", "").replace("-", "").replace("*", "x").isalnum():
+        raise RefusedInputError(
+            f"{action!r} is no kind of event; write it like parameter-sets.promoted or approvals.*."
+        )
+    return action.strip()
+
+
+def get_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
+    """Return a webhook.
+
+    Raises
+    ------
+    ForbiddenError, NotFoundError
+        When the actor is no administrator in person, or there is none with this number.
+    """
+    _require_administrator(actor)
+    row = session.get(Webhook, webhook_id)
+    if row is None:
+        raise NotFoundError(f"There is no webhook {webhook_id}.")
+    return row
+
+
+def list_webhooks(session: Session, actor: Actor) -> Sequence[Webhook]:
+    """Return every webhook, newest first."""
+    _require_administrator(actor)
+    return rows.webhooks(session)
+
+
+def disable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
+    """Tell an address nothing more; its log stays."""
+    row = get_webhook(session, actor, webhook_id)
+    if row.disabled_utc is None:
+        row.disabled_utc = utc_now()
+        row.version += 1
+        audit.append(session, actor, "disabled", _subject(row), {"disabled": False}, {"disabled": True})
+    return row
+
+
+def enable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
+    """Tell an address again what happens from now on, not what happened meanwhile."""
+    row = get_webhook(session, actor, webhook_id)
+    if row.disabled_utc is not None:
+        row.disabled_utc = None
+        row.version += 1
+        audit.append(session, actor, "enabled", _subject(row), {"disabled": True}, {"disabled": False})
+        row.told_audit_id = rows.newest_audit_id(session)
+    return row
+
+
+def list_deliveries(
+    session: Session, actor: Actor, webhook_id: int, *, before_id: int | None = None, limit: int | None = None
+) -> Sequence[WebhookDelivery]:
+    """Return a page of what was sent or is to be sent to a webhook, newest first."""
+    get_webhook(session, actor, webhook_id)
+    return lists.newest(session, WebhookDelivery, before_id=before_id, limit=limit, webhook=webhook_id)
+
+
+def try_webhook(session: Session, actor: Actor, webhook_id: int) -> WebhookDelivery:
+    """Queue a message that says nothing but that it came.
+
+    Raises
+    ------
+    ConflictError
+        When the webhook is disabled.
+    """
+    row = get_webhook(session, actor, webhook_id)
+    _refuse_disabled(row)
+    body = {"type": TRIAL, "at_utc": utc_now(), "object": _subject(row), "action": "tried", "actor": actor.printed_name}
+    return _queue(session, row, None, {**body, "data": None})
+
+
+def redeliver(session: Session, actor: Actor, delivery_id: int) -> WebhookDelivery:
+    """Queue a message once more, as if it had never been tried; its id and its words stay.
+
+    Raises
+    ------
+    ForbiddenError, NotFoundError, ConflictError
+        When the actor is no administrator, there is no such message, or its webhook is disabled.
+    """
+    _require_administrator(actor)
+    delivery = session.get(WebhookDelivery, delivery_id)
+    if delivery is None:
+        raise NotFoundError(f"There is no delivery {delivery_id}.")
+    webhook = session.get_one(Webhook, delivery.webhook_id)
+    _refuse_disabled(webhook)
+    last = {name: getattr(delivery, name) for name in ("state", "attempts", "attempted_utc", "status", "outcome")}
+    delivery.state, delivery.attempts, delivery.due_utc = "PENDING", 0, utc_now()
+    audit.append(session, actor, "redelivered", _subject(webhook), last, {"message": message_id(delivery.id)})
+    return delivery
+
+
+def queue_new(session: Session) -> int:
+    """Make messages of the audit records that webhooks were not told of yet; returns how many."""
+    made = 0
+    for webhook in rows.webhooks(session, enabled_only=True):
+        for record in rows.records_after(session, webhook.told_audit_id, RECORDS_A_TURN):
+            if _wants(webhook, kind_of(record)):
+                _queue(session, webhook, record.id, told(record))
+                made += 1
+            webhook.told_audit_id = record.id
+    return made
+
+
+def is_any_due(session: Session, box: SecretBox) -> bool:
+    """Whether there is a message to be delivered from here, or one to be made."""
+    return rows.is_any_untold(session) or bool(rows.due(session, utc_now(), 1, among=readable_ids(session, box)))
+
+
+def is_head_told(session: Session, head: KeptHead | None) -> bool:
+    """Whether every webhook that asked for heads of the audit log by name was told of this one."""
+    return head is None or all(
+        rows.is_told(session, webhook.id, HEAD, head.hash) for webhook in _asked_for_heads(session)
+    )
+
+
+def tell_head(session: Session, head: KeptHead) -> int:
+    """Queue a message with a head of the audit log for whoever asked for it by name; returns how many."""
+    asked = [webhook for webhook in _asked_for_heads(session) if not rows.is_told(session, webhook.id, HEAD, head.hash)]
+    content = {
+        "type": HEAD,
+        "at_utc": head.at_utc,
+        "object": f"audit/{head.id}",
+        "action": "head",
+        "actor": "Boresight",
+    }
+    for webhook in asked:
+        _queue(session, webhook, None, {**content, "data": {"id": head.id, "audit_hash": head.hash}})
+    return len(asked)
+
+
+def _asked_for_heads(session: Session) -> list[Webhook]:
+    """Return the webhooks that named heads: one that is told everything else is not told of every minute too."""
+    return [webhook for webhook in rows.webhooks(session, enabled_only=True) if HEAD in webhook.actions]
+
+
+def take_due(session: Session, limit: int, box: SecretBox) -> list[Message]:
+    """Take messages that are due; they are not due again before their lease is over, whoever else looks.
+
+    Those whose webhook's secret cannot be read here are left to a server that can read it.
+    """
+    taken, now_utc = [], utc_now()
+    readable = readable_ids(session, box)
+    for delivery, webhook in rows.due(session, now_utc, limit, of_each=MESSAGES_A_TURN, among=readable):
+        delivery.due_utc = utc_after(LEASE_S)
+        former = webhook.previous_secret if (webhook.previous_until_utc or "") > now_utc else None
+        opened = (box.open(stored) for stored in (webhook.secret, former))
+        secrets = tuple(secret for secret in opened if secret is not None)
+        taken.append(Message(delivery.id, webhook.id, webhook.url, delivery.body, secrets))
+    return taken
+
+
+def settle(session: Session, delivery_id: int, *, status: int | None, outcome: str) -> None:
+    """Keep what came of an attempt: delivered by any 2xx answer, else due again later, or given up.
+
+    Where there was no answer at all, everything else for that webhook waits as long: it is not asked again for each message.
+    """
+    delivery = session.get_one(WebhookDelivery, delivery_id)
+    delivery.attempts += 1
+    delivery.attempted_utc, delivery.status, delivery.outcome = utc_now(), status, outcome
+    if status is not None and 200 <= status < 300:
+        delivery.state = "DELIVERED"
+    elif delivery.attempts >= MOST_ATTEMPTS:
+        delivery.state = "FAILED"
+    else:
+        delivery.state, delivery.due_utc = "PENDING", utc_after(FIRST_WAIT_S * WAIT_GROWS ** (delivery.attempts - 1))
+    if status is None:
+        until_utc = delivery.due_utc if delivery.state == "PENDING" else utc_after(FIRST_WAIT_S)
+        rows.put_off(session, delivery.webhook_id, until_utc)
+
+
+def _wants(webhook: Webhook, kind: str) -> bool:
+    """Whether a webhook asked for a kind of event."""
+    return not webhook.actions or kind in webhook.actions or f"{kind.partition('.')[0]}.*" in webhook.actions
+
+
+def _queue(session: Session, webhook: Webhook, audit_id: int | None, content: dict[str, object]) -> WebhookDelivery:
+    """Add a message, due now, with its own id in its words."""
+    body = json.dumps({"id": message_id(rows.next_delivery_id(session)), **content}, ensure_ascii=False)
+    delivery = WebhookDelivery(
+        webhook_id=webhook.id, audit_id=audit_id, body=body, state="PENDING", due_utc=utc_now(), created_utc=utc_now()
+    )
+    session.add(delivery)
+    session.flush()
+    return delivery
+
+
+def _described(row: Webhook) -> dict[str, object]:
+    """Describe a webhook for the audit log, without its secret."""
+    return {"label": row.label, "url": row.url, "actions": row.actions}
+
+
+def _refuse_disabled(row: Webhook) -> None:
+    if row.disabled_utc is not None:
+        raise ConflictError(f"The webhook {row.label!r} was disabled at {row.disabled_utc}; enable it first.")
+
+
+def _require_administrator(actor: Actor) -> None:
+    """Refuse keys too: a webhook is a way out for everything that happens."""
+    refuse_key(actor, "manage webhooks")
+    require_role(actor, "administrator")
+
+
+def _subject(row: Webhook) -> str:
+    """Name a webhook as the audit log does."""
+    return f"webhooks/{row.id}"

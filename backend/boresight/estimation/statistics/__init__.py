@@ -1,0 +1,1 @@
+"""Statistics of an estimate: consistency, bounds, observability, uncertainty, drift."""

@@ -1,0 +1,243 @@
+"""What each reference holds of the parameters: observability frame by frame, and information beside the Cramer-Rao bound.
+
+Observability (W section 3.3.1, Figures 3 and 4). With H the rows of one frame, not whitened, and the typical sigmas as weights,
+H' = H diag(scale), and |dz| >= sigma_min |dx| with sigma_min the smallest singular value of H' (errata to W Eqs 31 to 33: S Q^T,
+and neither a sum of squares nor a factor 6). W compares the Models by it. It says how far the values move and nothing of how
+well they are known, so that a row given twice counts twice: it ranks models of like rows, and is no measure of precision.
+
+Information. Precision is the inverse of the information, which counts nothing twice::
+
+    whitened by the full R           A = H^T R^+ H
+    weighted by 1 / R_rr alone       A = B V^-1 B,      B = H^T D H,    V = H^T D R D H,    D = diag(1 / R_rr)
+
+the second because weights that leave out the correlation still give an estimate, of covariance B^-1 V B^-1; its filter claims
+B^-1, which is smaller. Relative to the bound of `cramer_rao`, which knows nothing of references, a share of one means that nothing
+is lost; it may read a hundredth more, for R takes a pixel to be the same angle along the radius and across it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
+from boresight.cameras import CameraModel
+from boresight.estimation import angular, singular_values
+from boresight.estimation.arcs import ArcSet, angular_sigma, weigh
+from boresight.estimation.batch import normal_equations
+from boresight.estimation.filters.angular import AllPairs
+from boresight.estimation.filters.singular import SingularValues
+from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
+from boresight.estimation.statistics.cramer_rao import centroid_rows
+
+Rows = tuple[FloatArray, FloatArray]
+
+#: Stars of the fullest exposure squared, times the exposures of a run: its covariances take nine times as many numbers.
+MOST_SQUARES = 2e5
+
+
+@dataclass(frozen=True)
+class View:
+    """Under which camera, state and scale a set is looked at.
+
+    Parameters
+    ----------
+    camera
+        The sensor's.
+    x
+        (n_parameters,) SI.
+    free, scale
+        (n_free,) places and typical sigmas of the free parameters.
+    """
+
+    camera: CameraModel
+    x: FloatArray
+    free: IntArray
+    scale: FloatArray
+
+
+@dataclass(frozen=True)
+class SeenFrames:
+    """Some frames as they are seen under a view, once for all references.
+
+    Parameters
+    ----------
+    frame_start
+        (n_frames + 1,) first exposure of each frame.
+    star_start
+        (n_exposures + 1,) first star of each exposure.
+    s_i, sigma_rad
+        (n_stars, 3) catalogue directions and (n_stars,) direction errors.
+    s, D
+        (n_stars, 3) measured directions and (n_stars, 3, N_PARAMETERS) ds/dx.
+    """
+
+    frame_start: IntArray
+    star_start: IntArray
+    s_i: FloatArray
+    sigma_rad: FloatArray
+    s: FloatArray
+    D: FloatArray
+
+
+def observability_of_models(view: View, arcs: ArcSet, values: tuple[int, ...] = CHOSEN.values) -> FloatArray:
+    """Smallest singular value of H' of every frame under Models 1 to 4, (n_frames, 4): W Figure 3."""
+    return np.stack([_smallest(view, arcs, Selection(model, values)) for model in STAR_MODELS], axis=1)
+
+
+def observability_of_values(view: View, arcs: ArcSet, model: int = CHOSEN.model) -> FloatArray:
+    """Smallest singular value of H' of every frame with one singular value alone, (n_frames, 3): W Figure 4."""
+    return np.stack([_smallest(view, arcs, Selection(model, (k,))) for k in VALUES], axis=1)
+
+
+def _smallest(view: View, arcs: ArcSet, selection: Selection) -> FloatArray:
+    """Smallest singular value of the rows of every frame, (n_frames,); 0 where there are fewer rows than parameters."""
+    return judged(view, seen(view, arcs), selection)[0]
+
+
+def judged(view: View, runs: Sequence[SeenFrames], selection: Selection) -> tuple[FloatArray, FloatArray]:
+    """Both measures of a selection of singular values, for the price of one.
+
+    Returns
+    -------
+    smallest
+        (n_frames,) smallest singular value of the rows of every frame; 0 where there are fewer rows than parameters.
+    information
+        H^T R^+ H of all frames, (n_free, n_free).
+    """
+    reference = SingularValues(selection, view.free, view.scale)
+    A, smallest = np.zeros((len(view.free),) * 2), list[FloatArray]()
+    for run in runs:
+        reference.weigh(run.star_start, run.s_i, run.sigma_rad)
+        unwhitened, (_, H) = reference.both(run.s, run.D)
+        A += H.T @ H
+        smallest.append(_smallest_of(unwhitened, run.frame_start))
+    return np.concatenate(smallest), A
+
+
+def _smallest_of(H: FloatArray, frame_start: IntArray) -> FloatArray:
+    """Smallest singular values (n_frames,) of the rows (n_exposures, n_rows, n_free) of each frame."""
+    smallest, counts, n_free = np.zeros(len(frame_start) - 1), np.diff(frame_start), H.shape[2]
+    for count in np.unique(counts):
+        of = np.flatnonzero(counts == count)
+        rows = H[frame_start[of][:, None] + np.arange(count)].reshape(len(of), -1, n_free)
+        full = np.any(rows, axis=2).sum(axis=1) >= n_free  # rows that are not measured are zero, and add nothing
+        smallest[of[full]] = np.linalg.svd(rows[full], compute_uv=False)[:, -1]
+    return smallest
+
+
+def seen(view: View, arcs: ArcSet) -> list[SeenFrames]:
+    """Frames of a set under a view, with the direction errors of its state, in runs whose covariances fit into memory."""
+    sigma_rad, star_start = angular_sigma(view.camera, view.x, arcs), arcs.star_start
+    s, D = np.empty((arcs.n_stars, 3)), np.empty((arcs.n_stars, 3, kernels.N_PARAMETERS))
+    kernels.rays_and_jacobians(arcs.model, view.x, arcs.pitch, arcs.row_px, arcs.col_px, s, D)
+    runs = []
+    for first, last in pairwise(_runs(arcs)):
+        e0, e1 = int(arcs.frame_start[first]), int(arcs.frame_start[last])
+        stars = slice(int(star_start[e0]), int(star_start[e1]))
+        frame_start, starts = arcs.frame_start[first : last + 1] - e0, star_start[e0 : e1 + 1] - stars.start
+        runs.append(SeenFrames(frame_start, starts, arcs.s_i[stars], sigma_rad[stars], s[stars], D[stars]))
+    return runs
+
+
+def _runs(arcs: ArcSet) -> list[int]:
+    """First frame of each run, and the end: the exposures of a run times the square of the fullest one's stars are bounded."""
+    edges, most, exposures = [0], 0, 0
+    fullest = np.maximum.reduceat(np.diff(arcs.star_start), arcs.frame_start[:-1])
+    for k, (stars, count) in enumerate(zip(fullest.tolist(), np.diff(arcs.frame_start).tolist(), strict=True)):
+        most, exposures = max(most, stars), exposures + count
+        if exposures * most**2 > MOST_SQUARES and k > edges[-1]:
+            edges.append(k)
+            most, exposures = stars, count
+    return [*edges, arcs.n_frames]
+
+
+@dataclass(frozen=True)
+class Content:
+    """Information of references relative to the Cramer-Rao bound.
+
+    Parameters
+    ----------
+    names
+        (n_references,) `arcs`, `angular`, `svd 1` ... `svd 4`.
+    full
+        (n_references, n_free) variance of the bound over that of each parameter, whitened by the full R; 0 where undetermined.
+    diagonal
+        The same with weights 1 / R_rr alone; NaN for the arcs, which are never so weighted here.
+    claimed
+        What a filter with those weights claims: above its `diagonal`, and where it is above one, more than there is.
+    """
+
+    names: tuple[str, ...]
+    full: FloatArray
+    diagonal: FloatArray
+    claimed: FloatArray
+
+
+def information_content(view: View, arcs: ArcSet, values: tuple[int, ...] = CHOSEN.values) -> Content:
+    """Set every reference beside the bound, at the state of the view."""
+    bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
+    weighed, _ = weigh(arcs, angular_sigma(view.camera, view.x, arcs))
+    full = [normal_equations(weighed, view.x, view.free, view.scale).A, whitened_information(view, weighed, None)]
+    weighted = [weighted_information(view, weighed, None)]
+    for model in STAR_MODELS:
+        full.append(whitened_information(view, weighed, Selection(model, values)))
+        weighted.append(weighted_information(view, weighed, Selection(model, values)))
+    unknown = np.full(len(view.free), np.nan)
+    return Content(
+        ("arcs", "angular", *(f"svd {model}" for model in STAR_MODELS)),
+        np.stack([relative(A, bound) for A in full]),
+        np.stack([unknown, *(relative(true, bound) for true, _ in weighted)]),
+        np.stack([unknown, *(relative(claimed, bound) for _, claimed in weighted)]),
+    )
+
+
+def relative(A: FloatArray, bound: FloatArray) -> FloatArray:
+    """Variance of every parameter under the bound's information over that under A, (n_free,); 0 where A does not determine all."""
+    if not np.isfinite(A).all() or np.linalg.matrix_rank(A, hermitian=True) < len(A):
+        return np.zeros(len(A))
+    return np.asarray(np.diag(np.linalg.inv(bound)) / np.diag(np.linalg.inv(A)))
+
+
+def whitened_information(view: View, arcs: ArcSet, selection: Selection | None) -> FloatArray:
+    """H^T R^+ H of a weighed set (n_free, n_free): of singular values, or of all pairs for None."""
+    runs = seen(view, arcs)
+    return information_of_pairs(view, runs) if selection is None else judged(view, runs, selection)[1]
+
+
+def information_of_pairs(view: View, runs: Sequence[SeenFrames]) -> FloatArray:
+    """H^T R^+ H of all pairs of some frames, (n_free, n_free)."""
+    reference = AllPairs(view.free, view.scale)
+    A = np.zeros((len(view.free), len(view.free)))
+    for run in runs:
+        reference.weigh(run.star_start, run.s_i, run.sigma_rad)
+        _, H = reference.rows(run.s, run.D)
+        A += H.T @ H
+    return A
+
+
+def weighted_information(view: View, arcs: ArcSet, selection: Selection | None) -> tuple[FloatArray, FloatArray]:
+    """Information B V^-1 B that weights 1 / R_rr leave of a weighed set, and B, which they claim; both (n_free, n_free)."""
+    B, V = np.zeros((len(view.free), len(view.free))), np.zeros((len(view.free), len(view.free)))
+    for frame in seen(view, arcs):
+        s, D = frame.s, frame.D
+        for first, last in pairwise(frame.star_start):
+            stars = slice(int(first), int(last))
+            g, R = _gradients(s[stars], frame.s_i[stars], frame.sigma_rad[stars], selection)
+            H = np.einsum("rnj,njp->rp", g, D[stars][:, :, view.free]) * view.scale
+            weighted = H / np.diag(R)[:, None]
+            B += H.T @ weighted
+            V += weighted.T @ R @ weighted
+    return B @ np.linalg.pinv(V, hermitian=True) @ B, B
+
+
+def _gradients(s: FloatArray, s_i: FloatArray, sigma_rad: FloatArray, selection: Selection | None) -> Rows:
+    """Gradients (m, n, 3) of one exposure's measurements and their covariance (m, m)."""
+    if selection is None:
+        return angular.angles(s)[1], angular.covariance(s_i, sigma_rad)
+    taken = singular_values.exposure(s_i, sigma_rad, selection)
+    return singular_values.stacked(s, taken.rows, selection)[1], taken.R

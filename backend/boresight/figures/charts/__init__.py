@@ -1,0 +1,1 @@
+"""One file a chart: a pure function from calibration JSON to a figure."""

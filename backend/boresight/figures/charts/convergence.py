@@ -1,0 +1,330 @@
+"""How each free parameter found its value: small multiples over frames or iterations (E Fig. 3).
+
+Drawn is x_k - x_0, the change from the initial parameters of the first run, so that a live run keeps its axis while it
+moves and two runs of one sensor share it. The band is +-3 sigma_k. E Eq. 31 subtracts the batch result instead: in a
+comparison with frames on the axis a batch run is drawn as a level with its band, and the eye does the subtraction.
+
+The first bands are the a-priori ones and would flatten all that follows, so the window of each panel holds what
+follows the first steps, the median band, the truth, and the initial level where that is near; a double click shows all.
+
+The dotted line is where a run settled, and the last two panels judge it as a whole: `convergence_judge` has both.
+
+The last two panels of the convergence chart, which judge the run as a whole: its cost, and how far it still steps.
+
+A batch run has its cost, half of chi-square, a filter its normalised innovation squared, sum nis / sum dof of the frames so
+far, which is 1 where the covariance is honest. The step norm is the root mean square over the n free parameters of
+(x_k - x_{k-1}) / sigma, in sigmas of the end for a batch and of the moment for a filter: a batch at rest steps by nothing, a
+filter by about 1 / sqrt(k).
+
+A run is settled from the step on after which every free parameter stays within three final sigmas of its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.course import Course, course_of, free_names, settled_step
+from boresight.figures.following import follow_column, follow_parameters
+from boresight.figures.style import theme
+from boresight.figures.style.axes import offer_log, share_cursor
+from boresight.figures.style.thinning import keep_extremes
+from boresight.verdicts.quantities import Quantity, change_label, quantity
+
+PANELS = 2
+POINT_BUDGET = 1200  # a panel, of all runs together
+MOST_MARKED = 3  # runs whose settling is marked; more lines than that hide the curves
+Place = tuple[int, int]
+
+
+def draw_judges(
+    figure: go.Figure, places: tuple[Place, Place], courses: Sequence[Course | None], traces: Sequence[Trace]
+) -> None:
+    """Add both panels, in the rows and columns (from 1) of `places`; a course that is None is another axis's."""
+    for course, style in zip(courses, theme.run_styles(traces), strict=True):
+        if course is not None:
+            judged = course.series("cost") if course.axis == "iteration" else innovations(course)
+            _draw(figure, places[0], course, judged, style, POINT_BUDGET // len(traces))
+            _draw(figure, places[1], course, step_norm(course), style, POINT_BUDGET // len(traces))
+    cost, step = ({"row": row, "col": col} for row, col in places)
+    figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", **step)
+    names = [_axis_name(figure, *places[1])]
+    if any(course is not None and course.axis == "frame" for course in courses):
+        figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, **cost)
+        figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **cost)
+    else:
+        figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", exponentformat="power", **cost)
+        names.append(_axis_name(figure, *places[0]))
+    offer_log(figure, names)
+
+
+def _draw(figure: go.Figure, place: Place, course: Course, y: FloatArray, style: theme.RunStyle, limit: int) -> None:
+    kept = keep_extremes([y], limit)
+    settings = {"hovertemplate": f"%{{y:.4g}}<extra>{style.label}</extra>", "showlegend": False}
+    figure.add_trace(theme.line(style, course.x[kept], y[kept], **settings), row=place[0], col=place[1])
+
+
+def _axis_name(figure: go.Figure, row: int, column: int) -> str:
+    """Return the layout's name of a subplot's y axis."""
+    return str(next(iter(figure.select_yaxes(row=row, col=column))).plotly_name)
+
+
+def innovations(course: Course) -> FloatArray:
+    """Average the normalised innovation squared over the frames so far, per degree of freedom."""
+    nis, dof = (np.nancumsum(course.series(key)) for key in ("nis", "nis_dof"))
+    return np.where(dof > 0, nis / np.maximum(dof, 1), np.nan)
+
+
+def step_norm(course: Course) -> FloatArray:
+    """Return the root mean square step in sigmas, (n_steps,); the first, which has none before it, is NaN."""
+    free = [course.names.index(name) for name in course.free]
+    sigma = course.sigma[-1:, free] if course.axis == "iteration" else course.sigma[1:, free]
+    steps = np.diff(course.value[:, free], axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        norm = np.sqrt(np.mean((steps / sigma) ** 2, axis=1))
+    norm[~(norm > 0)] = np.nan  # a log axis has no place for nothing
+    return np.concatenate([[np.nan], norm])
+
+
+def mark_settled(figure: go.Figure, courses: Sequence[Course | None], traces: Sequence[Trace], n_panels: int) -> None:
+    """Draw a vertical line in every panel where a run had settled, and name it in the legend."""
+    if len(traces) > MOST_MARKED:
+        return
+    shapes: list[dict[str, Any]] = []
+    for trace, course, style in zip(traces, courses, theme.run_styles(traces), strict=True):
+        first = settled_step(trace.result)
+        if course is None or first is None or not first < len(course.x):
+            continue
+        x = float(course.x[first])
+        line = {"color": style.colour, "dash": "dot", "width": 1.2}
+        shapes += [
+            {"type": "line", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line, "xref": f"x{n}", "yref": f"y{n} domain"}
+            for n in ["", *range(2, n_panels + 1)]
+        ]
+        named = go.Scatter(x=[None], y=[None], mode="lines", line=line, name=_words(style, x, len(traces)))
+        figure.add_trace(named, row=1, col=1)
+    figure.update_layout(shapes=[*figure.layout.shapes, *shapes])
+
+
+def _words(style: theme.RunStyle, x: float, n_runs: int) -> str:
+    whose = f"{style.label} · " if n_runs > 1 else ""
+    return f"{whose}settled at {x:.5g}"
+
+
+TITLE = "Convergence"
+FEW_PANELS = 9  # up to so many stand in three columns, more in four
+PANEL_HEIGHT_PX = 190
+TRANSIENT_SHARE = 0.05  # of the steps, which the window need not hold
+CONVERGENCE_POINT_BUDGET = 7000  # estimates of all panels and runs together
+REFERENCES = {
+    "initial": (theme.REFERENCE_COLOUR, "dot"),
+    "baseline": (theme.REFERENCE_COLOUR, "dash"),
+    "truth": (theme.TRUTH_COLOUR, "longdashdot"),
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One parameter's subplot: its unit, where it starts from, and what its window must hold."""
+
+    name: str
+    item: Quantity
+    origin: float
+    row: int
+    column: int
+    seen: list[float]
+
+    def change(self, value: FloatArray | float) -> FloatArray:
+        """Turn SI values into changes in display units."""
+        return np.asarray((np.asarray(value, dtype=np.float64) - self.origin) * self.item.change_factor)
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw every free parameter's change with its 3-sigma band."""
+    courses = [course_of(trace.result) for trace in traces]
+    found = [course for course in courses if course is not None]
+    if not found:
+        return theme.missing(TITLE, "No frame or iteration has been recorded yet: the curves appear as the run moves.")
+    axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
+    panels = _panels(traces, found)
+    n_panels = len(panels) + PANELS
+    columns = _columns(n_panels)
+    n_rows = -(-n_panels // columns)
+    figure = make_subplots(
+        n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
+    )
+    span = _span([course for course in found if course.axis == axis])
+    limit = CONVERGENCE_POINT_BUDGET // (len(panels) * len(found))
+    for course, style in zip(courses, theme.run_styles(traces), strict=True):
+        if course is not None:
+            _draw_run(figure, panels, course if course.axis == axis else _level(course, span), style, limit)
+    for panel in panels:
+        _draw_references(figure, panel, traces, span)
+        _frame_panel(figure, panel)
+    _dress(figure, traces, axis, n_rows, n_panels)
+    along = [course if course and course.axis == axis else None for course in courses]
+    draw_judges(figure, (_place(n_panels - 2, columns), _place(n_panels - 1, columns)), along, traces)
+    follow_parameters(figure, panels, traces)
+    follow_column(figure, _place(len(panels), columns), "nis_per_dof", traces)
+    mark_settled(figure, along, traces, n_panels)
+    return share_cursor(figure, axis)
+
+
+def _columns(n_panels: int) -> int:
+    return 3 if n_panels <= FEW_PANELS else 4
+
+
+def _place(number: int, columns: int) -> tuple[int, int]:
+    """Return row and column, from 1, of a panel."""
+    return number // columns + 1, number % columns + 1
+
+
+def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_rows: int, n_panels: int) -> go.Figure:
+    """Name the axis on the lowest panel of each column and hide the empty places of the grid."""
+    theme.dress(figure, title=_headline(traces), height_px=110 + n_rows * PANEL_HEIGHT_PX)
+    figure.update_xaxes(showticklabels=True)
+    columns = _columns(n_panels)
+    for place in range(n_rows * columns):
+        row, column = divmod(place, columns)
+        if place >= n_panels:
+            figure.update_xaxes(visible=False, row=row + 1, col=column + 1)
+            figure.update_yaxes(visible=False, row=row + 1, col=column + 1)
+        elif place + columns >= n_panels:
+            figure.update_xaxes(title_text=axis, row=row + 1, col=column + 1)
+    return figure
+
+
+def _headline(traces: Sequence[Trace]) -> str:
+    result = traces[0].result
+    if len(traces) > 1:
+        return f"Change since the initial parameters, {len(traces)} runs, bands ±3σ"
+    state = "" if result.get("status") != "running" else ", still running"
+    return f"Change since the initial parameters, band ±3σ{state}"
+
+
+def _panels(traces: Sequence[Trace], courses: Sequence[Course]) -> list[Panel]:
+    """Lay out one panel a parameter that any run estimates."""
+    names = list(dict.fromkeys(name for trace in traces for name in free_names(trace.result)))
+    names = [name for name in names if any(name in course.names for course in courses)]
+    return [
+        Panel(
+            name,
+            quantity(name, traces[0].result),
+            _origin(name, traces, courses),
+            *divmod(i, _columns(len(names) + PANELS)),
+            [],
+        )
+        for i, name in enumerate(names)
+    ]
+
+
+def _origin(name: str, traces: Sequence[Trace], courses: Sequence[Course]) -> float:
+    """Choose what changes are counted from: the first run's initial value, or its first estimate."""
+    for trace in traces:
+        if (initial := (trace.result.get("initial") or {}).get(name)) is not None:
+            return float(initial)
+    return next(float(c.value[0, c.names.index(name)]) for c in courses if name in c.names)
+
+
+def _span(courses: Sequence[Course]) -> tuple[float, float]:
+    return min(float(c.x.min()) for c in courses), max(float(c.x.max()) for c in courses)
+
+
+def _level(course: Course, span: tuple[float, float]) -> Course:
+    """Stretch a batch run's last estimate over the frames of the sequential runs beside it."""
+    value, sigma = (np.tile(last, (2, 1)) for last in (course.value[-1], course.sigma[-1]))
+    return replace(course, axis="frame", x=np.array(span), value=value, sigma=sigma, record={})
+
+
+def _draw_run(figure: go.Figure, panels: list[Panel], course: Course, style: theme.RunStyle, limit: int) -> None:
+    """Add one run's curve and band to every panel it has a parameter for."""
+    shown = False
+    for panel in panels:
+        if panel.name not in course.free:
+            continue
+        column = course.names.index(panel.name)
+        value = panel.change(course.value[:, column])
+        reach = 3 * course.sigma[:, column] * panel.item.change_factor
+        kept = keep_extremes([value, reach], max(limit, 40))
+        x, value, reach = course.x[kept], value[kept], reach[kept]
+        place = {"row": panel.row + 1, "col": panel.column + 1}
+        figure.add_trace(theme.band(style, x, value - reach, value + reach), **place)
+        hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {panel.item.change_unit}<extra>{style.label}</extra>"
+        settings = {"customdata": theme.short(reach), "hovertemplate": hover, "showlegend": not shown}
+        figure.add_trace(theme.line(style, x, value, **settings), **place)
+        shown = True
+        panel.seen.extend(_seen(value, reach))
+
+
+def _seen(value: FloatArray, reach: FloatArray) -> list[float]:
+    """List what the window must hold: the estimates after the first steps, and the last one within the median band."""
+    value, reach = value[np.isfinite(value)], reach[np.isfinite(reach)]
+    if not len(value):
+        return []
+    half = float(np.median(reach)) if len(reach) else 0.0
+    settled = value[int(TRANSIENT_SHARE * len(value)) :]
+    return [float(settled.min()), float(settled.max()), float(value[-1]) - half, float(value[-1]) + half]
+
+
+def _draw_references(figure: go.Figure, panel: Panel, traces: Sequence[Trace], span: tuple[float, float]) -> None:
+    """Add the initial level, the baseline's where it is another, and the true one where a simulation knows it."""
+    levels: dict[tuple[str, float], tuple[str, str]] = {}
+    for trace in traces:
+        for key, look in REFERENCES.items():
+            value = _named(trace.result.get(key), panel.name)
+            if value is not None:
+                levels[key, float(panel.change(value))] = look
+    first = panel.row == panel.column == 0
+    height = max(panel.seen, default=0.0) - min(panel.seen, default=0.0)
+    for (key, level), (colour, dash) in levels.items():
+        settings = {"showlegend": first, "hoverinfo": "skip", "hovertemplate": None}
+        drawn = theme.reference(span, level, key, colour, dash, **settings)
+        figure.add_trace(drawn, row=panel.row + 1, col=panel.column + 1)
+        if key == "truth" or min(abs(level - seen) for seen in panel.seen or [level]) <= height:
+            panel.seen.append(level)
+
+
+def _named(values: Mapping[str, float | None] | None, name: str) -> float | None:
+    return None if not values else values.get(name)
+
+
+def _frame_panel(figure: go.Figure, panel: Panel) -> None:
+    low, high = (min(panel.seen), max(panel.seen)) if panel.seen else (-1.0, 1.0)
+    margin = 0.08 * (high - low) or 1.0
+    title = {"text": change_label(panel.item), "standoff": 4}
+    figure.update_yaxes(title=title, range=[low - margin, high + margin], row=panel.row + 1, col=panel.column + 1)
+
+
+def table(result: Result) -> Table:
+    """List every step: parameters and sigmas in SI."""
+    course = course_of(result)
+    if course is None:
+        return {}
+    columns: Table = {course.axis: [int(step) for step in course.x]}
+    if course.axis == "frame" and course.record.get("time_utc"):
+        columns["time_utc"] = list(course.record["time_utc"])
+    for i, name in enumerate(course.names):
+        columns[name] = theme.plain(course.value[:, i])
+        columns[f"sigma_{name}"] = theme.plain(course.sigma[:, i])
+    return columns
+
+
+CONVERGENCE = Figure(
+    name="convergence",
+    title=TITLE,
+    guide=(
+        "Each panel shows how far one parameter has moved from its initial value (dotted line at zero), with its "
+        "own ±3σ band, and the last two the cost and the step; double-click a panel to see the wide first bands. A "
+        "trustworthy run settles (dotted upright line), its band narrows around the curve, and the curve stays inside "
+        "the bands it drew earlier."
+    ),
+    draw=draw,
+    table=table,
+)

@@ -1,0 +1,123 @@
+"""Which parameters the data cannot tell apart: their correlations, rho_pq = P_pq / (sigma_p sigma_q).
+
+A pair near +-1 is known as a sum or a difference only: each sigma on its own then says little, and the radial difference
+or the directions of observability say more. P is the covariance of the estimate; with n degrees of freedom it is exact in
+the noise that was assumed, so no band belongs to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.verdicts.quantities import quantity
+
+TITLE = "Parameter correlations"
+STRONG = 0.9  # from here on two parameters are read together
+MAX_MAPS = 3
+ROW_PX, LEAST_PX = 34, 200
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw one map a run, beside each other, up to three."""
+    drawn = [(trace, found) for trace in traces if (found := correlations(trace.result)) is not None][:MAX_MAPS]
+    if not drawn:
+        return theme.missing(TITLE, "Correlations come with a covariance, which is there when the run ends.")
+    titles = [theme.escape(trace.label) for trace, _ in drawn] if len(drawn) > 1 else None
+    figure = make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=0.08)
+    for place, (trace, (names, rho)) in enumerate(drawn, start=1):
+        figure.add_trace(_map(trace, names, rho, scale=place == len(drawn)), row=1, col=place)
+    height = LEAST_PX + ROW_PX * max(len(names) for _, (names, _) in drawn)
+    theme.dress(figure, title=_headline(*drawn[0]), height_px=height, legend=False, hovermode="closest")
+    figure.update_xaxes(showgrid=False, type="category", side="bottom")
+    figure.update_yaxes(showgrid=False, type="category", autorange="reversed")
+    return figure
+
+
+def correlations(result: Result) -> tuple[list[str], FloatArray] | None:
+    """Read names and rho (n, n) out of a result's covariance; None where it has none."""
+    covariance = result.get("covariance") or {}
+    names = list(covariance.get("names") or ())
+    P = np.array(covariance.get("matrix") or [], dtype=np.float64)
+    if not names or P.shape != (len(names), len(names)):
+        return None
+    sigma = np.sqrt(np.where(np.diag(P) > 0, np.diag(P), np.nan))
+    return names, P / np.outer(sigma, sigma)
+
+
+def strongest(names: Sequence[str], rho: FloatArray) -> tuple[str, str, float] | None:
+    """Return the pair with the largest correlation, and its size with sign; None where there is no pair."""
+    rows, columns = np.triu_indices(len(names), 1)
+    sizes = rho[rows, columns]
+    if not np.isfinite(sizes).any():
+        return None
+    worst = int(np.nanargmax(np.abs(sizes)))
+    return names[rows[worst]], names[columns[worst]], float(sizes[worst])
+
+
+def _map(trace: Trace, names: Sequence[str], rho: FloatArray, *, scale: bool) -> go.Heatmap:
+    labels = [quantity(name, trace.result).markup for name in names]
+    own = np.eye(len(names), dtype=bool)
+    return go.Heatmap(
+        x=labels,
+        y=labels,
+        z=theme.short(np.where(own, np.nan, rho)),
+        zmin=-1,
+        zmax=1,
+        colorscale=theme.DIVERGING,
+        text=[
+            ["" if i == j or not np.isfinite(v) else f"{v:+.2f}" for j, v in enumerate(row)]
+            for i, row in enumerate(rho)
+        ],
+        texttemplate="%{text}",
+        xgap=2,
+        ygap=2,
+        showscale=scale,
+        colorbar={"title": {"text": "ρ"}, "thickness": 10},
+        hovertemplate=f"%{{y}} and %{{x}}: ρ = %{{z:+.4f}}<extra>{theme.escape(trace.label)}</extra>",
+        hoverongaps=False,
+    )
+
+
+def _headline(trace: Trace, found: tuple[list[str], FloatArray]) -> str:
+    pair = strongest(*found)
+    if pair is None:
+        return "One parameter was estimated: there is no correlation"
+    first, second = (quantity(name, trace.result).markup for name in pair[:2])
+    advice = "read them together" if abs(pair[2]) >= STRONG else "each can be read alone"
+    return f"Strongest: {first} and {second}, ρ = {theme.signed(pair[2])}: {advice}"
+
+
+def table(result: Result) -> Table:
+    """List one pair a row: the two parameters, their correlation and their covariance in SI."""
+    found = correlations(result)
+    if found is None:
+        return {}
+    names, rho = found
+    P = np.array(result["covariance"]["matrix"], dtype=np.float64)
+    rows, columns = np.triu_indices(len(names), 0)
+    return {
+        "parameter": [names[i] for i in rows],
+        "with": [names[j] for j in columns],
+        "correlation": theme.plain(rho[rows, columns]),
+        "covariance_si": theme.plain(P[rows, columns]),
+    }
+
+
+CORRELATION = Figure(
+    name="correlation",
+    title=TITLE,
+    guide=(
+        "Each cell is how far the errors of two parameters go together: blue the same way, orange against each other, "
+        "empty not at all. A pair near ±1 is known only as a sum or a difference: do not read its two sigmas one by "
+        "one, but look at the distortion and at the weakest direction."
+    ),
+    draw=draw,
+    table=table,
+)

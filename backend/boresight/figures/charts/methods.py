@@ -1,0 +1,258 @@
+"""How fast a method's error comes down to what the stars allow, and at what price: methods beside each other on one set.
+
+Drawn over frames is the claimed sigma after so many frames over the Cramer-Rao sigma of the whole set, the geometric mean over
+the free parameters; for a simulated sensor the root mean square of the true error in the same unit, dotted. One is the end of the
+way: an efficient and honest method has its line arrive there and its dots about it (W Figure 6 draws arcs instead, whose noise
+hides all but the start). A batch beside filters is a level. The legend has the time of the fit a frame.
+
+What a method made of a data set, in numbers that can be set beside another's: error, cost, convergence, consistency.
+
+Errors are counted in sigmas of the Cramer-Rao bound of the run's own stars, which no method changes. With n free parameters, bound
+sigmas b_p, claimed sigmas s_p and, of a simulated sensor, true errors d_p and their claimed covariance P::
+
+    claimed     (prod s_p / b_p)^(1 / n)                 what the method says of itself
+    true        sqrt(mean (d_p / b_p)^2)                 what it is, about one for an efficient method
+    NEES / n    d^T P^-1 d / n                           whether the one is honest about the other
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import plotly.graph_objects as go
+
+from boresight.arrays import FloatArray
+from boresight.estimation.statistics.consistency import ChiSquare, chi_square, nees
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.course import Course, course_of, settled_step
+from boresight.figures.style import theme
+from boresight.figures.style.axes import share_cursor
+from boresight.figures.style.thinning import keep_extremes
+from boresight.verdicts.numbers import number
+from boresight.verdicts.verdict import part_of, why_absent
+
+
+@dataclass(frozen=True)
+class MethodScores:
+    """One run, summed up; None where a number is not known or has no meaning.
+
+    Parameters
+    ----------
+    claimed, true_error
+        In sigmas of the bound, see above.
+    honesty
+        NEES / n with its 95 % bounds.
+    ms_per_frame
+        Processor time of the method alone over the frames, matching left out; measured once.
+    settled_frames, settled_iterations
+        After how many the parameters stay within three final sigmas of their end.
+    condition
+        Condition number of the whole set's scaled Jacobian at the end.
+    chi2_per_dof, consistent
+        Of all arcs at the end, whatever was measured.
+    """
+
+    claimed: float | None
+    true_error: float | None
+    honesty: ChiSquare | None
+    ms_per_frame: float | None
+    settled_frames: int | None
+    settled_iterations: int | None
+    condition: float | None
+    chi2_per_dof: float | None
+    consistent: bool | None
+
+
+def method_scores(result: Result) -> MethodScores:
+    """Sum a calibration JSON up, finished or not."""
+    settled, axis = _settled(result), (course_of(result) or _NOTHING).axis
+    chi2 = result.get("chi2") or {}
+    return MethodScores(
+        claimed=_claimed(result),
+        true_error=_true_error(result),
+        honesty=_honesty(result),
+        ms_per_frame=_ms_per_frame(result),
+        settled_frames=settled if axis == "frame" else None,
+        settled_iterations=settled if axis == "iteration" else None,
+        condition=(result.get("observability") or {}).get("condition_number"),
+        chi2_per_dof=result.get("chi2_per_dof"),
+        consistent=chi2.get("consistent"),
+    )
+
+
+_NOTHING = Course("", np.empty(0), (), (), np.empty((0, 0)), np.empty((0, 0)), {})
+
+
+def bound_of(result: Result) -> dict[str, float]:
+    """Read the bound's sigma of each free parameter, SI; empty where it is not known."""
+    bound = (part_of(result, "efficiency") or {}).get("cramer_rao_sigma") or {}
+    if not bound or not all(isinstance(sigma, int | float) and sigma > 0 for sigma in bound.values()):
+        return {}
+    return {name: float(sigma) for name, sigma in bound.items()}
+
+
+def errors_of(result: Result) -> dict[str, float]:
+    """Estimate minus truth of each parameter that both know, SI."""
+    truth, estimate = result.get("truth") or {}, result.get("parameters") or {}
+    return {
+        name: float(estimate[name]) - float(value)
+        for name, value in truth.items()
+        if value is not None and estimate.get(name) is not None
+    }
+
+
+def _claimed(result: Result) -> float | None:
+    """Geometric mean of claimed sigma over bound."""
+    ratios = list(((part_of(result, "efficiency") or {}).get("ratio") or {}).values())
+    if not ratios or not all(isinstance(ratio, int | float) and ratio > 0 for ratio in ratios):
+        return None
+    return float(np.exp(np.mean(np.log(ratios))))
+
+
+def _true_error(result: Result) -> float | None:
+    """Root mean square of true error over bound."""
+    bound, errors = bound_of(result), errors_of(result)
+    if not bound or not set(bound) <= set(errors):
+        return None
+    return float(np.sqrt(np.mean([(errors[name] / sigma) ** 2 for name, sigma in bound.items()])))
+
+
+def _honesty(result: Result) -> ChiSquare | None:
+    """NEES of the free parameters."""
+    covariance, errors = result.get("covariance") or {}, errors_of(result)
+    names = covariance.get("names") or []
+    P = np.array(covariance.get("matrix") or [], dtype=np.float64)
+    if not names or P.shape != (len(names), len(names)) or not set(names) <= set(errors):
+        return None
+    scale = np.sqrt(np.diag(P))  # parameters differ by ten decades in SI
+    if not np.isfinite(P).all() or not (scale > 0).all():
+        return None
+    total = nees(np.array([errors[name] for name in names]) / scale, P / np.outer(scale, scale))
+    return chi_square(total, len(names)) if np.isfinite(total) else None
+
+
+def _ms_per_frame(result: Result) -> float | None:
+    """Processor time of the method over the frames; None for a replay, which takes its frames one by one."""
+    seconds, frames = (result.get("timing_s") or {}).get("method"), result.get("frames")
+    chosen = (result.get("inputs") or {}).get("settings") or {}
+    if seconds is None or not frames or (chosen.get("replay_frames_per_s") or 0) > 0:
+        return None
+    return 1e3 * float(seconds) / int(frames)
+
+
+def _settled(result: Result) -> int | None:
+    """Frames or iterations after which every free parameter stays near its end; None while the run is on its way."""
+    course, first = course_of(result), settled_step(result)
+    if course is None or first is None:
+        return None
+    if course.axis == "iteration":
+        return int(course.x[first])
+    frames = int(result.get("frames") or len(course.x))  # a long history keeps updates spaced evenly
+    return 1 + round(first * (frames - 1) / max(len(course.x) - 1, 1))
+
+
+TITLE = "Error against the bound"
+POINT_BUDGET = 8000  # of all runs together
+
+
+@dataclass(frozen=True)
+class _Approach:
+    """A run's way to the bound: claimed and true error (n_steps,) in its sigmas, NaN where not known."""
+
+    course: Course
+    claimed: FloatArray
+    true: FloatArray
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw every run's claimed and true error over frames, or over iterations when every run is a batch."""
+    styled = zip(traces, theme.run_styles(traces), strict=True)
+    drawn = [(trace, style, way) for trace, style in styled if (way := _approach(trace.result)) is not None]
+    if not drawn:
+        return theme.missing(TITLE, why_absent(traces[0].result, "efficiency"))
+    axis = "frame" if any(way.course.axis == "frame" for _, _, way in drawn) else "iteration"
+    along = np.concatenate([way.course.x for _, _, way in drawn if way.course.axis == axis])
+    span = np.array([along.min(), along.max()])
+    figure = go.Figure()
+    for trace, style, way in drawn:
+        _draw_run(
+            figure,
+            trace,
+            style,
+            way if way.course.axis == axis else _level(way),
+            span,
+            POINT_BUDGET // (2 * len(drawn)),
+        )
+    known = any(np.isfinite(way.true).any() for _, _, way in drawn)
+    title = "Error over the Cramér-Rao bound: claimed" + (", and true (dotted)" if known else "")
+    theme.dress(figure, title=title, height_px=460, hovermode="closest")
+    figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4})
+    figure.update_xaxes(title_text=axis)
+    figure.update_yaxes(title_text="error / bound", type="log", exponentformat="power")
+    return share_cursor(figure, axis)
+
+
+def _approach(result: Result) -> _Approach | None:
+    """Read how a run came to the bound, or None where the bound or the way is not known."""
+    bound, course = bound_of(result), course_of(result)
+    if not bound or course is None or not set(bound) <= set(course.names):
+        return None
+    places = [course.names.index(name) for name in bound]
+    b = np.array(list(bound.values()))
+    truth = result.get("truth") or {}
+    true = np.array([np.nan if truth.get(name) is None else float(truth[name]) for name in bound])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        claimed = np.exp(np.mean(np.log(course.sigma[:, places] / b), axis=1))
+        error = np.sqrt(np.mean(((course.value[:, places] - true) / b) ** 2, axis=1))
+    return _Approach(course, np.asarray(claimed), np.asarray(error))
+
+
+def _level(way: _Approach) -> _Approach:
+    """Keep the end of a batch, to be drawn over the frames of the filters beside it."""
+    return _Approach(way.course, way.claimed[[-1, -1]], way.true[[-1, -1]])
+
+
+def _draw_run(
+    figure: go.Figure, trace: Trace, style: theme.RunStyle, way: _Approach, span: FloatArray, limit: int
+) -> None:
+    """Add a run's two curves."""
+    x = way.course.x if len(way.claimed) == len(way.course.x) else span
+    kept = keep_extremes([way.claimed, way.true], limit)
+    cost = method_scores(trace.result).ms_per_frame
+    name = style.label if cost is None else f"{style.label} ({number(cost, 2)} ms a frame)"
+    hover = f"claimed %{{y:.3g}} bounds<extra>{style.label}</extra>"
+    options = {"meta": theme.of_run(style.label, "claimed"), "hovertemplate": hover}
+    figure.add_trace(theme.line(style, x[kept], way.claimed[kept], name=name, showlegend=True, **options))
+    if np.isfinite(way.true).any():
+        hover = f"true %{{y:.3g}} bounds<extra>{style.label}</extra>"
+        options = {"meta": theme.of_run(style.label, "true"), "hovertemplate": hover}
+        dots = theme.line(style, x[kept], way.true[kept], showlegend=False, **options)
+        dots.update(line={"dash": "dot", "width": 1.2, "color": theme.translucent(style.colour, 0.75)})
+        figure.add_trace(dots)
+
+
+def table(result: Result) -> Table:
+    """List every step: claimed and true error in sigmas of the bound."""
+    way = _approach(result)
+    if way is None:
+        return {}
+    return {
+        way.course.axis: [int(step) for step in way.course.x],
+        "claimed_over_bound": theme.plain(way.claimed),
+        "true_over_bound": theme.plain(way.true),
+    }
+
+
+METHODS = Figure(
+    name="methods",
+    title=TITLE,
+    guide=(
+        "The line is the sigma that the method claims after so many frames, the dots its true error where a simulation knows "
+        "it, both over the smallest error that the whole set allows (one) and averaged over the free parameters. A good "
+        "method brings its line down to one with the dots about it; dots that stay above their line are a claim too bold."
+    ),
+    draw=draw,
+    table=table,
+)

@@ -1,0 +1,160 @@
+"""How much each parameter moved, in its own sigma and in what such sensors are known to do (E Table III)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.course import free_names
+from boresight.figures.style import theme
+from boresight.verdicts.quantities import quantity
+
+TITLE = "Parameter changes"
+SIGNIFICANT = 3.0
+FLOOR = 0.1  # the log axis starts here: a smaller change cannot be seen in the noise at all
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw |delta| / sigma as bars on a log axis, and delta in typical sigmas with 3-sigma error bars."""
+    drawn = [
+        (trace, style)
+        for trace, style in zip(traces, theme.run_styles(traces), strict=True)
+        if trace.result.get("parameters") and trace.result.get("initial")
+    ]
+    if not drawn:
+        return theme.missing(TITLE, "No parameters have been estimated yet.")
+    figure = make_subplots(1, 2, shared_yaxes=True, horizontal_spacing=0.06)
+    names = list(dict.fromkeys(name for trace, _ in drawn for name in free_names(trace.result)))
+    for trace, style in drawn:
+        shown = [name for name in names if name in free_names(trace.result)]
+        figure.add_trace(_bars(trace.result, shown, style, labelled=len(drawn) == 1), row=1, col=1)
+        figure.add_trace(_points(trace.result, shown, style), row=1, col=2)
+    _dress(figure, drawn, len(names))
+    return figure
+
+
+def _column(result: Result, key: str, names: Sequence[str]) -> FloatArray:
+    values = result.get(key) or {}
+    return np.array([values.get(name) for name in names], dtype=np.float64)
+
+
+def _change(result: Result, names: Sequence[str]) -> FloatArray:
+    return _column(result, "parameters", names) - _column(result, "initial", names)
+
+
+def _ratio(above: FloatArray, below: FloatArray) -> FloatArray:
+    quotient = np.full(len(above), np.nan)
+    usable = np.isfinite(below) & (below > 0)
+    quotient[usable] = above[usable] / below[usable]
+    return quotient
+
+
+def _labels(result: Result, names: Sequence[str]) -> list[str]:
+    return [quantity(name, result).markup for name in names]
+
+
+def _bars(result: Result, names: Sequence[str], style: theme.RunStyle, *, labelled: bool) -> go.Bar:
+    worth = _ratio(_change(result, names), _column(result, "sigma", names))
+    return go.Bar(
+        y=_labels(result, names),
+        x=theme.short(np.maximum(np.abs(worth), FLOOR)),
+        orientation="h",
+        offsetgroup=style.label,
+        name=style.label,
+        legendgroup=style.label,
+        marker={
+            "color": [style.colour if abs(w) >= SIGNIFICANT else theme.translucent(style.colour, 0.4) for w in worth],
+            "line": {"color": style.colour, "width": 1},
+        },
+        text=[theme.signed(w) if np.isfinite(w) else "" for w in worth] if labelled else None,
+        textposition="outside",
+        cliponaxis=False,
+        customdata=theme.short(worth),
+        hovertemplate=f"%{{y}}: Δ/σ = %{{customdata:+.4g}}<extra>{style.label}</extra>",
+    )
+
+
+def _points(result: Result, names: Sequence[str], style: theme.RunStyle) -> go.Scatter:
+    typical = _column(result, "typical_sigma", names)
+    change = _ratio(_change(result, names), typical)
+    reach = _ratio(3 * _column(result, "sigma", names), typical)
+    return go.Scatter(
+        y=_labels(result, names),
+        x=theme.short(change),
+        mode="markers",
+        orientation="h",
+        offsetgroup=style.label,
+        name=style.label,
+        legendgroup=style.label,
+        showlegend=False,
+        marker={"color": style.colour, "size": 8},
+        error_x={"type": "data", "array": theme.short(reach), "color": style.colour, "thickness": 1.4, "width": 4},
+        customdata=theme.short(reach),
+        hovertemplate=f"%{{y}}: %{{x:+.4g}} ±%{{customdata:.3g}} typical σ (3σ)<extra>{style.label}</extra>",
+    )
+
+
+def _dress(figure: go.Figure, drawn: Sequence[tuple[Trace, theme.RunStyle]], n_names: int) -> None:
+    height = 150 + n_names * max(34, 18 * len(drawn))
+    layout: dict[str, Any] = {"hovermode": "closest", "barmode": "group", "scattermode": "group"}
+    theme.dress(figure, title=_headline(drawn), height_px=height, legend=len(drawn) > 1, **layout)
+    figure.update_yaxes(autorange="reversed", type="category", showgrid=False)
+    largest = max(SIGNIFICANT, *(_largest(trace.result) for trace, _ in drawn))
+    span = [float(np.log10(FLOOR)), float(np.log10(largest)) + 0.5]
+    figure.update_xaxes(title_text="|Δ| / σ", type="log", range=span, dtick=1, row=1, col=1)
+    figure.update_xaxes(title_text="Δ in typical σ, bar ±3σ", zeroline=True, row=1, col=2)
+    level = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}
+    figure.add_vline(x=SIGNIFICANT, line=level, row=1, col=1)
+
+
+def _largest(result: Result) -> float:
+    names = free_names(result)
+    worth = np.abs(_ratio(_change(result, names), _column(result, "sigma", names)))
+    return float(np.max(worth[np.isfinite(worth)], initial=SIGNIFICANT))
+
+
+def _headline(drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> str:
+    if len(drawn) > 1:
+        return f"Change since the initial parameters, {len(drawn)} runs"
+    result = drawn[0][0].result
+    names = free_names(result)
+    worth = np.abs(_ratio(_change(result, names), _column(result, "sigma", names)))
+    moved = int(np.sum(worth >= SIGNIFICANT))
+    return f"{moved} of {len(names)} parameters moved by more than 3σ"
+
+
+def table(result: Result) -> Table:
+    """List every parameter in SI: initial, final, change, sigma and the two ratios."""
+    names = tuple(result.get("parameters") or ())
+    if not names or not result.get("initial"):
+        return {}
+    change, sigma = _change(result, names), _column(result, "sigma", names)
+    return {
+        "parameter": list(names),
+        "initial": theme.plain(_column(result, "initial", names)),
+        "final": theme.plain(_column(result, "parameters", names)),
+        "delta": theme.plain(change),
+        "sigma": theme.plain(sigma),
+        "delta_over_sigma": theme.plain(_ratio(change, sigma)),
+        "delta_in_typical_sigma": theme.plain(_ratio(change, _column(result, "typical_sigma", names))),
+    }
+
+
+PARAMETERS = Figure(
+    name="parameters",
+    title=TITLE,
+    guide=(
+        "On the left is each change in units of its own sigma, on a log axis: beyond the dotted line at three it "
+        "is more than noise, and paler bars are not. On the right is the same change in typical sigmas, the "
+        "spread from unit to unit, with a ±3σ bar: a wide bar means that the data say little, a far point that "
+        "the sensor or the matches deserve a look."
+    ),
+    draw=draw,
+    table=table,
+)

@@ -1,0 +1,278 @@
+"""What the new parameters change along the radius, with how far that can be trusted (E Fig. 5).
+
+f, b4 and b2 trade against each other, so their separate values say little; their joint effect, the radial displacement
+final minus initial at a distance from the principal point, says what the detector will see. Below stand the stars that
+carried it, over the same radius; beyond the outermost star the curve is extrapolation, and hatched as such.
+
+Distortion of runs against a reference run: displacement along the radius with its 3-sigma band.
+
+f and the coefficients of the distortion trade against each other, so two runs may differ in each of them and agree on the
+detector. The band is that of the difference, which knows what data the runs share; where that leaves no noise there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.figures.style.axes import hatch, share_cursor
+from boresight.figures.style.thinning import keep_extremes
+from boresight.figures.trust_parts import column as radial_contrast_column
+
+TITLE = "Radial difference"
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw radial difference curves over the coverage histogram."""
+    drawn = [
+        (trace, style)
+        for trace, style in zip(traces, theme.run_styles(traces), strict=True)
+        if (trace.result.get("radial") or {}).get("radius_px")
+    ]
+    if not drawn:
+        return theme.missing(TITLE, "The radial difference is computed when the run ends; it is not there yet.")
+    figure = make_subplots(
+        2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.05, specs=[[{"secondary_y": True}], [{}]]
+    )
+    seen = [0.0]
+    for trace, style in drawn:
+        seen += _draw_run(figure, trace.result["radial"], style)
+    theme.dress(figure, title=_headline(drawn[0][0]), height_px=460)
+    radials = [trace.result["radial"] for trace, _ in drawn]
+    _hatch_extrapolation(figure, radials, window_of(seen))
+    _scale(figure, window_of(seen), arcsec_per_px(radials))
+    return share_cursor(figure, "radius_px")
+
+
+def window_of(seen: Sequence[float]) -> list[float]:
+    """Return the span of an axis that holds some values, with a margin."""
+    margin = 0.08 * (max(seen) - min(seen)) or 0.1
+    return [min(seen) - margin, max(seen) + margin]
+
+
+def column(radial: Result, key: str) -> FloatArray:
+    """Read a series over the radii, (n_radii,), NaN where it is not there."""
+    n_points = len(radial["radius_px"])
+    values = np.array(radial.get(key) or [], dtype=np.float64)
+    return values if values.shape == (n_points,) else np.full(n_points, np.nan)
+
+
+def _draw_run(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[float]:
+    """Add one run's curve, band and histogram; return what the axis must hold where there are stars."""
+    radius, change = column(radial, "radius_px"), column(radial, "difference_px")
+    reach = 3 * column(radial, "sigma_px")
+    kept = keep_extremes([change, reach])
+    angles = np.stack([column(radial, "difference_arcsec"), 3 * column(radial, "sigma_arcsec")])[:, kept]
+    seen = np.concatenate([change, change - reach, change + reach])
+    radius, change, reach = radius[kept], change[kept], reach[kept]
+    figure.add_trace(theme.band(style, radius, change - reach, change + reach), row=1, col=1)
+    hover = (
+        "%{y:+.3f} ±%{customdata[2]:.3f} px, %{customdata[0]:+.2f} ±%{customdata[1]:.2f}″"
+        f"<extra>{style.label}</extra>"
+    )
+    spread = theme.short(np.stack([*angles, reach], axis=-1))
+    figure.add_trace(theme.line(style, radius, change, customdata=spread, hovertemplate=hover), row=1, col=1)
+    _draw_counts(figure, radial.get("counts") or {}, style)
+    return [float(value) for value in seen[np.isfinite(seen)]]
+
+
+def _draw_counts(figure: go.Figure, counts: Result, style: theme.RunStyle) -> None:
+    """Add the histogram of stars as a filled outline, so that several runs can lie over each other."""
+    edges, stars = counts.get("edges_px") or [], counts.get("stars") or []
+    if len(edges) != len(stars) + 1:
+        return
+    outline = go.Scatter(
+        x=list(edges),
+        y=[*stars, stars[-1] if stars else 0],
+        mode="lines",
+        line={"color": style.colour, "dash": style.dash, "width": 1.2, "shape": "hv"},
+        fill="tozeroy",
+        fillcolor=theme.translucent(style.colour, 0.22),
+        name=f"{style.label} stars",
+        legendgroup=style.label,
+        meta=theme.of_run(style.label, "stars"),
+        showlegend=False,
+        hovertemplate=f"%{{y}} stars<extra>{style.label}</extra>",
+    )
+    figure.add_trace(outline, row=2, col=1)
+
+
+def reached_px(radials: Sequence[Result]) -> tuple[float, float]:
+    """Return the radius of the outermost star of any run, and where the axis ends."""
+    reached = [float(radial["data_radius_px"]) for radial in radials if radial.get("data_radius_px") is not None]
+    end = max(float(np.max(radial["radius_px"])) for radial in radials)
+    return (max(reached) if reached else end), end
+
+
+def _hatch_extrapolation(figure: go.Figure, radials: Sequence[Result], window: list[float]) -> None:
+    """Hatch the radii that no star of any run reached."""
+    reached, end = reached_px(radials)
+    figure.update_xaxes(range=[0, end])
+    if reached >= end:
+        return
+    most = max([1, *(count for radial in radials for count in (radial.get("counts") or {}).get("stars") or ())])
+    hatch(figure, (reached, end), (window[0], window[1]), named=True, row=1, col=1)
+    hatch(figure, (reached, end), (0, most), named=False, row=2, col=1)
+    line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1}
+    figure.add_vline(x=reached, line=line, row="all", col=1)
+
+
+def arcsec_per_px(radials: Sequence[Result]) -> float | None:
+    """Read the plate scale on the axis out of the curves, or None where the runs do not share one."""
+    scales = []
+    for radial in radials:
+        pixels = np.concatenate([column(radial, "sigma_px"), column(radial, "difference_px")])
+        angles = np.concatenate([column(radial, "sigma_arcsec"), column(radial, "difference_arcsec")])
+        usable = np.isfinite(pixels) & np.isfinite(angles) & (np.abs(pixels) > 1e-12)
+        if not usable.any():
+            return None
+        scales.append(float(np.max(angles[usable] / pixels[usable])))
+    return scales[0] if max(scales) < 1.02 * min(scales) else None
+
+
+def _scale(figure: go.Figure, window: list[float], arcsec_per_px: float | None) -> None:
+    """Put arcseconds on the right, tied to the pixels on the left, where one plate scale holds."""
+    figure.update_xaxes(title_text="radius from the principal point (px)", row=2, col=1)
+    figure.update_yaxes(title_text="stars", rangemode="tozero", row=2, col=1)
+    figure.update_yaxes(title_text="final − initial (px)", range=window, zeroline=True, row=1, col=1, secondary_y=False)
+    if arcsec_per_px is None:
+        figure.update_yaxes(visible=False, row=1, col=1, secondary_y=True)
+        return
+    figure.add_trace(
+        go.Scatter(x=[0], y=[0], opacity=0, showlegend=False, hoverinfo="skip"), row=1, col=1, secondary_y=True
+    )
+    right = {"title_text": "arcsec, on axis", "range": [edge * arcsec_per_px for edge in window], "showgrid": False}
+    figure.update_yaxes(**right, tickmode="auto", zeroline=False, row=1, col=1, secondary_y=True)
+    figure.update_yaxes(fixedrange=True, row=1, col=1)  # zoom along the radius: the two scales stay tied
+
+
+def _headline(trace: Trace) -> str:
+    radial = trace.result["radial"]
+    change, radius = column(radial, "difference_px"), column(radial, "radius_px")
+    reached = radial.get("data_radius_px")
+    within = np.isfinite(change) & (radius <= (np.inf if reached is None else float(reached)))
+    if not within.any():
+        return TITLE
+    worst = int(np.argmax(np.where(within, np.abs(change), -1.0)))
+    reach = 3 * column(radial, "sigma_px")[worst]
+    spread = f" ±{reach:.2g}" if np.isfinite(reach) else ""
+    return f"Largest change where stars reach: {theme.signed(change[worst])}{spread} px (3σ) at {radius[worst]:.0f} px"
+
+
+def table(result: Result) -> Table:
+    """List the curve: radius and difference in px, and the difference as an angle."""
+    radial = result.get("radial") or {}
+    if not radial.get("radius_px"):
+        return {}
+    keys = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
+    return {key: theme.plain(column(radial, key)) for key in keys}
+
+
+RADIAL = Figure(
+    name="radial",
+    title=TITLE,
+    guide=(
+        "The curve is how far the new parameters move a star along the radius against the initial ones, with its "
+        "±3σ band; the histogram below counts the stars at that radius. Trust it where stars stand and the band "
+        "is narrow: in the hatched part no star was seen and the curve is extrapolation."
+    ),
+    draw=draw,
+    table=table,
+)
+
+
+RADIAL_CONTRAST_TITLE = "Radial difference to the reference"
+GUIDE = (
+    "Each curve is how far a run places a star along the radius from where the reference run places it, with the ±3σ band of"
+    " that difference. Runs that agree keep zero within their bands out to where stars reach; the hatched radii beyond are"
+    " extrapolated."
+)
+MARGIN = 0.06  # of the height drawn, above and below
+CROWDED = 8  # above so many bands nothing is seen through them
+
+
+def draw_radial_contrast(
+    labels: Sequence[str], reference: int, curves: Sequence[Mapping[str, Any] | None]
+) -> go.Figure:
+    """Draw one curve a run.
+
+    Parameters
+    ----------
+    labels
+        Of all runs.
+    reference
+        Index of the run that the others are set against.
+    curves
+        Of `calibration.evaluation.contrast.radial_contrast`, None for the reference and for runs that have none.
+    """
+    order = [reference, *(i for i in range(len(labels)) if i != reference)]  # the colours of every other figure
+    styles = dict(zip(order, theme.run_styles([Trace(labels[i], {}) for i in order]), strict=True))
+    shown = [(styles[i], curve) for i in order if (curve := curves[i]) is not None]
+    if not shown:
+        return theme.missing(
+            RADIAL_CONTRAST_TITLE, "No other run of the same detector has a result yet: the curves appear when one has."
+        )
+    figure = go.Figure()
+    for style, curve in shown:
+        _radial_contrast_draw_run(figure, style, curve, banded=len(shown) <= CROWDED)
+    told = any(np.isfinite(radial_contrast_column(curve["sigma_px"])).any() for _, curve in shown)
+    words = "±3σ of the difference" if told else "the same data and equal sigmas: what differs is not noise"
+    theme.dress(figure, title=f"Against {theme.escape(labels[reference])}, {words}", height_px=420)
+    figure.update_xaxes(title_text="radius from the principal point (px)")
+    figure.update_yaxes(title_text="run − reference (px)", zeroline=True)
+    figure.layout.meta = {**(figure.layout.meta or {}), "axis": "radius_px"}
+    _radial_contrast_hatch_extrapolation(figure, [curve for _, curve in shown])
+    return figure
+
+
+def _radial_contrast_draw_run(
+    figure: go.Figure, style: theme.RunStyle, curve: Mapping[str, Any], *, banded: bool
+) -> None:
+    """Add one run's curve, and its band where there is one."""
+    radius, change, reach = (
+        radial_contrast_column(curve["radius_px"]),
+        radial_contrast_column(curve["difference_px"]),
+        3 * radial_contrast_column(curve["sigma_px"]),
+    )
+    if banded and np.isfinite(reach).any():
+        figure.add_trace(theme.band(style, radius, change - reach, change + reach))
+    angles = np.stack(
+        [radial_contrast_column(curve["difference_arcsec"]), 3 * radial_contrast_column(curve["sigma_arcsec"]), reach],
+        axis=-1,
+    )
+    spread = (" ±%{customdata[2]:.3f}", " ±%{customdata[1]:.2f}") if np.isfinite(reach).any() else ("", "")
+    hover = f"%{{y:+.3f}}{spread[0]} px, %{{customdata[0]:+.2f}}{spread[1]}″<extra>{style.label}</extra>"
+    figure.add_trace(theme.line(style, radius, change, customdata=theme.short(angles), hovertemplate=hover))
+
+
+def _radial_contrast_hatch_extrapolation(figure: go.Figure, curves: Sequence[Mapping[str, Any]]) -> None:
+    """Hatch the radii that no star of both runs reached, over the height of what is drawn."""
+    end = max(float(curve["radius_px"][-1]) for curve in curves)
+    reached = [float(curve["data_radius_px"]) for curve in curves if curve["data_radius_px"] is not None]
+    figure.update_xaxes(range=[0, end])
+    if reached and min(reached) < end:
+        drawn = np.concatenate([[0.0], *(np.asarray(trace.y, dtype=np.float64) for trace in figure.data)])
+        low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
+        margin = MARGIN * (high - low) or 1.0
+        window = (low - margin, high + margin)
+        hatch(figure, (min(reached), end), window, named=True)
+        figure.update_yaxes(range=window)
+
+
+def table_radial_contrast(run_ids: Sequence[int], curves: Sequence[Mapping[str, Any] | None]) -> Table:
+    """List every curve below the other, the run's number first."""
+    names = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
+    listed: Table = {"run": [], **{name: [] for name in names}}
+    for run_id, curve in zip(run_ids, curves, strict=True):
+        if curve is not None:
+            listed["run"] += [run_id] * len(curve["radius_px"])
+            for name in names:
+                listed[name] += curve[name]
+    return listed

@@ -1,0 +1,333 @@
+"""Tail against aggregate RMS arc error (E Fig. 4, Eqs. 32 and 33, unweighted by the corrected Eq. 20).
+
+Tail at frame k is the error of the whole set under the parameters x_k; aggregate is the error of frames 1 to k, each
+under the parameters it had at the time. An aggregate well below the tail means that the filter follows single frames.
+A batch run has the error of the whole set at each iteration; beside sequential runs it is a level.
+
+The first frames fall from the initial error by hundreds of microradians and tail and aggregate then differ by a few, so
+a sequential run is drawn twice: whole on the left, and on the right what follows once it had settled, or from where a
+reader wants it. The band is what chance alone does to an RMS of so many arcs (`rms_tail`).
+
+Residual RMS by axis: rows and columns of the detector, and along and across the radius; on the whole and as it runs.
+
+Pixels are alike in rows and columns, so an axis that stands out is read-out or motion; distortion that is left over shows along
+the radius, and roll of single exposures across it. An RMS of n residuals is known to rms / sqrt(2 n). The run of it takes the
+sampled residuals in the order of their frames, in bins of one size, so that each bin is known equally well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.cameras import CAMERA_MODELS
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.course import Course, course_of
+from boresight.figures.following import follow_errors
+from boresight.figures.rms_tail import tail_start
+from boresight.figures.style import theme
+from boresight.figures.style.axes import share_cursor
+from boresight.figures.style.thinning import keep_extremes
+from boresight.figures.trust_parts import absent, column, parts
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Tail and aggregate RMS"
+URAD_PER_RAD = 1e6
+LOG_RATIO = 8.0  # beyond this ratio of highest to lowest a log axis reads better
+TICKS_URAD = [step * 10**decade for decade in range(-1, 6) for step in (1, 2, 5)]
+MOST_BANDS = 3  # runs with their bands; more hide the curves
+POINT_BUDGET = 8000  # of all panels, runs and curves together
+CURVES = {"frame": {"tail_rms_rad": "tail", "aggregate_rms_rad": "aggregate"}, "iteration": {"rms_arc_rad": "RMS"}}
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """One subplot: the steps it shows, with how many points a curve, and what its axis must hold, in µrad."""
+
+    column: int
+    start: float
+    end: float
+    limit: int
+    seen: list[float] = field(default_factory=list)
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw RMS arc error over frames, or over iterations when every run is a batch."""
+    courses = [course_of(trace.result) for trace in traces]
+    found = [course for course in courses if course is not None and _has_curve(course)]
+    if not found:
+        return theme.missing(TITLE, "No RMS arc error has been recorded yet: the curves appear as the run moves.")
+    axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
+    along = [course.x for course in found if course.axis == axis]
+    span = (min(float(x.min()) for x in along), max(float(x.max()) for x in along))
+    starts = [span[0]] if axis == "iteration" else [span[0], _tail_start(traces, courses)]
+    panels = [_Panel(i + 1, start, span[1], POINT_BUDGET // (6 * len(found))) for i, start in enumerate(starts)]
+    figure = make_subplots(1, len(panels), column_widths=[0.4, 0.6][: len(panels)] if len(panels) > 1 else None)
+    for trace, course, style in zip(traces, courses, theme.run_styles(traces), strict=True):
+        for panel in panels:
+            if course is not None and course.axis == axis:
+                _draw_run(figure, panel, course, style, len(traces) <= MOST_BANDS and trace.result.get("pairs"))
+            if len(traces) == 1 or course is None or course.axis != axis:
+                _draw_levels(figure, panel, trace.result, style, single=len(traces) == 1)
+    return follow_errors(_dress(figure, panels, traces, axis), URAD_PER_RAD, traces)
+
+
+def _tail_start(traces: Sequence[Trace], courses: Sequence[Course | None]) -> float:
+    """Return where the last of the sequential runs has its tail begin."""
+    pairs = zip(traces, courses, strict=True)
+    return max(tail_start(trace.result, course) for trace, course in pairs if course and course.axis == "frame")
+
+
+def _has_curve(course: Course) -> bool:
+    return any(np.isfinite(course.series(key)).any() for key in CURVES[course.axis])
+
+
+def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.RunStyle, pairs: float | None) -> None:
+    """Add the curves of one run; tail in the run's dash, aggregate dotted in the same colour; bands where `pairs` is known."""
+    for key, word in CURVES[course.axis].items():
+        y = course.series(key) * URAD_PER_RAD
+        shown = np.isfinite(y) & (course.x >= panel.start)
+        x, y = course.x[shown], y[shown]
+        if not len(x):
+            continue
+        kept = keep_extremes([y], panel.limit)
+        if pairs and word != "aggregate":
+            reach = 3 * y[kept] / np.sqrt(2 * pairs)
+            figure.add_trace(theme.band(style, x[kept], y[kept] - reach, y[kept] + reach), row=1, col=panel.column)
+        name = f"{style.label} · {word}"
+        curve = theme.RunStyle(style.label, style.colour, "dot" if word == "aggregate" else style.dash)
+        settings = {
+            "name": name,
+            "meta": theme.of_run(style.label, word),
+            "legendgroup": name,
+            "showlegend": panel.column == 1,
+            "hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>",
+            "mode": "lines" if course.axis == "frame" else "lines+markers",
+        }
+        figure.add_trace(
+            theme.line(curve, x[kept], y[kept], **settings),
+            row=1,
+            col=panel.column,
+        )
+        panel.seen.extend((float(y.min()), float(y.max())))
+
+
+def _draw_levels(figure: go.Figure, panel: _Panel, result: Result, style: theme.RunStyle, *, single: bool) -> None:
+    """Add the errors under the initial and the final parameters; beside sequential runs a batch is its final level."""
+    rms = result.get("rms_arc_rad") or {}
+    looks = {"initial": (theme.REFERENCE_COLOUR, "dot"), "final": (theme.REFERENCE_COLOUR, "dash")}
+    if not single:
+        looks = {"final": (style.colour, style.dash)}
+    for key, (colour, dash) in looks.items():
+        if rms.get(key) is None or (key == "initial" and panel.column > 1):
+            continue
+        level = float(rms[key]) * URAD_PER_RAD
+        name = f"{key} parameters" if single else f"{style.label} · final"
+        settings = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>", "showlegend": panel.column == 1}
+        settings |= {} if single else {"meta": theme.of_run(style.label, key)}
+        drawn = theme.reference((panel.start, panel.end), level, name, colour, dash, **settings)
+        figure.add_trace(drawn, row=1, col=panel.column)
+        panel.seen.append(level)
+
+
+def _dress(figure: go.Figure, panels: list[_Panel], traces: Sequence[Trace], axis: str) -> go.Figure:
+    """Choose log or linear by the range of each panel, and say what the panels show."""
+    theme.dress(figure, title=_headline(traces), height_px=380)
+    for panel in panels:
+        scale: dict[str, Any] = {"type": "linear"}
+        if panel.seen and 0 < min(panel.seen) < max(panel.seen) / LOG_RATIO:
+            scale = {"type": "log", "tickvals": TICKS_URAD}
+        figure.update_yaxes(**scale, row=1, col=panel.column)
+        figure.update_xaxes(title_text=axis, range=_window(panel.start, panel.end), row=1, col=panel.column)
+    if len(panels) > 1:
+        figure.update_xaxes(title_text=f"{axis}, whole run", row=1, col=1)
+        figure.update_xaxes(title_text=f"{axis}, tail from {panels[1].start:.5g} on", row=1, col=2)
+    figure.update_yaxes(title_text="RMS arc error (µrad)", row=1, col=1)
+    return share_cursor(figure, axis)
+
+
+def _window(start: float, end: float) -> list[float]:
+    margin = 0.02 * (end - start) or 0.5
+    return [start - margin, end + margin]
+
+
+def _headline(traces: Sequence[Trace]) -> str:
+    rms = traces[0].result.get("rms_arc_rad") or {}
+    if len(traces) == 1 and rms.get("initial") is not None and rms.get("final") is not None:
+        before, after = (rms[key] * URAD_PER_RAD for key in ("initial", "final"))
+        return f"RMS arc error {before:.1f} → {after:.1f} µrad"
+    return "RMS arc error" if len(traces) == 1 else f"RMS arc error of {len(traces)} runs"
+
+
+def table(result: Result) -> Table:
+    """List the RMS arc errors in rad by frame or iteration."""
+    course = course_of(result)
+    if course is None:
+        return {}
+    steps: Table = {course.axis: [int(step) for step in course.x]}
+    return steps | {key: theme.plain(course.series(key)) for key in CURVES[course.axis]}
+
+
+RMS = Figure(
+    name="rms",
+    title=TITLE,
+    guide=(
+        "Tail is the error of the whole set under the parameters of that moment, with what chance does to it (±3σ), "
+        "aggregate the running error of the frames so far, each under the parameters it had at the time. The two should "
+        "meet and lie flat near the final level; an aggregate well below the tail means that the filter follows single "
+        "frames instead of the sensor."
+    ),
+    draw=draw,
+    table=table,
+)
+
+
+RMS_AXES_TITLE = "Residual RMS by axis"
+PART = "residuals"
+AXES = ("along rows", "along columns", "along the radius", "across the radius")
+RUNNING = {"along the radius": "solid", "across the radius": "dot"}
+MOST_BINS, LEAST_IN_BIN = 40, 20
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Residuals of a run by axis: (n,) px each in the order of `AXES`, and the frame of each."""
+
+    by_axis: dict[str, FloatArray]
+    frame: FloatArray
+
+
+def spread_of(result: Result) -> Spread | None:
+    """Turn a result's residuals to its axes; None where it has none."""
+    seen = part_of(result, PART)
+    if not seen:
+        return None
+    d_row, d_col = column(seen.get("d_row_px")), column(seen.get("d_col_px"))
+    row, col, frame = (column(seen.get(key)) for key in ("row_px", "col_px", "frame"))
+    if not len(d_row) or len({len(values) for values in (d_row, d_col, row, col, frame)}) > 1:
+        return None
+    row_0, col_0 = _centre(result, row, col)
+    radius = np.hypot(row - row_0, col - col_0)
+    cosine, sine = (
+        np.divide(along, radius, out=np.zeros(len(row)), where=radius > 0) for along in (row - row_0, col - col_0)
+    )
+    turned = (d_row, d_col, cosine * d_row + sine * d_col, cosine * d_col - sine * d_row)
+    return Spread(dict(zip(AXES, turned, strict=True)), frame)
+
+
+def _centre(result: Result, row: FloatArray, col: FloatArray) -> tuple[float, float]:
+    """Return the principal point, or the middle of the stars where the camera model is not known."""
+    model, values = CAMERA_MODELS.get(str(result.get("camera_model"))), result.get("parameters") or {}
+    if model is None or any(values.get(name) is None for name in model.parameter_names):
+        return float(row.mean()), float(col.mean())
+    return model.principal_point(np.array([values[name] for name in model.parameter_names], dtype=np.float64))
+
+
+def draw_rms_axes(traces: Sequence[Trace]) -> go.Figure:
+    """Draw every run's RMS by axis with 3-sigma bars, and how it runs over the frames."""
+    drawn = [(trace, style, found) for trace, style, _ in parts(traces, PART) if (found := spread_of(trace.result))]
+    if not drawn:
+        return absent(RMS_AXES_TITLE, traces, PART)
+    figure = make_subplots(1, 2, column_widths=[0.35, 0.65], horizontal_spacing=0.08)
+    for _, style, found in drawn:
+        figure.add_trace(_points(found, style), row=1, col=1)
+        for axis in RUNNING if len(drawn) == 1 else ("along the radius",):
+            _rms_axes_draw_run(figure, found, axis, style, banded=len(drawn) <= 3)
+    theme.dress(figure, title=_rms_axes_headline(drawn[0][2]), height_px=400, hovermode="closest", scattermode="group")
+    figure.update_yaxes(rangemode="tozero")
+    figure.update_yaxes(title_text="RMS residual (px), bars ±3σ", row=1, col=1)
+    figure.update_yaxes(title_text="RMS of a bin of frames (px)", row=1, col=2)
+    figure.update_xaxes(type="category", row=1, col=1)
+    figure.update_xaxes(title_text="frame", row=1, col=2)
+    return share_cursor(figure, "frame")
+
+
+def rms_with_sigma(values: FloatArray) -> tuple[float, float]:
+    """Return the RMS of residuals and its sigma."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return float("nan"), float("nan")
+    rms = float(np.sqrt(np.mean(known**2)))
+    return rms, rms / float(np.sqrt(2 * len(known)))
+
+
+def _points(found: Spread, style: theme.RunStyle) -> go.Scatter:
+    levels = np.array([rms_with_sigma(values) for values in found.by_axis.values()])
+    return go.Scatter(
+        x=list(found.by_axis),
+        y=theme.short(levels[:, 0]),
+        mode="markers",
+        offsetgroup=style.label,
+        name=style.label,
+        legendgroup=style.label,
+        marker={"color": style.colour, "size": 9},
+        error_y={
+            "type": "data",
+            "array": theme.short(3 * levels[:, 1]),
+            "color": style.colour,
+            "thickness": 1.4,
+            "width": 4,
+        },
+        customdata=theme.short(3 * levels[:, 1]),
+        hovertemplate=f"%{{x}}: %{{y:.4f}} ±%{{customdata:.4f}} px (3σ)<extra>{style.label}</extra>",
+    )
+
+
+def _rms_axes_draw_run(figure: go.Figure, found: Spread, axis: str, style: theme.RunStyle, *, banded: bool) -> None:
+    """Add how one axis runs over the frames."""
+    own = theme.RunStyle(style.label, style.colour, RUNNING[axis])
+    frame, level, sigma = running(found, axis)
+    place: dict[str, Any] = {"row": 1, "col": 2}
+    if banded and axis == "along the radius":
+        figure.add_trace(theme.band(own, frame, level - 3 * sigma, level + 3 * sigma), **place)
+    hover = f"frame %{{x}}: %{{y:.4f}} px {axis}<extra>{style.label}</extra>"
+    options = {"name": f"{style.label} · {axis}", "hovertemplate": hover, "legendgroup": f"{style.label} · {axis}"}
+    figure.add_trace(theme.line(own, frame, level, meta=theme.of_run(own.label, axis), **options), **place)
+
+
+def running(found: Spread, axis: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mean frame, the RMS and its sigma of bins of one size, (n_bins,) each."""
+    order = np.argsort(found.frame, kind="stable")
+    bins = np.array_split(order, max(1, min(MOST_BINS, len(order) // LEAST_IN_BIN)))
+    levels = np.array([rms_with_sigma(found.by_axis[axis][places]) for places in bins])
+    return np.array([found.frame[places].mean() for places in bins]), levels[:, 0], levels[:, 1]
+
+
+def _rms_axes_headline(found: Spread) -> str:
+    (along, sigma), (across, other) = (rms_with_sigma(found.by_axis[axis]) for axis in AXES[2:])
+    apart = abs(along - across) > 3 * float(np.hypot(sigma, other))
+    words = "differ by more than 3σ" if apart else "agree within 3σ"
+    return f"Along the radius {along:.3g} px, across it {across:.3g} px: they {words}"
+
+
+def table_rms_axes(result: Result) -> Table:
+    """List one axis a row: its RMS in px, the RMS's sigma, and how many residuals it rests on."""
+    found = spread_of(result)
+    if found is None:
+        return {}
+    levels = np.array([rms_with_sigma(values) for values in found.by_axis.values()])
+    return {
+        "axis": list(found.by_axis),
+        "rms_px": theme.plain(levels[:, 0]),
+        "sigma_of_rms_px": theme.plain(levels[:, 1]),
+        "residuals": [int(np.isfinite(values).sum()) for values in found.by_axis.values()],
+    }
+
+
+RMS_AXES = Figure(
+    name="rms-axes",
+    title=RMS_AXES_TITLE,
+    guide=(
+        "On the left is the residual's RMS along rows and columns and along and across the radius, with ±3σ bars; on the "
+        "right how the last two run over the frames. All four should agree within their bars and run level: more along "
+        "the radius is distortion that is left over, a rise in time a sensor that changes."
+    ),
+    draw=draw_rms_axes,
+    table=table_rms_axes,
+)

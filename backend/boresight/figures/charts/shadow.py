@@ -1,0 +1,142 @@
+"""Shadow mode drawn: the stars that baseline and candidate each match in every frame, and the frames that one alone solves.
+
+The validation set is shown where the run has one, for it took no part in the estimate; else the calibration set. A frame that the
+simulated check of the flight code does not accept counts no stars.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.figures.style.thinning import keep_extremes
+
+TITLE = "Baseline and candidate side by side"
+SETS = ("validation", "calibration")
+POINT_BUDGET = 6000  # of all runs and curves together
+SIDES = ("baseline", "candidate")
+ALONE = {
+    "candidate": ("only the candidate solves it", "triangle-up-open"),
+    "baseline": ("only the baseline solves it: lost", "x-thin-open"),
+}
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw matched stars by frame, baseline in the reference's grey, each run's candidate in its colour."""
+    styled = zip(traces, theme.run_styles(traces), strict=True)
+    drawn = [(style, *found) for trace, style in styled if (found := shown(trace.result)) is not None]
+    if not drawn:
+        return theme.missing(
+            TITLE, "Baseline and candidate are set side by side when the run ends; that is not there yet."
+        )
+    figure = go.Figure()
+    limit = POINT_BUDGET // (2 * len(drawn))
+    for style, _, view in drawn:
+        frame, stars = _numbers(view, "frame"), {side: _stars(view, side) for side in SIDES}
+        kept = keep_extremes([stars["candidate"]], limit)
+        if len(drawn) == 1:
+            figure.add_trace(_baseline(frame[kept], stars["baseline"][kept]))
+        hover = f"frame %{{x}}: %{{y}} stars<extra>{style.label}</extra>"
+        named = {"name": "candidate" if len(drawn) == 1 else style.label, "hovertemplate": hover}
+        figure.add_trace(theme.line(style, frame[kept], stars["candidate"][kept], **named))
+        for side in ALONE:
+            figure.add_trace(_alone(style, view, side, limit // 4, single=len(drawn) == 1))
+    theme.dress(figure, title=_headline(drawn), height_px=380, hovermode="closest")
+    figure.update_xaxes(title_text="frame")
+    figure.update_yaxes(title_text="matched stars", rangemode="tozero")
+    return figure
+
+
+def shown(result: Result) -> tuple[str, Mapping[str, Any]] | None:
+    """Return which set is shown and its side-by-side view; None where there is none."""
+    shadow = result.get("shadow") or {}
+    return next(((name, shadow[name]) for name in SETS if (shadow.get(name) or {}).get("frames")), None)
+
+
+def _numbers(view: Mapping[str, Any], key: str) -> FloatArray:
+    return np.array([frame[key] for frame in view["frames"]], dtype=np.float64)
+
+
+def _stars(view: Mapping[str, Any], side: str) -> FloatArray:
+    return np.array([frame[side]["matched"] for frame in view["frames"]], dtype=np.float64)
+
+
+def _baseline(frame: FloatArray, stars: FloatArray) -> go.Scatter:
+    """Draw the baseline as a reference that no run looks like."""
+    return go.Scatter(
+        x=theme.short(frame),
+        y=theme.short(stars),
+        mode="lines",
+        name="baseline",
+        line={"color": theme.REFERENCE_COLOUR, "width": 1.2, "dash": "dot"},
+        hovertemplate="frame %{x}: %{y} stars<extra>baseline</extra>",
+    )
+
+
+def _alone(style: theme.RunStyle, view: Mapping[str, Any], side: str, limit: int, *, single: bool) -> go.Scatter:
+    """Mark the frames that one side alone solves, by a shape at its number of stars."""
+    words, symbol = ALONE[side]
+    other = SIDES[1 - SIDES.index(side)]
+    places = [k for k, frame in enumerate(view["frames"]) if frame[side]["valid"] and not frame[other]["valid"]]
+    places = places[:: max(1, -(-len(places) // limit))]
+    lost = side == "baseline"
+    return go.Scatter(
+        x=theme.short(_numbers(view, "frame")[places]),
+        y=theme.short(_stars(view, side)[places]),
+        mode="markers",
+        name=f"{words} ({len(places)})" if single else f"{style.label}: lost" if lost else style.label,
+        legendgroup=None if single else style.label,
+        showlegend=bool(places) and (single or lost),
+        marker={
+            "color": style.colour,
+            "symbol": symbol,
+            "size": 11 if lost else 6,
+            "line": {"width": 2 if lost else 1, "color": style.colour},
+        },
+        hovertemplate=f"frame %{{x}}: {words}<extra>{style.label}</extra>",
+    )
+
+
+def _headline(drawn: Sequence[tuple[theme.RunStyle, str, Mapping[str, Any]]]) -> str:
+    if len(drawn) > 1:
+        return f"Stars matched by frame, {len(drawn)} runs"
+    _, name, view = drawn[0]
+    summary = view["summary"]
+    return f"{name.capitalize()} set: {summary['candidate_only']:,} frames gained, {summary['baseline_only']:,} lost"
+
+
+def table(result: Result) -> Table:
+    """List one kept frame a row: valid or not and stars of both sides, why not, and the stars lost and gained."""
+    found = shown(result)
+    if found is None:
+        return {}
+    frames = found[1]["frames"]
+    columns: Table = {
+        "frame": [frame["frame"] for frame in frames],
+        "time_utc": [frame["time_utc"] for frame in frames],
+    }
+    for side in SIDES:
+        for key in ("valid", "matched", "reason"):
+            columns[f"{side}_{key}"] = [frame[side][key] for frame in frames]
+    for key in ("lost", "gained"):
+        columns[key] = [" ".join(str(star) for star in frame[key]) for frame in frames]
+    return columns
+
+
+SHADOW = Figure(
+    name="shadow",
+    title=TITLE,
+    guide=(
+        "Each frame is matched under the baseline and under the candidate, and the lines count the stars that the simulated "
+        "check of the flight code accepts; triangles are frames that only the candidate solves, crosses frames it would "
+        "lose. A candidate worth flying lies above the baseline everywhere and has no cross."
+    ),
+    draw=draw,
+    table=table,
+)

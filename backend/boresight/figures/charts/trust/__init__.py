@@ -1,0 +1,1 @@
+"""Charts of the trust examination and of residuals."""

@@ -1,0 +1,111 @@
+"""Each parameter left out in turn: how much worse the fit becomes, and how far the others move to make up for it.
+
+With the parameter held at its initial value, chi-square rises by one on average if the parameter has nothing to do, and
+by more than 6.63 in one case of a hundred. The others' shift is counted in their own sigmas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.quantities import quantity
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Leaving one parameter out"
+PART = "drop_one"
+BY_CHANCE = 6.63  # the 99 % point of chi-square with one degree of freedom
+LEAST = 0.1  # the log axis starts here; a fit that became no worse is drawn as a bar of no height
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw the rise of chi-square on a log axis, and below it the shift of the others."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.1)
+    for one in drawn:
+        rises = column([row.get("chi2_increase") for row in one[2]])
+        shifts = column([largest_shift(row) for row in one[2]])
+        figure.add_trace(_bars(one, np.maximum(rises, LEAST), rises, "Δχ² %{customdata:.4g}"), row=1, col=1)
+        figure.add_trace(_bars(one, np.maximum(shifts, LEAST), shifts, "%{customdata:.3g} σ"), row=2, col=1)
+    many = len(drawn) > 1
+    theme.dress(figure, title=_headline(drawn), height_px=440, legend=many, hovermode="closest", barmode="group")
+    figure.update_traces(showlegend=False, row=2, col=1)
+    figure.update_yaxes(type="log", dtick=1, exponentformat="power", minexponent=3)
+    figure.update_yaxes(title_text="χ² rises by", range=_window(figure, 0), row=1, col=1)
+    figure.update_yaxes(title_text="others move (σ)", range=_window(figure, 1), row=2, col=1)
+    figure.update_xaxes(showgrid=False)
+    line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}
+    figure.add_hline(y=BY_CHANCE, line=line, row=1, col=1)
+    return figure
+
+
+def _window(figure: go.Figure, half: int) -> list[float]:
+    """Choose the decades of a half's log axis, from below LEAST to above its highest bar."""
+    highest = max(float(np.nanmax(np.asarray(trace.y, dtype=np.float64))) for trace in figure.data[half::2])
+    return [float(np.log10(LEAST)) - 0.1, float(np.log10(max(highest, 2 * BY_CHANCE))) + 0.3]
+
+
+def largest_shift(row: Mapping[str, Any]) -> float | None:
+    """Return how far the other parameters moved at most, in their sigmas."""
+    shift = row.get("shift_in_sigma_of_others")
+    if isinstance(shift, Mapping):
+        return max((abs(value) for value in shift.values() if value is not None), default=None)
+    return None if shift is None else abs(float(shift))
+
+
+def _bars(one: Part, values: FloatArray, told: FloatArray, hover: str) -> go.Bar:
+    """Draw one run's bars; a parameter that is not needed is hatched."""
+    trace, style, part = one
+    return go.Bar(
+        x=[quantity(row["name"], trace.result).markup for row in part],
+        y=theme.short(values),
+        customdata=theme.short(told),
+        name=style.label,
+        offsetgroup=style.label,
+        marker={"color": style.colour, "pattern": {"shape": ["" if row.get("needed", True) else "/" for row in part]}},
+        hovertemplate=f"without %{{x}}: {hover}<extra>{style.label}</extra>",
+    )
+
+
+def _headline(drawn: Sequence[Part]) -> str:
+    if len(drawn) > 1:
+        return f"Leaving one parameter out, {len(drawn)} runs; hatched is not needed"
+    spare = [quantity(row["name"], drawn[0][0].result).markup for row in drawn[0][2] if not row.get("needed", True)]
+    return f"Not needed by these data: {', '.join(spare)} (hatched)" if spare else "Every free parameter is needed"
+
+
+def table(result: Result) -> Table:
+    """List one left-out parameter a row: rise of chi-square, RMS in rad, largest shift of the others in sigmas."""
+    part = part_of(result, PART)
+    if not part:
+        return {}
+    return {
+        "left_out": [row["name"] for row in part],
+        "chi2_increase": [row.get("chi2_increase") for row in part],
+        "rms_arc_rad": [row.get("rms_arc_rad") for row in part],
+        "largest_shift_in_sigma": [largest_shift(row) for row in part],
+        "needed": [row.get("needed") for row in part],
+    }
+
+
+DROP_ONE = Figure(
+    name="drop-one",
+    title=TITLE,
+    guide=(
+        "Each column holds one parameter at its initial value and fits the others: above, how much chi-square rises "
+        "(dotted: what chance alone reaches in one case of a hundred), below, how far the others move. A hatched "
+        "parameter does no work here, and freeing it only widens the sigmas of the rest."
+    ),
+    draw=draw,
+    table=table,
+)

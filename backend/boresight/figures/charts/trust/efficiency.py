@@ -1,0 +1,89 @@
+"""Claimed sigmas over the Cramer-Rao bound: no honest estimator is below one, a good one is close above it.
+
+The bound is (J^T R^-1 J)^-1 at the final parameters, with R the covariance of the arcs that the centroids' noise gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.quantities import quantity
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Cramér-Rao efficiency"
+PART = "efficiency"
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw one bar a parameter and run, and the bound as the level one."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    figure = go.Figure([_bars(one, labelled=len(drawn) == 1) for one in drawn])
+    many = len(drawn) > 1
+    theme.dress(figure, title=_headline(drawn), height_px=460, legend=many, hovermode="closest", barmode="group")
+    figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4})
+    figure.update_yaxes(title_text="claimed σ / bound", rangemode="tozero")
+    figure.update_xaxes(showgrid=False)
+    return figure
+
+
+def _ratios(part: Result) -> FloatArray:
+    return column([(part.get("ratio") or {}).get(name) for name in part["names"]])
+
+
+def _bars(one: Part, *, labelled: bool) -> go.Bar:
+    trace, style, part = one
+    ratios = _ratios(part)
+    return go.Bar(
+        x=[quantity(name, trace.result).markup for name in part["names"]],
+        y=theme.short(ratios),
+        name=style.label,
+        marker={"color": style.colour},
+        text=[f"{ratio:.3g}" if np.isfinite(ratio) else "" for ratio in ratios] if labelled else None,
+        textposition="outside",
+        cliponaxis=False,
+        hovertemplate=f"%{{x}}: %{{y:.4g}} times the bound<extra>{style.label}</extra>",
+    )
+
+
+def _headline(drawn: Sequence[Part]) -> str:
+    ratios = _ratios(drawn[0][2])
+    if len(drawn) > 1 or not np.isfinite(ratios).any():
+        return "Claimed sigma over the Cramér-Rao bound"
+    return f"Claimed sigma over the Cramér-Rao bound: {np.nanmin(ratios):.3g} to {np.nanmax(ratios):.3g}"
+
+
+def table(result: Result) -> Table:
+    """List one parameter a row: the bound in SI, the claimed sigma in SI, and their ratio."""
+    part = part_of(result, PART)
+    if not part:
+        return {}
+    bound = column([(part.get("cramer_rao_sigma") or {}).get(name) for name in part["names"]])
+    ratios = _ratios(part)
+    return {
+        "parameter": list(part["names"]),
+        "cramer_rao_sigma": theme.plain(bound),
+        "claimed_sigma": theme.plain(bound * ratios),
+        "ratio": theme.plain(ratios),
+    }
+
+
+EFFICIENCY = Figure(
+    name="efficiency",
+    title=TITLE,
+    guide=(
+        "Each bar is the sigma that the run claims over the smallest that any unbiased estimator can have with these "
+        "stars (dotted, one). A little above one is good; below one the claim is too good to be true, far above it "
+        "the method wastes data."
+    ),
+    draw=draw,
+    table=table,
+)

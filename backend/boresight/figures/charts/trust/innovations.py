@@ -1,0 +1,121 @@
+"""The normalised-innovation test over time: nu^T S^-1 nu of each frame over its degrees of freedom, with its 95 % bounds.
+
+The whole run may pass on average while its beginning is too bold and its end too timid; frame by frame that shows. One
+frame in twenty is outside by chance. Of a batch run the innovations are each frame's residuals at the final parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.figures.style.thinning import keep_extremes
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.numbers import percent
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Innovations over time"
+PART = "nis_over_time"
+POINT_BUDGET = 6000  # points of all runs together
+WINDOW_SHARE = 0.05  # of the frames, over which the mean runs
+BOUNDS = ("lower", "upper")
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw each run's frames as points, those outside their bounds as crosses, with the bounds and a running mean."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    figure = go.Figure()
+    for one in drawn:
+        _draw_run(figure, one, POINT_BUDGET // len(drawn), alone=len(drawn) == 1)
+    theme.dress(figure, title=_headline(drawn), height_px=440, hovermode="closest")
+    figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2})
+    figure.update_xaxes(title_text="frame")
+    figure.update_yaxes(title_text="NIS / degree of freedom", rangemode="tozero")
+    return figure
+
+
+def _draw_run(figure: go.Figure, one: Part, limit: int, *, alone: bool) -> None:
+    _, style, part = one
+    frame, nis = column(part["frame"]), column(part["nis_per_dof"])
+    low, high = (column(part[bound]) for bound in BOUNDS)
+    kept = keep_extremes([nis], limit // 3)
+    for name, bound in zip(BOUNDS, (low, high), strict=True):
+        options = {"name": "95 % bounds", "showlegend": alone and name == "upper", "hoverinfo": "skip", "meta": None}
+        level = theme.line(style, frame[kept], bound[kept], **options)
+        level.update(line={"dash": "dot", "width": 1, "color": theme.translucent(style.colour, 0.8)})
+        figure.add_trace(level)
+    figure.add_trace(_points(one, frame, nis, (nis < low) | (nis > high), kept, alone=alone))
+    mean = running_mean(nis, max(5, int(WINDOW_SHARE * len(nis))))
+    sparse = keep_extremes([mean], limit // 3)
+    hover = f"mean %{{y:.3g}}<extra>{style.label}</extra>"
+    options = {"name": "running mean" if alone else style.label, "hovertemplate": hover, "showlegend": True}
+    figure.add_trace(theme.line(style, frame[sparse], mean[sparse], **options))
+    if alone:
+        figure.update_traces(legendgroup=None)
+
+
+def _points(one: Part, frame: FloatArray, nis: FloatArray, outside: Any, kept: Any, *, alone: bool) -> go.Scatter:
+    """Draw the frames, a frame outside its bounds by another shape."""
+    style = one[1]
+    return go.Scatter(
+        x=theme.short(frame[kept]),
+        y=theme.short(nis[kept]),
+        mode="markers",
+        name="one frame",
+        legendgroup=style.label,
+        showlegend=alone,
+        marker={
+            "color": theme.translucent(style.colour, 0.55),
+            "size": np.where(outside[kept], 7, 4).astype(np.int8),
+            "symbol": ["x-thin-open" if out else "circle" for out in outside[kept]],
+            "line": {"width": np.where(outside[kept], 1.6, 0.0).astype(np.float32), "color": style.colour},
+        },
+        hovertemplate=f"frame %{{x}}: %{{y:.3g}}<extra>{style.label}</extra>",
+    )
+
+
+def running_mean(values: FloatArray, width: int) -> FloatArray:
+    """Average over the `width` values around each, (n,), fewer at the ends; NaN counts as absent."""
+    known = np.isfinite(values)
+    sums, counts = (np.append(0.0, np.cumsum(part)) for part in (np.where(known, values, 0.0), known))
+    start = np.maximum(np.arange(len(values)) - width // 2, 0)
+    end = np.minimum(np.arange(len(values)) + (width + 1) // 2, len(values))
+    with np.errstate(invalid="ignore"):
+        return np.asarray((sums[end] - sums[start]) / (counts[end] - counts[start]))
+
+
+def _headline(drawn: Sequence[Part]) -> str:
+    part = drawn[0][2]
+    if len(drawn) > 1:
+        return f"Normalised innovations by frame, {len(drawn)} runs"
+    return f"{percent(part.get('outside_share'))} of the frames are outside, {percent(part.get('expected_share'))} are expected"
+
+
+def table(result: Result) -> Table:
+    """List one frame a row: the innovation a degree of freedom and its bounds."""
+    part = part_of(result, PART)
+    if not part:
+        return {}
+    columns: Table = {"frame": list(part["frame"])}
+    return columns | {name: theme.plain(column(part[name])) for name in ("nis_per_dof", *BOUNDS)}
+
+
+INNOVATIONS = Figure(
+    name="innovations",
+    title=TITLE,
+    guide=(
+        "Each point is one frame's normalised innovation, a cross where it is outside its 95 % bounds (dotted), and the "
+        "line is their running mean. A mean that stays at one with one frame in twenty outside is an honest "
+        "covariance; a mean above one is over-confident there, a step or a slope is a sensor that changed."
+    ),
+    draw=draw,
+    table=table,
+)

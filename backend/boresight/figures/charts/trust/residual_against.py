@@ -1,0 +1,154 @@
+"""The residual against what might explain it: radius, magnitude, temperature, time.
+
+In each bin the mean of the radial residual (outward is positive) with twice its sigma, and the RMS. A mean that leaves
+zero with radius is distortion, with magnitude charge or a bloomed core, with temperature a focal length that breathes,
+with time ageing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Residual against causes"
+PART = "residual_against"
+CAUSES = ("radius", "magnitude", "temperature", "time")
+UNITS = {"radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h"}
+REASON_LETTERS = 30  # a line of a reason inside its panel
+REACH_SIGMA = 1.96
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw four panels; one without data says why."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    figure = make_subplots(2, 2, horizontal_spacing=0.1, vertical_spacing=0.2)
+    for i, cause in enumerate(CAUSES):
+        _panel(figure, drawn, cause, {"row": i // 2 + 1, "col": i % 2 + 1})
+    many, title = len(drawn) > 1, "Mean radial residual, 95 % bars; dotted: RMS"
+    theme.dress(figure, title=title, height_px=520, legend=many, hovermode="closest")
+    _name_once(figure)
+    return figure
+
+
+def _panel(figure: go.Figure, drawn: Sequence[Part], cause: str, where: dict[str, int]) -> None:
+    """Add one cause: every run's means and RMS, or the reason why there is nothing."""
+    known = [(style, part[cause]) for _, style, part in drawn if part.get(cause)]
+    for style, bins in known:
+        figure.add_trace(_means(style, bins), **where)
+        figure.add_trace(_spread(style, bins), **where)
+    unit = known[0][1].get("unit") or UNITS[cause] if known else UNITS[cause]
+    figure.update_xaxes(title_text=f"{cause} ({unit})", **where)
+    figure.update_yaxes(title_text="residual (px)" if where["col"] == 1 else None, **where)
+    if not known:
+        _say(figure, _why(drawn[0][0].result, cause), where)
+
+
+def _why(result: Result, cause: str) -> str:
+    unavailable = (result.get("trust") or {}).get("unavailable") or {}
+    return str(unavailable.get(f"{PART}.{cause}") or f"The telemetry has no {cause}.")
+
+
+def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
+    """Write a sentence into an empty panel, folded to its width."""
+    words = "<br>".join(folded(theme.escape(sentence), REASON_LETTERS))
+    number = 2 * (where["row"] - 1) + where["col"]
+    figure.add_trace(
+        go.Scatter(x=[None], y=[None], showlegend=False, hoverinfo="skip"), **where
+    )  # makes the axes stand
+    place = f"{number if number > 1 else ''} domain"
+    figure.add_annotation(text=words, x=0.5, y=0.5, xref=f"x{place}", yref=f"y{place}")
+    bare = {"showticklabels": False, "ticks": "", "showgrid": False, "zeroline": False, "range": [0, 1]}
+    figure.update_xaxes(**bare, **where)
+    figure.update_yaxes(title_text=None, **bare, **where)
+
+
+def folded(sentence: str, letters: int) -> list[str]:
+    """Break a sentence into lines of about so many letters."""
+    lines = [""]
+    for word in sentence.split():
+        if len(lines[-1]) + len(word) > letters:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return lines
+
+
+def _centres(bins: Result) -> FloatArray:
+    edges = column(bins["edges"])
+    return np.asarray((edges[1:] + edges[:-1]) / 2)
+
+
+def sigma_of_mean(bins: Result) -> FloatArray:
+    """Read the sigma of each bin's mean in px, (n,); where the result has none, RMS over the root of the count."""
+    if bins.get("sigma_of_mean_px") is not None:
+        return column(bins["sigma_of_mean_px"])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(column(bins["rms_px"]) / np.sqrt(column(bins["count"])))
+
+
+def _means(style: theme.RunStyle, bins: Result) -> go.Scatter:
+    error = REACH_SIGMA * sigma_of_mean(bins)
+    hover = f"%{{y:+.3f}} px, %{{customdata:.0f}} stars<extra>{style.label}</extra>"
+    options: dict[str, Any] = {"mode": "lines+markers", "customdata": theme.short(column(bins["count"]))}
+    drawn = theme.line(style, _centres(bins), column(bins["mean_px"]), hovertemplate=hover, **options)
+    known = np.where(np.isfinite(error), error, 0.0)
+    drawn.update(error_y={"array": theme.short(known), "thickness": 1.2, "width": 2}, marker={"size": 5})
+    drawn.update(connectgaps=False)
+    return drawn
+
+
+def _spread(style: theme.RunStyle, bins: Result) -> go.Scatter:
+    hover = f"RMS %{{y:.3f}} px<extra>{style.label}</extra>"
+    drawn = theme.line(style, _centres(bins), column(bins["rms_px"]), hovertemplate=hover)
+    drawn.update(line={"dash": "dot", "width": 1.2}, connectgaps=False)
+    return drawn
+
+
+def _name_once(figure: go.Figure) -> None:
+    """Name every run once in the legend, though it is drawn in four panels."""
+    seen: set[str] = set()
+    for trace in figure.data:
+        trace.showlegend = trace.name is not None and trace.name not in seen
+        trace.legendgroup = trace.name
+        seen.add(trace.name)
+
+
+def table(result: Result) -> Table:
+    """List one bin a row: cause, edges with their unit, stars, mean with its sigma, and RMS in px."""
+    part = part_of(result, PART)
+    rows: list[tuple[Any, ...]] = []
+    for cause in CAUSES:
+        if not part or not (bins := part.get(cause)):
+            continue
+        values = [theme.plain(column(bins[name])) for name in ("edges", "mean_px", "rms_px", "count")]
+        sigma, unit = theme.plain(sigma_of_mean(bins)), bins.get("unit") or UNITS[cause]
+        edges, means, spreads, counts = values
+        rows += [
+            (cause, edges[i], edges[i + 1], unit, counts[i], means[i], sigma[i], spreads[i]) for i in range(len(means))
+        ]
+    names = ("against", "from", "to", "unit", "stars", "mean_px", "sigma_of_mean_px", "rms_px")
+    return {name: list(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)} if rows else {}
+
+
+RESIDUAL_AGAINST = Figure(
+    name="residual-against",
+    title=TITLE,
+    guide=(
+        "Each panel bins the radial residual (outward positive) by one possible cause: the mean with its 95 % bar, and "
+        "its RMS dotted. Means that stay within their bars of zero are good; a slope names what the model or the "
+        "centroiding has left out."
+    ),
+    draw=draw,
+    table=table,
+)

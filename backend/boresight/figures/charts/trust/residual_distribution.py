@@ -1,0 +1,135 @@
+"""How residuals over their sigmas are distributed: a histogram beside the normal curve, and quantiles against the normal's.
+
+On the left the share of residuals in each bin of a quarter sigma at the best fit, of the first run at its old parameters too.
+On the right sample quantiles less the normal deviates they should equal: the straight line of a QQ plot lies on zero there, and
+a tenth of a sigma can be seen beside three sigmas of what so many residuals can be off by chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.numbers import percent
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Distribution of residuals"
+PART = "residual_distribution"
+CLEAR_SIGMA = 3.0
+NORMAL = np.linspace(-6, 6, 121)
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw the histograms of all runs over the normal curve, and their quantiles."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    titles = ["share of residuals", "quantile less the normal's"]
+    figure = make_subplots(1, 2, horizontal_spacing=0.1, subplot_titles=titles)
+    if drawn[0][2].get("before"):
+        figure.add_trace(_steps(drawn[0], "before"), row=1, col=1)
+    for one in drawn:
+        figure.add_trace(_steps(one, "after"), row=1, col=1)
+        for trace in _quantiles(one):
+            figure.add_trace(trace, row=1, col=2)
+    figure.add_trace(_normal_curve(float(np.diff(column(drawn[0][2]["edges"])).mean())), row=1, col=1)
+    theme.dress(figure, title=_headline(drawn), height_px=440, hovermode="closest", margin={"t": 96})
+    figure.add_hline(y=0, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, row=1, col=2)
+    figure.update_xaxes(title_text="residual (σ)", range=[-6, 6], row=1, col=1)
+    figure.update_xaxes(title_text="normal deviate", row=1, col=2)
+    figure.update_yaxes(rangemode="tozero", tickformat=".0%", row=1, col=1)
+    figure.update_yaxes(title_text="σ", row=1, col=2)
+    return figure
+
+
+def shares(part: Result, side: str) -> FloatArray:
+    """Share of all residuals of a side that each bin holds, (n_bins,); what lies beyond the bins counts among all."""
+    histogram = part[side]
+    counts = column(histogram["counts"])
+    return np.asarray(counts / max(counts.sum() + histogram["below"] + histogram["above"], 1))
+
+
+def _steps(one: Part, side: str) -> go.Scatter:
+    """Draw a histogram as steps; the one at the old parameters in the style of a reference."""
+    _, style, part = one
+    edges, share = column(part["edges"]), shares(part, side)
+    line: dict[str, Any] = {"shape": "hv", "color": style.colour, "dash": style.dash, "width": 1.8}
+    name = style.label
+    if side == "before":
+        beyond = 1 - float(share.sum())
+        line |= {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4}
+        name = f"old parameters, {percent(beyond, 0)} beyond 6 σ"
+    return go.Scatter(
+        x=theme.short(edges),
+        y=theme.short(np.append(share, share[-1])),
+        mode="lines",
+        name=name,
+        legendgroup=name,
+        meta=theme.of_run(style.label),
+        line=line,
+        hovertemplate=f"%{{y:.2%}} from %{{x}} σ on<extra>{name}</extra>",
+    )
+
+
+def _normal_curve(width: float) -> go.Scatter:
+    """Draw the share that a bin of this width has of a standard normal."""
+    share = width * np.exp(-(NORMAL**2) / 2) / np.sqrt(2 * np.pi)
+    line = {"color": theme.TRUTH_COLOUR, "width": 1.4, "dash": "dash"}
+    return go.Scatter(
+        x=theme.short(NORMAL), y=theme.short(share), mode="lines", name="normal curve", line=line, hoverinfo="skip"
+    )
+
+
+def _quantiles(one: Part) -> list[go.Scatter]:
+    """Draw a run's quantiles less the deviates, with the band of chance about zero."""
+    _, style, part = one
+    normal, off = column(part["normal"]), column(part["quantile"]) - column(part["normal"])
+    reach = CLEAR_SIGMA * column(part["sigma_of_quantile"])
+    hover = f"%{{y:+.3f}} σ at %{{x}}<extra>{style.label}</extra>"
+    return [
+        theme.band(style, normal, -reach, reach),
+        theme.line(style, normal, off, hovertemplate=hover, showlegend=False),
+    ]
+
+
+def _headline(drawn: Sequence[Part]) -> str:
+    part = drawn[0][2]
+    if len(drawn) > 1:
+        return f"Residuals over their sigmas, {len(drawn)} runs"
+    tails = f"{percent(part['beyond_share'], 2)} beyond 3 spreads, {percent(part['expected_share'], 2)} expected"
+    return f"Residuals have a standard deviation of {part['sigma']:.2f} σ; {tails}"
+
+
+def table(result: Result) -> Table:
+    """List one bin a row with its counts, and beside them the quantiles; the shorter of the two ends in empty cells."""
+    part = part_of(result, PART)
+    if not part:
+        return {}
+    edges = column(part["edges"])
+    columns: Table = {"from_sigma": theme.plain(edges[:-1]), "to_sigma": theme.plain(edges[1:])}
+    columns |= {f"count_{side}": list(part[side]["counts"]) for side in ("before", "after") if part.get(side)}
+    names = {"normal": "normal_deviate", "quantile": "quantile_sigma", "sigma_of_quantile": "sigma_of_quantile"}
+    columns |= {title: theme.plain(column(part[name])) for name, title in names.items()}
+    longest = max(map(len, columns.values()))
+    return {name: values + [None] * (longest - len(values)) for name, values in columns.items()}
+
+
+RESIDUAL_DISTRIBUTION = Figure(
+    name="residual-distribution",
+    title=TITLE,
+    guide=(
+        "On the left the share of residuals over their sigmas in each bin, beside the normal curve and what the old parameters "
+        "gave; on the right their quantiles less the normal's, with the band that chance keeps. Steps on the curve and a "
+        "line inside the band are good; ends that leave the band outwards are wrong stars, a slope is a wrong noise."
+    ),
+    draw=draw,
+    table=table,
+)

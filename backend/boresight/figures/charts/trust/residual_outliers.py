@@ -1,0 +1,137 @@
+"""Single stars far from their places, and why detections took no part: where to look with the frame browser.
+
+On the left the detector with every sighting beyond so many sigmas, the larger the farther off; on the right how many
+detections or exposures were left out for each reason. A detection that was rejected has no residual here: its frame shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.charts.trust.residual_against import folded
+from boresight.figures.style import theme
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Outliers and what was left out"
+PART = "residual_outliers"
+MOST_REASONS = 8
+REASON_LETTERS = 34
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw every run's outliers on the detector, and its reasons as bars."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    figure = make_subplots(1, 2, horizontal_spacing=0.3, column_widths=[0.6, 0.4])
+    for one in drawn:
+        figure.add_trace(_places(one), row=1, col=1)
+        figure.add_trace(_reasons(one), row=1, col=2)
+    theme.dress(
+        figure, title=_headline(drawn), height_px=440, legend=len(drawn) > 1, hovermode="closest", barmode="group"
+    )
+    rows, columns = (_extent(drawn, name, place) for name, place in (("rows", "row_px"), ("columns", "col_px")))
+    quiet = {"showgrid": False, "zeroline": False}
+    across = {"title_text": "column (px)", "range": [-0.5, columns - 0.5], "constrain": "domain", "nticks": 6, **quiet}
+    down = {"title_text": "row (px)", "range": [rows - 0.5, -0.5], "constrain": "domain", **quiet}
+    figure.update_xaxes(tickangle=0, **across, row=1, col=1)
+    figure.update_yaxes(scaleanchor="x", scaleratio=1, **down, row=1, col=1)
+    figure.update_xaxes(title_text="left out", rangemode="tozero", row=1, col=2)
+    figure.update_yaxes(autorange="reversed", showgrid=False, row=1, col=2)
+    return figure
+
+
+def _extent(drawn: Sequence[Part], name: str, place: str) -> float:
+    """Rows or columns of the detector; of a result that does not keep them, as far as its outliers reach."""
+    return max(float(part.get(name) or 1 + max(part[place], default=0.0)) for _, _, part in drawn)
+
+
+def reasons(result: Result) -> dict[str, int]:
+    """Count what took no part by reason, the most frequent first: detections that matching gave no star, and what followed."""
+    counts: dict[str, int] = dict((result.get("matching") or {}).get("row_reasons") or {})
+    for item in result.get("left_out") or ():
+        phrase = f"{item['what']}: {item['reason']}"
+        if not (counts and item["reason"] == "not matched to a catalogue star"):  # counted by matching's own reasons
+            counts[phrase] = counts.get(phrase, 0) + item["count"]
+    return dict(sorted(counts.items(), key=lambda pair: -pair[1])[:MOST_REASONS])
+
+
+def _places(one: Part) -> go.Scatter:
+    """Draw outliers where they were seen."""
+    _, style, part = one
+    size = column(part["normalised"])
+    stars = part.get("star_id") or [None] * len(size)
+    said = [f"HIP {star}" if star else "no number" for star in stars]
+    return go.Scatter(
+        x=theme.short(column(part["col_px"])),
+        y=theme.short(column(part["row_px"])),
+        mode="markers",
+        name=style.label,
+        legendgroup=style.label,
+        marker={
+            "color": theme.translucent(style.colour, 0.7),
+            "size": np.clip(4 + 1.5 * size, 6, 22).astype(np.float32),
+            "symbol": "x-thin-open",
+            "line": {"width": 1.8, "color": style.colour},
+        },
+        text=[f"{name}, frame {frame}" for name, frame in zip(said, part["frame"], strict=True)],
+        customdata=theme.short(np.stack([column(part["d_row_px"]), column(part["d_col_px"]), size], axis=1)),
+        hovertemplate=(
+            "%{text}<br>rows %{customdata[0]:+.2f} px, columns %{customdata[1]:+.2f} px: %{customdata[2]:.1f} σ"
+            f"<extra>{style.label}</extra>"
+        ),
+    )
+
+
+def _reasons(one: Part) -> go.Bar:
+    """Draw how much each reason cost."""
+    trace, style, _ = one
+    found = reasons(trace.result) or {"nothing was left out": 0}
+    return go.Bar(
+        y=["<br>".join(folded(theme.escape(reason), REASON_LETTERS)) for reason in found],
+        x=list(found.values()),
+        orientation="h",
+        name=style.label,
+        legendgroup=style.label,
+        showlegend=False,
+        marker={"color": style.colour},
+        text=[f"{count:,}" for count in found.values()],
+        textposition="auto",
+        hovertemplate=f"%{{y}}: %{{x}}<extra>{style.label}</extra>",
+    )
+
+
+def _headline(drawn: Sequence[Part]) -> str:
+    part = drawn[0][2]
+    if len(drawn) > 1:
+        return f"Sightings beyond {part['limit']:g} σ, {len(drawn)} runs"
+    return f"{part['in_all']} of {part['stars_in_all']:,} sightings beyond {part['limit']:g} σ, {part['expected']:.1f} expected"
+
+
+def table(result: Result) -> Table:
+    """List one outlier a row: frame, exposure, star, place and residual in px, and how many sigmas that is."""
+    part = part_of(result, PART)
+    if not part:
+        return {}
+    columns: Table = {name: list(part[name]) for name in ("frame", "exposure", "star_id") if part.get(name) is not None}
+    names = ("row_px", "col_px", "d_row_px", "d_col_px", "normalised")
+    return columns | {name: theme.plain(column(part[name])) for name in names}
+
+
+RESIDUAL_OUTLIERS = Figure(
+    name="residual-outliers",
+    title=TITLE,
+    guide=(
+        "On the left every sighting whose residual is beyond four of its sigmas, the larger the mark the farther off; on the "
+        "right what took no part in the fit, by reason. About as many as expected is good; many in one place or of one star "
+        "are a wrong match or a wrong catalogue place: open their frames."
+    ),
+    draw=draw,
+    table=table,
+)

@@ -1,0 +1,117 @@
+"""Two calibrations from two halves of the data: their difference over the detector, and by parameter in sigmas.
+
+The halves share no frame, so their difference d has the covariance P_1 + P_2, and d^T (P_1 + P_2)^-1 d follows a
+chi-square distribution if the model and the noise are what was assumed. A small RMS in either half proves nothing of this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.charts.trust.arc_uncertainty import cells, detector_map, frame_maps
+from boresight.figures.style import theme
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.quantities import quantity
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Two halves"
+PART, KEY = "two_halves", "difference_arcsec"
+LIMIT_SIGMA = 3.0
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw the first run's map, and the bars of every run."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    first = next((one for one in drawn if one[2].get("map")), None)
+    n_maps = 1 if first else 0
+    titles = [f"over the detector ({first[1].label})", "by parameter"] if first and len(drawn) > 1 else None
+    figure = make_subplots(
+        1, 1 + n_maps, column_widths=[0.5, 0.5][: 1 + n_maps], horizontal_spacing=0.2, subplot_titles=titles
+    )
+    if first:
+        figure.add_trace(_map(first), row=1, col=1)
+    for one in drawn:
+        figure.add_trace(_bars(one, labelled=len(drawn) == 1), row=1, col=1 + n_maps)
+    _dress(figure, drawn, n_maps)
+    return figure
+
+
+def _map(one: Part) -> go.Heatmap:
+    part = one[2]["map"]
+    reach = float(np.nanmax(np.abs(column(part[KEY])))) or 1.0
+    drawing = detector_map(part, KEY, one[1].label, zmin=-reach, zmax=reach, colorscale=theme.DIVERGING)
+    drawing.update(colorbar={"x": 0.41, "xanchor": "left"})
+    return drawing
+
+
+def _bars(one: Part, *, labelled: bool) -> go.Bar:
+    trace, style, part = one
+    values = column(part["difference_in_sigma"])
+    return go.Bar(
+        x=[quantity(name, trace.result).markup for name in part["names"]],
+        y=theme.short(values),
+        name=style.label,
+        marker={"color": style.colour},
+        text=[theme.signed(value, 2) if np.isfinite(value) else "" for value in values] if labelled else None,
+        textposition="outside",
+        constraintext="none",
+        cliponaxis=False,
+        hovertemplate=f"%{{x}}: %{{y:+.2f}} σ<extra>{style.label}</extra>",
+    )
+
+
+def _dress(figure: go.Figure, drawn: Sequence[Part], n_maps: int) -> None:
+    many = len(drawn) > 1
+    theme.dress(figure, title=_headline(drawn), height_px=440, legend=many, hovermode="closest", barmode="group")
+    if many and n_maps:
+        figure.update_layout(margin={"t": 96})
+    if n_maps:
+        frame_maps(figure, 1)
+    figure.update_traces(showlegend=many, selector={"type": "bar"})
+    where = {"row": 1, "col": 1 + n_maps}
+    seen = [float(np.nanmax(np.abs(column(part["difference_in_sigma"])), initial=0.0)) for _, _, part in drawn]
+    reach = 1.15 * max(LIMIT_SIGMA, *seen)
+    figure.update_yaxes(title_text="difference (σ of the difference)", range=[-reach, reach], **where)
+    figure.update_xaxes(showgrid=False, **where)
+    for level in (-LIMIT_SIGMA, LIMIT_SIGMA):
+        figure.add_hline(y=level, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, **where)
+
+
+def _headline(drawn: Sequence[Part]) -> str:
+    chi2 = drawn[0][2].get("chi2") or {}
+    if len(drawn) > 1 or chi2.get("value") is None:
+        return f"Two halves of the data, {len(drawn)} runs" if len(drawn) > 1 else "Two halves of the data"
+    differ = not chi2.get("consistent") and chi2["value"] > (chi2.get("upper") or 0.0)
+    word = "differ by more than their noise" if differ else "agree"
+    return f"The halves {word}: χ² {chi2['value']:.3g} for {chi2.get('dof')} degrees of freedom"
+
+
+def table(result: Result) -> Table:
+    """List the parameters with their differences in sigmas, and beside them the cells of the map in arcsec."""
+    part = part_of(result, PART)
+    if not part:
+        return {}
+    bars = {"parameter": list(part["names"]), "difference_in_sigma": theme.plain(column(part["difference_in_sigma"]))}
+    columns: Table = bars | (cells(part["map"], KEY) if part.get("map") else {})
+    length = max(len(values) for values in columns.values())
+    return {name: values + [None] * (length - len(values)) for name, values in columns.items()}
+
+
+TWO_HALVES = Figure(
+    name="two-halves",
+    title=TITLE,
+    guide=(
+        "The set is cut in two, each half is calibrated by itself, and the map shows where their arcs differ, the bars "
+        "by how many sigmas each parameter does. Bars within ±3 (dotted) and a small, patternless map are good; more "
+        "means that the model, the matches or the noise are not what the sigmas assume."
+    ),
+    draw=draw,
+    table=table,
+)

@@ -1,0 +1,85 @@
+"""Whether what is left over has a memory: the autocorrelation of the residuals over frames, with its bound.
+
+Drawn is the score of the parameter that is least white: what each frame's residuals would change that parameter by. Under
+a right model scores of different frames are independent: correlations stay within 1.96 / sqrt(n) in nineteen lags of twenty.
+Ljung and Box add them up to one chi-square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import plotly.graph_objects as go
+
+from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.style import theme
+from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.verdicts.quantities import quantity
+from boresight.verdicts.verdict import part_of
+
+TITLE = "Whiteness of residuals"
+PART = "whiteness"
+
+
+def draw(traces: Sequence[Trace]) -> go.Figure:
+    """Draw one bar a lag and run, with the bounds of the first run."""
+    drawn = parts(traces, PART)
+    if not drawn:
+        return absent(TITLE, traces, PART)
+    figure = go.Figure([_bars(one) for one in drawn])
+    many = len(drawn) > 1
+    theme.dress(figure, title=_headline(drawn), height_px=520, legend=many, hovermode="closest", barmode="group")
+    bound = drawn[0][2].get("bound")
+    for level in (-bound, bound) if bound is not None else ():
+        figure.add_hline(y=level, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2})
+    figure.update_xaxes(title_text="lag (frames)", showgrid=False)
+    figure.update_yaxes(title_text="autocorrelation")
+    return figure
+
+
+def _bars(one: Part) -> go.Bar:
+    _, style, part = one
+    return go.Bar(
+        x=list(part["lags"]),
+        y=theme.short(column(part["autocorrelation"])),
+        name=style.label,
+        marker={"color": style.colour},
+        hovertemplate=f"lag %{{x}}: %{{y:+.3f}}<extra>{style.label}</extra>",
+    )
+
+
+def _headline(drawn: Sequence[Part]) -> str:
+    part = drawn[0][2]
+    p = (part.get("ljung_box") or {}).get("p")
+    if len(drawn) > 1 or p is None:
+        return "Autocorrelation of the residuals"
+    word = "white" if part.get("white") else "not white"
+    name = part.get("name")
+    by = f", seen by {quantity(name, drawn[0][0].result).markup}" if name else ""
+    return f"The residuals are {word}{by} (Ljung-Box p = {p:.2g})"
+
+
+def table(result: Result) -> Table:
+    """List one lag a row: the autocorrelation and its bound."""
+    part = part_of(result, PART)
+    if not part:
+        return {}
+    return {
+        "lag": list(part["lags"]),
+        "autocorrelation": theme.plain(column(part["autocorrelation"])),
+        "bound": [part.get("bound")] * len(part["lags"]),
+    }
+
+
+WHITENESS = Figure(
+    name="whiteness",
+    title=TITLE,
+    guide=(
+        "Each bar is how much the residuals of frames so many apart resemble each other, as the parameter sees them that "
+        "is worst off; dotted are the bounds that "
+        "chance alone keeps in nineteen lags of twenty. Bars that stay inside are good; a slow decay is a drift that "
+        "the constant parameters cannot follow, and makes every sigma too small."
+    ),
+    draw=draw,
+    table=table,
+)

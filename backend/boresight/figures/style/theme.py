@@ -1,0 +1,276 @@
+"""The one look of every chart: the page's own colours, one colour a run, one style of uncertainty.
+
+Everything that depends on the surface (ink, grid, hover) sits in a Plotly template and nowhere else, and every colour is
+a token of the style sheet (`boresight.figures.style.theme`). The dark template's paper is transparent, so the page's surface
+shows. A page in another theme replaces `layout.template` by `layout.meta.light` or `layout.meta.contrast`, a white image
+by the light one, and needs to touch nothing more, because the run colours were chosen for at least 3:1 contrast against
+the panels of every theme and stay apart for the common colour-vision deficiencies; a dash style says the same again.
+
+The tokens of the style sheet: one source of colour for pages, plots and reports.
+
+`frontend/static/shared/style.css` declares every colour and letter size as a custom property, in one block a theme. A theme is
+the block `:root`, which is the dark one, overlaid by its own; paper has the block inside `@media print`. The contrast of
+two colours is that of WCAG 2.2: with the relative luminance L = 0.2126 R + 0.7152 G + 0.0722 B of linear sRGB channels,
+
+    contrast = (L_high + 0.05) / (L_low + 0.05).
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from boresight.figures.chart import Trace
+from boresight.resources import folder
+
+Tokens = dict[str, str]
+
+THEMES = ("dark", "light", "contrast", "print")
+PANELS = ("surface-1", "surface-2")  # what a plot may stand on
+
+_BLOCK = re.compile(r"^\s*(:root[^{]*?)\s*\{([^}]*)\}", re.MULTILINE)
+_PROPERTY = re.compile(r"--([\w-]+):\s*([^;]+);")
+_THEME_OF = {":root": "dark", ":root, :root[data-theme]": "print"}
+
+
+def read_themes(css: str) -> dict[str, Tokens]:
+    """Read the tokens of every theme, {theme: {name: value}}.
+
+    Parameters
+    ----------
+    css
+        The text of the style sheet.
+
+    Raises
+    ------
+    ValueError
+        When a theme of `THEMES` has no block.
+    """
+    blocks: dict[str, Tokens] = {}
+    for selector, body in _BLOCK.findall(css):
+        named = re.fullmatch(r':root\[data-theme="(\w+)"\]', selector)
+        theme = named[1] if named else _THEME_OF.get(selector)
+        if theme:
+            blocks.setdefault(theme, {}).update(_PROPERTY.findall(body))
+    if missing := [theme for theme in THEMES if theme not in blocks]:
+        raise ValueError(f"Expected the themes {', '.join(THEMES)}; received a style sheet without {missing[0]}")
+    return {theme: blocks["dark"] | blocks[theme] for theme in THEMES}
+
+
+def luminance(colour: str) -> float:
+    """Return the relative luminance of `#rrggbb`, 0 black to 1 white."""
+    channels = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def contrast(one: str, other: str) -> float:
+    """Return the contrast of two colours, 1 to 21, whichever is the letter and whichever the ground."""
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def declared(tokens: Tokens) -> str:
+    """Write tokens as declarations, for the style element of a file that stands alone."""
+    return " ".join(f"--{name}: {value};" for name, value in tokens.items())
+
+
+TOKENS = read_themes((folder("frontend") / "static" / "shared" / "style.css").read_text(encoding="utf-8"))
+
+
+_EVERYWHERE = TOKENS["dark"]
+SANS, TABULAR = _EVERYWHERE["sans"], _EVERYWHERE["mono"]
+RUN_COLOURS = tuple(_EVERYWHERE[f"run-{place}"] for place in range(1, 9))
+RUN_DASHES = ("solid", "dash", "dashdot", "longdash", "solid", "dash", "dashdot", "longdash")
+REFERENCE_COLOUR = _EVERYWHERE["reference"]
+TRUTH_COLOUR = _EVERYWHERE["truth"]
+CLEAR = "rgba(0,0,0,0)"
+UI_REVISION = "boresight"
+BAND_SIGMAS = 3
+
+
+def translucent(colour: str, opacity: float) -> str:
+    """Turn `#rrggbb` into the same colour with an opacity."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity:g})"
+
+
+DIVERGING = ((0.0, RUN_COLOURS[1]), (0.5, translucent(REFERENCE_COLOUR, 0.06)), (1.0, RUN_COLOURS[0]))
+
+
+@dataclass(frozen=True)
+class RunStyle:
+    """How one run is drawn in every figure."""
+
+    label: str
+    colour: str
+    dash: str
+
+
+def _template(tokens: Tokens, paper: str) -> go.layout.Template:
+    ink, muted, line = tokens["ink"], tokens["ink-2"], tokens["edge"]
+    ticks = {"family": TABULAR, "size": 11, "color": muted}
+    axis = {
+        "gridcolor": translucent(tokens["ink-3"], 0.16),
+        "linecolor": line,
+        "zerolinecolor": line,
+        "zerolinewidth": 1,
+        "showline": True,
+        "ticks": "outside",
+        "ticklen": 4,
+        "tickcolor": line,
+        "tickfont": ticks,
+        "title": {"font": {"size": 12, "color": muted}, "standoff": 8},
+    }
+    bar = {"tickfont": ticks, "outlinewidth": 0, "title": {"font": {"size": 12, "color": muted}}}
+    return go.layout.Template(
+        layout={
+            "paper_bgcolor": paper,
+            "plot_bgcolor": paper,
+            "font": {"family": SANS, "size": 13, "color": ink},
+            "title": {"font": {"size": 14, "color": ink}, "x": 0, "xref": "paper", "xanchor": "left"},
+            # room across the axis only: along it every panel's labels push the others, for seconds, until nothing moves
+            "xaxis": axis | {"automargin": "height"},
+            "yaxis": axis | {"automargin": "width"},
+            "colorway": RUN_COLOURS,
+            "legend": {"font": {"size": 12, "color": ink}, "bgcolor": CLEAR},
+            "hoverlabel": {
+                "bgcolor": tokens["surface-2"],
+                "bordercolor": line,
+                "font": {"family": TABULAR, "size": 12, "color": ink},
+            },
+            "annotationdefaults": {"font": {"color": muted, "size": 12}, "showarrow": False},
+            "modebar": {"bgcolor": CLEAR, "color": muted, "activecolor": ink},
+        },
+        data={
+            "heatmap": [{"colorbar": bar, "textfont": {"family": TABULAR, "size": 11, "color": ink}}],
+            "bar": [{"textfont": {"family": TABULAR, "size": 11, "color": ink}}],
+        },
+    )
+
+
+DARK_TEMPLATE = _template(TOKENS["dark"], CLEAR)
+LIGHT_TEMPLATE = _template(TOKENS["light"], TOKENS["light"]["surface-1"])
+CONTRAST_TEMPLATE = _template(TOKENS["contrast"], CLEAR)
+_OTHERS = {"light": LIGHT_TEMPLATE.to_plotly_json(), "contrast": CONTRAST_TEMPLATE.to_plotly_json()}
+
+
+def dress(figure: go.Figure, *, title: str, height_px: int, legend: bool = True, **layout: Any) -> go.Figure:
+    """Give a figure the house layout, with the templates of the other themes on board."""
+    settings: dict[str, Any] = {
+        "template": DARK_TEMPLATE,
+        "meta": _OTHERS,
+        "title": {"text": title, "y": 1, "yref": "container", "yanchor": "top", "pad": {"t": 8}},
+        "height": height_px,
+        "autosize": True,
+        "uirevision": UI_REVISION,
+        "hovermode": "x unified",
+        "margin": {"l": 64, "r": 24, "t": 66 if legend else 42, "b": 48},
+        "showlegend": legend,
+        "legend": {
+            "orientation": "h",
+            "x": 0,
+            "xanchor": "left",
+            "y": 1 - 30 / height_px,
+            "yref": "container",
+            "yanchor": "top",
+        },
+    }
+    figure.update_layout(settings | layout)
+    figure.update_annotations(font={"size": 12})
+    return figure
+
+
+def missing(title: str, sentence: str) -> go.Figure:
+    """Draw nothing, and say why."""
+    figure = go.Figure()
+    figure.add_annotation(text=escape(sentence), x=0.5, y=0.5, xref="paper", yref="paper")
+    dress(figure, title=title, height_px=220)
+    figure.update_xaxes(visible=False)
+    figure.update_yaxes(visible=False)
+    return figure
+
+
+def escape(text: str) -> str:
+    """Make foreign text safe inside Plotly's markup."""
+    return html.escape(text, quote=False)
+
+
+def run_styles(traces: Sequence[Trace]) -> list[RunStyle]:
+    """Give each run its colour and dash, by its place in the comparison; colours that come again have another dash."""
+    colours, dashes = len(RUN_COLOURS), len(RUN_DASHES)
+    return [
+        RunStyle(escape(trace.label), RUN_COLOURS[i % colours], RUN_DASHES[(i + i // colours) % dashes])
+        for i, trace in enumerate(traces)
+    ]
+
+
+def short(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Keep seven significant digits, more than a screen can show: travels as bytes, a quarter of the text's size."""
+    return np.where(np.isfinite(values), values, np.nan).astype(np.float32)
+
+
+def signed(value: float, digits: int = 3) -> str:
+    """Print a number with its sign, without an exponent where it has few digits: `+12.3`, `−1,140`."""
+    text = f"{value:+,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:+.{digits}g}"
+    return text.replace("-", "−")
+
+
+def plain(values: NDArray[np.float64]) -> list[float | None]:
+    """Turn an array into a table column at full precision, NaN as None."""
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def of_run(run: str, part: str = "", sigmas: int | None = None) -> dict[str, Any]:
+    """Say in a trace's `meta` whose it is, which of that run's curves, and of a band how many sigmas it reaches."""
+    return {"run": run, "part": part} | ({} if sigmas is None else {"sigmas": sigmas})
+
+
+def line(style: RunStyle, x: NDArray[np.float64], y: NDArray[np.float64], **options: Any) -> go.Scatter:
+    """Draw a run's estimate."""
+    settings = {"mode": "lines", "name": style.label, "legendgroup": style.label, "connectgaps": True}
+    settings |= {"meta": of_run(style.label)} | options
+    return go.Scatter(
+        x=short(x), y=short(y), line={"color": style.colour, "dash": style.dash, "width": 1.8}, **settings
+    )
+
+
+def band(
+    style: RunStyle, x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], **options: Any
+) -> go.Scatter:
+    """Draw +-3 sigma around a run's estimate: the one style of uncertainty, filled and edged faintly."""
+    known = np.isfinite(low) & np.isfinite(high)
+    outline_x = np.concatenate([x[known], x[known][::-1]])
+    outline_y = np.concatenate([high[known], low[known][::-1]])
+    settings = {"legendgroup": style.label, "showlegend": False, "hoverinfo": "skip"} | options
+    return go.Scatter(
+        x=short(outline_x),
+        y=short(outline_y),
+        mode="lines",
+        line={"color": translucent(style.colour, 0.4), "width": 0.7, "dash": "dot"},
+        fill="toself",
+        fillcolor=translucent(style.colour, 0.16),
+        name=f"{style.label} ±3σ",
+        meta=of_run(style.label, sigmas=BAND_SIGMAS),
+        **settings,
+    )
+
+
+def reference(x: Sequence[float], value: float, name: str, colour: str, dash: str, **options: Any) -> go.Scatter:
+    """Draw a level to compare with, in a style no run has."""
+    settings = {"legendgroup": name, "hovertemplate": f"{name} %{{y:.5g}}<extra></extra>"} | options
+    return go.Scatter(
+        x=list(x),
+        y=[value] * len(x),
+        mode="lines",
+        name=name,
+        line={"color": colour, "dash": dash, "width": 1.2},
+        **settings,
+    )

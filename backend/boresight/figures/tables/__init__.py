@@ -1,0 +1,1 @@
+"""Tables of a calibration as pages, reports and terminals print them."""

@@ -1,0 +1,196 @@
+"""What a reproduction's document holds whatever the paper: tables of judged rows, counted verdicts, versions.
+
+The rule that judges a row: reproduced, in kind, or not reproduced.
+
+A cell holds the printed number p, ours o, and the interval [low, high] that our number has (95 % by bootstrap over frames, three
+standard deviations of an estimated parameter, or the spread over simulated sets), widened by half of the last printed digit; both
+count from an origin, 0 but for a focal length. Then
+
+    reproduced        p lies in the interval, or |o - p| <= 10 % of |p|
+    in kind           o and p have the same sign and 1/sqrt(10) <= o/p <= sqrt(10)
+    not reproduced    otherwise
+
+and a row is
+
+    reproduced        when all of its cells are and its conclusion holds
+    in kind           when every cell is reproduced or in kind and its conclusion holds
+    not reproduced    otherwise.
+
+The conclusion is the statement that the paper's text draws from such a row, as a number that can fail; each table states its
+own. A figure has no printed numbers, so it is at best in kind: its conclusion decides.
+
+Why a cell is not reproduced is never guessed from the number: each column carries beforehand the cause that can move it:
+`no orbital data` (the paper's telemetry, noise and skies are not public), `no field data` (nor are its images), `erratum` (a
+printed equation or sentence is wrong), or `unstated setting` (Q, P_0, the matching tolerance are not given). A conclusion carries
+the cause that can make it fail likewise.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from typing import Any
+
+from boresight import __version__
+
+REPRODUCED, IN_KIND, NOT_REPRODUCED = "reproduced", "in kind", "not reproduced"
+VERDICTS = (REPRODUCED, IN_KIND, NOT_REPRODUCED)
+
+RELATIVE_TOLERANCE = 0.10
+SAME_ORDER = 10**0.5
+CAUSES = ("no orbital data", "no field data", "erratum", "unstated setting")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One printed number beside ours.
+
+    Parameters
+    ----------
+    column
+        Heading.
+    unit
+        Of both numbers; empty for a ratio or a share.
+    printed, ours
+        The numbers; None where the run has none.
+    low, high
+        Interval of ours.
+    resolution
+        Last printed digit, so that 0.45 stands for 0.445 to 0.455.
+    origin
+        What the comparison by ratio counts from: 10 % of a focal length of 16 mm would pass anything.
+    cause, because
+        One of `CAUSES`, and in words what can move this number.
+    """
+
+    column: str
+    unit: str
+    printed: float
+    ours: float | None
+    low: float | None = None
+    high: float | None = None
+    resolution: float = 0.0
+    origin: float = 0.0
+    cause: str = "no orbital data"
+    because: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """Judge this cell alone."""
+        if self.ours is None:
+            return NOT_REPRODUCED
+        if self._within(self.ours) or abs(self.ours - self.printed) <= RELATIVE_TOLERANCE * abs(
+            self.printed - self.origin
+        ):
+            return REPRODUCED
+        return IN_KIND if self._same_order() else NOT_REPRODUCED
+
+    def _within(self, ours: float) -> bool:
+        """Whether the printed number, as rounded, touches our interval."""
+        low = ours if self.low is None else self.low
+        high = ours if self.high is None else self.high
+        return low - self.resolution / 2 <= self.printed <= high + self.resolution / 2
+
+    def _same_order(self) -> bool:
+        """Whether both have one sign and stay within half a decade."""
+        if self.ours is None or self.printed == self.origin:
+            return False
+        return 1 / SAME_ORDER <= (self.ours - self.origin) / (self.printed - self.origin) <= SAME_ORDER
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """What the text draws from a row: whether it holds here, by which figures, and which cause could make it fail."""
+
+    holds: bool
+    sentence: str
+    cause: str = "no orbital data"
+    because: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row with its verdict and the reason."""
+
+    label: str
+    cells: tuple[Cell, ...]
+    conclusion: Conclusion
+    verdict: str
+    reason: str
+
+
+def judge(label: str, cells: Sequence[Cell], conclusion: Conclusion) -> Row:
+    """Judge a row by its worst cell and its conclusion, and say why."""
+    found = [cell.verdict for cell in cells] or [IN_KIND]
+    worst = max(found, key=VERDICTS.index)
+    verdict = worst if conclusion.holds else NOT_REPRODUCED
+    return Row(label, tuple(cells), conclusion, verdict, _reason(cells, conclusion))
+
+
+def _reason(cells: Sequence[Cell], conclusion: Conclusion) -> str:
+    """Name what agreed and, by cause, what did not."""
+    apart: dict[tuple[str, str], list[str]] = {}
+    for cell in cells:
+        if cell.verdict != REPRODUCED:
+            apart.setdefault((cell.cause, cell.because), []).append(cell.column)
+    agreed = len(cells) - sum(map(len, apart.values()))
+    sentences = [f"{agreed} of {len(cells)} numbers agree."] if cells else ["The paper's figure prints no numbers."]
+    sentences += [
+        _sentence(f"{cause.capitalize()} ({', '.join(columns)})", because)
+        for (cause, because), columns in apart.items()
+    ]
+    sentences.append(f"Conclusion {'holds' if conclusion.holds else 'fails'}: {conclusion.sentence}")
+    if not conclusion.holds:
+        sentences.append(_sentence(f"{conclusion.cause.capitalize()} (conclusion)", conclusion.because))
+    return " ".join(sentences)
+
+
+def _sentence(cause: str, because: str) -> str:
+    return f"{cause}: {because}." if because else f"{cause}."
+
+
+SCHEMA = "boresight.reproduction/1"
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table: number and title of the paper, what its rows are judged by, the heading of the labels, and the rows."""
+
+    number: str
+    title: str
+    conclusion: str
+    head: str
+    rows: tuple[Row, ...]
+
+
+def table_document(table: Table) -> dict[str, Any]:
+    """Write a table as JSON values."""
+    return {
+        "number": table.number,
+        "title": table.title,
+        "conclusion": table.conclusion,
+        "head": table.head,
+        "rows": [_row(row) for row in table.rows],
+    }
+
+
+def _row(row: Row) -> dict[str, Any]:
+    cells = [{**asdict(cell), "verdict": cell.verdict} for cell in row.cells]
+    return {"label": row.label, "verdict": row.verdict, "reason": row.reason, "cells": cells}
+
+
+def verdict_counts(tables: Sequence[Mapping[str, Any]], figures: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Count the verdicts of all rows and figures, each of the three named."""
+    counts = Counter(item["verdict"] for item in (*(row for table in tables for row in table["rows"]), *figures))
+    return {verdict: counts[verdict] for verdict in VERDICTS}
+
+
+def versions() -> dict[str, str]:
+    """Name the versions that computed a study."""
+    return {name: version(name) for name in ("numpy", "numba", "scipy", "pyerfa")} | {
+        "boresight": __version__,
+        "python": platform.python_version(),
+    }

@@ -1,0 +1,171 @@
+"""E Figures 3 to 5 as curves, judged by the conclusions their text draws; `figures.enright_*` draws them.
+
+Figure 3: difference of the focal length from the batch's along the run, with three sigmas, sensor 4, started at the ground
+calibration (a) and at the batch's result (b). Figure 4: tail and aggregate RMS from the batch's result, Q and No-Q, sensor 4.
+Figure 5: radial difference of each sequential result from the batch's, sensor 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation.statistics.uncertainty import radial_difference
+from boresight.papers.documents import Conclusion, judge
+from boresight.papers.enright.estimators import ESTIMATORS
+from boresight.papers.enright.pooled import Pooled, Record
+from boresight.papers.enright.tables import TOLERANCE, TUNING
+from boresight.simulation.sensors import ST16_COLUMNS, ST16_PIXEL_PITCH_M, ST16_ROWS
+
+Drawing = dict[str, Any]
+
+SEQUENTIAL = ("q", "no-q", "no-refit")
+UM_PER_M = 1e6
+URAD_PER_RAD = 1e6
+RADII = 81
+#: Ends of two runs differ when they are so many standard deviations apart.
+DIFFERENT_SIGMA = 0.1
+#: Radius within which E Figure 5's text calls the curves similar, and what similar means here.
+SIMILAR_RADIUS_PX, SIMILAR_PX = 800.0, 0.437
+
+
+def drawings(pooled: Pooled) -> list[Drawing]:
+    """Return every figure with its verdict; a sensor that was not run leaves its figures out."""
+    made = []
+    if 4 in pooled.sensors:
+        made += [_figure_3a(pooled), _figure_3b(pooled), _figure_4(pooled)]
+    if 3 in pooled.sensors:
+        made.append(_figure_5(pooled))
+    return made
+
+
+def _drawing(number: str, title: str, claim: str, conclusion: Conclusion, curves: Sequence[Drawing]) -> Drawing:
+    """Judge a figure by its conclusion."""
+    row = judge(number, (), conclusion)
+    return {
+        "number": number,
+        "title": title,
+        "claim": claim,
+        "verdict": row.verdict,
+        "reason": row.reason,
+        "curves": list(curves),
+    }
+
+
+def _figure_3a(pooled: Pooled) -> Drawing:
+    curves = _focal_curves(pooled, "")
+    ends = {curve["estimator"]: _end_in_sigmas(curve) for curve in curves}
+    said = ", ".join(f"{key} ends {value:+.2f} σ from the batch" for key, value in ends.items())
+    return _drawing(
+        "3a", "Focal length convergence for sensor 4, from the ground calibration",
+        "Q and No-Q end within their own three sigmas of the batch.",
+        Conclusion(all(abs(ends.get(key, np.inf)) <= 3 for key in ("q", "no-q")), f"{said}.", *TUNING), curves,
+    )  # fmt: skip
+
+
+def _figure_3b(pooled: Pooled) -> Drawing:
+    curves = _focal_curves(pooled, "-from-batch")
+    ends = {curve["estimator"]: curve["difference_um"][-1] for curve in _focal_curves(pooled, "")}
+    apart = {key: curve["difference_um"][-1] - ends[key] for curve in curves if (key := curve["estimator"]) in ends}
+    said = ", ".join(f"{key} {value:+.3f} µm" for key, value in apart.items())
+    refitted = max(abs(apart.get(key, np.inf)) for key in ("q", "no-q"))
+    sigma = max((curve["three_sigma_um"][-1] / 3 for curve in curves), default=np.inf)
+    differs = abs(apart.get("no-refit", 0.0)) > max(refitted, DIFFERENT_SIGMA * sigma)
+    return _drawing(
+        "3b", "Focal length convergence for sensor 4, from the batch's result",
+        "Q and No-Q end where they end from the ground calibration; No-Refit does not, for it uses other stars.",
+        Conclusion(differs, f"between the two starts the ends differ by {said}; σ is {sigma:.2f} µm.", *TOLERANCE), curves,
+    )  # fmt: skip
+
+
+def _focal_curves(pooled: Pooled, suffix: str) -> list[Drawing]:
+    """Delta f_k = f_k - f_batch (E Eq 31) with three sigmas, by variant."""
+    batch = pooled.first(4, "batch")
+    found = [(key, pooled.first(4, key + suffix)) for key in SEQUENTIAL]
+    return [_focal_curve(key, record, batch) for key, record in found if record and batch and record["history"]]
+
+
+def _focal_curve(key: str, record: Record, batch: Record) -> Drawing:
+    history = record["history"]
+    place = INVERTED_WANG.parameter_names.index("f_m")
+    f = np.array(history["parameters"])[:, place] - batch["parameters"]["f_m"]
+    sigma = np.array(history["sigma"], dtype=np.float64)[:, place]
+    return {
+        "estimator": key,
+        "label": ESTIMATORS[key].label,
+        "frame": history["frame"],
+        "difference_um": (f * UM_PER_M).tolist(),
+        "three_sigma_um": (3 * sigma * UM_PER_M).tolist(),
+    }
+
+
+def _end_in_sigmas(curve: Drawing) -> float:
+    return float(3 * curve["difference_um"][-1] / curve["three_sigma_um"][-1])
+
+
+def _figure_4(pooled: Pooled) -> Drawing:
+    curves = []
+    for key in ("q", "no-q"):
+        record = pooled.first(4, f"{key}-from-batch")
+        if record and record["history"]:
+            curves.append(_rms_curve(key, record["history"]))
+    apart = {curve["estimator"]: curve["tail_urad"][-1] - curve["aggregate_urad"][-1] for curve in curves}
+    said = ", ".join(f"{key} {value:+.2f} µrad" for key, value in apart.items())
+    holds = apart.get("q", 0.0) > abs(apart.get("no-q", np.inf))
+    return _drawing(
+        "4", "Conventional and aggregate errors of Q and No-Q for sensor 4, from the batch's result",
+        "No-Q ends close to its aggregate error; Q, which follows single frames, ends farther above its own.",
+        Conclusion(holds, f"at the end tail exceeds aggregate by {said}.", *TUNING), curves,
+    )  # fmt: skip
+
+
+def _rms_curve(key: str, history: Record) -> Drawing:
+    return {
+        "estimator": key,
+        "label": ESTIMATORS[key].label,
+        "frame": history["frame"],
+        "tail_urad": [value * URAD_PER_RAD for value in history["tail_rms_rad"]],
+        "aggregate_urad": [value * URAD_PER_RAD for value in history["aggregate_rms_rad"]],
+    }
+
+
+def _figure_5(pooled: Pooled) -> Drawing:
+    batch = pooled.first(3, "batch")
+    found = [(key, pooled.first(3, key)) for key in SEQUENTIAL]
+    curves = [_radial_curve(key, record, batch) for key, record in found if record is not None and batch is not None]
+    inside = {curve["estimator"]: _largest(curve, SIMILAR_RADIUS_PX) for curve in curves}
+    outside = {curve["estimator"]: _largest(curve, np.inf) for curve in curves}
+    said = ", ".join(f"{key} {inside[key]:.3f} px, {outside[key]:.3f} px to the corner" for key in inside)
+    return _drawing(
+        "5", "Radial distortion differences between sequential estimates and batch for sensor 3",
+        f"Within {SIMILAR_RADIUS_PX:.0f} px every variant agrees with the batch to one centroid sigma, {SIMILAR_PX} px.",
+        Conclusion(max(inside.values()) <= SIMILAR_PX, f"largest difference within {SIMILAR_RADIUS_PX:.0f} px: {said}.", *TUNING),
+        curves,
+    )  # fmt: skip
+
+
+def _radial_curve(key: str, record: Record, batch: Record) -> Drawing:
+    """Radial displacement against the batch, with three sigmas of the sequential estimate."""
+    names = list(INVERTED_WANG.parameter_names)
+    x, x_batch = (np.array([one["parameters"][name] for name in names]) for one in (record, batch))
+    places = [names.index(name) for name in record["covariance"]["names"]]
+    P = np.zeros((len(names), len(names)))
+    P[np.ix_(places, places)] = record["covariance"]["matrix"]
+    radius = np.linspace(0, np.hypot(ST16_ROWS, ST16_COLUMNS) / 2, RADII)
+    curve = radial_difference(INVERTED_WANG, x, x_batch, P, radius, ST16_PIXEL_PITCH_M)
+    return {
+        "estimator": key,
+        "label": ESTIMATORS[key].label,
+        "radius_px": curve.radius_px.tolist(),
+        "difference_px": curve.difference_px.tolist(),
+        "three_sigma_px": (3 * curve.sigma_px).tolist(),
+    }
+
+
+def _largest(curve: Drawing, radius_px: float) -> float:
+    """Largest difference within a radius, px."""
+    within = np.array(curve["radius_px"]) <= radius_px
+    return float(np.abs(np.array(curve["difference_px"])[within]).max())

@@ -1,0 +1,1 @@
+"""What every part of the console shares: database, blobs, web, background jobs."""

@@ -1,0 +1,78 @@
+"""The audit log as a file that others keep: JSON Lines, alone or in a ZIP with the program that verifies it.
+
+The last line carries the head of the chain and the SHA-256 of the lines before it, so that no byte of an export can
+change unseen; what the program does is in `audit_verifier`, which needs nothing of Boresight.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import IO
+
+import boresight
+from boresight.errors import RefusedInputError
+from boresight.platform.actors import Policy
+from boresight.platform.audit import chain
+from boresight.platform.audit import queries as rows
+from boresight.platform.audit.audit_verifier import FORM
+from boresight.platform.db.documents import canonical
+from boresight.platform.db.sessions import Session, utc_now
+
+FORMS = ("zip", "jsonl")
+LINES, VERIFIER = "audit.jsonl", "verify_audit.py"
+HOW = f"""Boresight's audit log, every record in the order it was written.
+
+  {LINES}       one record a line, as JSON; the last line carries the head of the chain
+  {VERIFIER}   verifies it: python3 {VERIFIER} {LINES} [--head HASH]
+
+The log is tamper-evident, not tamper-proof: keep this file, or its head, where the owner of the database cannot reach
+it. A later export must still hold the head that you keep: give it with --head.
+"""
+
+
+def verifier() -> str:
+    """Return the program that verifies an export, to be kept beside it."""
+    return files("boresight.platform.audit").joinpath("audit_verifier.py").read_text(encoding="utf-8")
+
+
+def write_export(session: Session, stream: IO[bytes], form: str, policy: Policy) -> None:
+    """Write the whole log to a stream, as a `zip` with its verifier or as `jsonl` alone.
+
+    Raises
+    ------
+    RefusedInputError
+        When the form is neither.
+    """
+    if form not in FORMS:
+        raise RefusedInputError(f"An export is a zip or jsonl, not {form!r}.")
+    if form == "jsonl":
+        stream.writelines(_lines(session, policy))
+        return
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open(LINES, "w", force_zip64=True) as lines:
+            lines.writelines(_lines(session, policy))
+        archive.writestr(VERIFIER, verifier())
+        archive.writestr("README.txt", HOW)
+
+
+def _lines(session: Session, policy: Policy) -> Iterator[bytes]:
+    """Yield every record and the last line."""
+    digest, head, count = hashlib.sha256(), chain.FIRST_HASH, 0
+    for record in rows.walk(session):
+        line = f"{chain.spelled(record)}\n".encode()
+        digest.update(line)
+        head, count = record["hash"], count + 1
+        yield line
+    last = {
+        "schema": FORM,
+        "records": count,
+        "head": head,
+        "exported_utc": utc_now(),
+        "software": f"boresight {boresight.__version__}",
+        "four_eyes": policy.four_eyes,
+    }
+    digest.update(canonical(last).encode())
+    yield f"{canonical(last | {'sha256': digest.hexdigest()})}\n".encode()

@@ -1,0 +1,305 @@
+"""The audit log: append-only, hash-chained, and a seal on every row that it tells of.
+
+`boresight.platform.audit.chain` says how records are chained, `boresight.platform.audit.seals` what a seal is. Changing, removing,
+reordering or renumbering a record breaks the chain at that record; changing, removing or inserting a sealed row by hand leaves it
+without its seal. The log is tamper-evident, not tamper-proof: whoever owns the database can rebuild it from any point,
+and can cut its tail unseen where no row was sealed in it, unless someone outside holds a later head. So every export
+carries the head, and `verify` takes a head that must still be there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from boresight.errors import NotFoundError
+from boresight.platform.actors import Actor
+from boresight.platform.audit import chain, verification
+from boresight.platform.audit import queries as rows
+from boresight.platform.audit.kept_heads import KeptHead
+from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.audit.verification import Findings, Misfit
+from boresight.platform.blobs import files
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.lists import newest_rows
+from boresight.platform.db.sessions import Session
+from boresight.platform.db.times import read_time
+
+FIRST_HASH = chain.FIRST_HASH
+BAD_FILES_NAMED = 20
+HEAD_KEPT, HEAD_FILE = "head kept", "audit-head"  # the record that a file was given heads, and what it is about
+
+
+@dataclass(frozen=True)
+class ChainReport:
+    """What a verification found.
+
+    Parameters
+    ----------
+    ok
+        Whether every record and every sealed row is as it was written, and the expected head is in the chain.
+    records
+        How many records were found good, from the first on.
+    head
+        Hash of the last good record.
+    first_broken_id
+        The first record that is not as it was written, or whose row is not as it left it; None when all are.
+    sentence
+        The finding in words.
+    rows
+        How many sealed rows were held against the chain.
+    first_broken_row
+        The row that is not as the chain has it, as `table/id`; None when all are.
+    last_id
+        Number of the last good record.
+    files
+        How many stored files were held against their addresses; 0 where that was not asked.
+    bad_files
+        What is wrong with which, the first `BAD_FILES_NAMED`.
+    """
+
+    ok: bool
+    records: int
+    head: str
+    first_broken_id: int | None
+    sentence: str
+    rows: int = 0
+    first_broken_row: str | None = None
+    last_id: int = 0
+    files: int = 0
+    bad_files: tuple[str, ...] = ()
+
+
+def append(
+    session: Session,
+    actor: Actor,
+    action: str,
+    subject: str,
+    before: Mapping[str, Any] | None = None,
+    after: Mapping[str, Any] | None = None,
+    reason: str | None = None,
+) -> AuditRecord:
+    """Put one record at the end of the chain; it is written with the commit of the caller's transaction.
+
+    Parameters
+    ----------
+    action
+        What happened, in the past: `submitted`, `promoted`, `was disabled`.
+    subject
+        What it happened to, as its REST address: `parameter-sets/3`.
+    before, after
+        What changed, as JSON documents; None where there was nothing.
+    reason
+        In the actor's words.
+    """
+    session.flush()
+    return chain.append(
+        session,
+        actor_id=actor.user_id,
+        actor=actor.printed_name,
+        credential=actor.credential,
+        action=action,
+        object=subject,
+        before=None if before is None else dict(before),
+        after=None if after is None else dict(after),
+        reason=reason,
+        request_id=actor.request_id,
+        roles=sorted(actor.roles),
+    )
+
+
+def newest_head(session: Session) -> KeptHead | None:
+    """Return number, hash and time of the newest record, to be kept elsewhere; None where there is none."""
+    newest = next(iter(newest_rows(session, rows.RECORDS, limit=1)), None)
+    return None if newest is None else KeptHead(newest.id, newest.hash, newest.at_utc)
+
+
+def holds(session: Session, kept: KeptHead) -> bool:
+    """Whether the record that a kept head is of is there, as it was."""
+    record = rows.record(session, kept.id)
+    return record is not None and record.hash == kept.hash
+
+
+def head_was_kept(session: Session, file: Path) -> bool:
+    """Whether the log says that heads were kept in a file: it must be there from then on."""
+    told = newest_rows(session, rows.RECORDS, object=HEAD_FILE, action=HEAD_KEPT)
+    return any((record.after or {}).get("file") == str(file.absolute()) for record in told)
+
+
+def tell_head_kept(session: Session, file: Path) -> None:
+    """Put on record that heads are kept in a file, so that the chain misses it when it is gone."""
+    chain.append_own(session, HEAD_KEPT, HEAD_FILE, after={"file": str(file.absolute())})
+
+
+def head(session: Session) -> str:
+    """Return the head of the chain, to be carried by exports."""
+    chain.write_out(session)
+    return chain.head(session)
+
+
+def last_change(session: Session, subject: str) -> AuditRecord | None:
+    """Return who last changed an object, as its newest record."""
+    return rows.last_change(session, subject)
+
+
+def list_records(
+    session: Session,
+    *,
+    before_id: int | None = None,
+    subject: str | None = None,
+    sought: Mapping[str, str | None] | None = None,
+    limit: int | None = None,
+) -> Sequence[AuditRecord]:
+    """Return a page of records, newest first; the next page starts before the last one's id."""
+    return newest_rows(session, rows.RECORDS, before_id=before_id, limit=limit, **(sought or {"object": subject}))
+
+
+def get_record(session: Session, record_id: int) -> AuditRecord:
+    """Return a record.
+
+    Raises
+    ------
+    NotFoundError
+        When there is none with this number.
+    """
+    record = rows.record(session, record_id)
+    if record is None:
+        raise NotFoundError(f"There is no audit record {record_id}.")
+    return record
+
+
+def words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
+    """Return who acted and what was done lately, to choose from."""
+    return rows.words(session)
+
+
+def sought(
+    *,
+    object: str | None = None,  # noqa: A002 - the name of the column
+    actor: str | None = None,
+    action: str | None = None,
+    since: str | None = None,
+    until: str | None = None,
+) -> Mapping[str, str | None]:
+    """Say what a list of records is narrowed to; times in ISO 8601, UTC where they name no zone.
+
+    Raises
+    ------
+    RefusedInputError
+        When a time cannot be read.
+    """
+    return {
+        "object": object,
+        "actor": actor,
+        "action": action,
+        "since_utc": _time(since),
+        "until_utc": _time(until),
+    }
+
+
+def _time(text: str | None) -> str | None:
+    """Read a time as the store writes it."""
+    return None if text is None else read_time(text)
+
+
+def verify(
+    session: Session,
+    expected_head: str | None = None,
+    blobs: BlobStore | None = None,
+    *,
+    kept: KeptHead | None = None,
+    head_file: Path | None = None,
+    again: bool = True,
+) -> ChainReport:
+    """Walk the whole chain, every sealed row, journal and stored file, and name the first that is not as it was written.
+
+    Parameters
+    ----------
+    expected_head
+        A head from an earlier export; not finding it means that the tail was cut and rewritten.
+    blobs
+        The stored files; None leaves them out.
+    kept
+        The head that is kept elsewhere; not finding it means that records were lost or rewritten.
+    head_file
+        Where it was looked for: that there is none, although the log says that heads were kept there, is a finding.
+    again
+        Read every file, also those that this process has seen to be intact.
+    """
+    found = verification.verify(session, expected_head, None if kept is None else kept.hash)
+    looked_at = [] if blobs is None else list(files.bad_files(session, blobs, again=again))
+    bad = [str(one) for one in looked_at if one is not None]
+    misfit = found.misfit or next(iter(found.guards), None) if found.broken_id is None else None
+    absent = head_file if kept is None else None
+    is_lost = absent is not None and head_was_kept(session, absent)
+    broken_id = found.broken_id if misfit is None else misfit.record_id
+    return ChainReport(
+        ok=found.ok and not bad and not is_lost,
+        records=found.records,
+        head=found.head,
+        first_broken_id=broken_id,
+        sentence=_sentence(found, kept, None if blobs is None else len(looked_at), bad)
+        + ("" if absent is None else _absence(absent, is_lost=is_lost)),
+        rows=found.rows,
+        first_broken_row=None if misfit is None else misfit.row,
+        last_id=found.last_id,
+        files=len(looked_at),
+        bad_files=tuple(bad[:BAD_FILES_NAMED]),
+    )
+
+
+def _sentence(found: Findings, kept: KeptHead | None, looked_at: int | None, bad: Sequence[str]) -> str:
+    """Say in words what was found, the worst of it."""
+    count = found.records
+    if found.broken_id is not None:
+        return (
+            f"Record {found.broken_id} is not as it was written, or it was renumbered, or one before it was removed; "
+            f"{count} before it are."
+        )
+    if found.misfit is None and found.unmet:
+        lost = (
+            f": record {kept.id}, which was written before {kept.at_utc}" if kept and kept.hash in found.unmet else ""
+        )
+        what = "it was cut, rewritten" if lost else "it was rewritten"
+        return (
+            f"The chain of {count} records holds together, but the head {found.unmet[0]} is not in it{lost}: {what}, or is of an "
+            "older state of the disk."
+        )
+    if (misfit := found.misfit or next(iter(found.guards), None)) is not None:
+        others = max(0, found.misfits - 1) + len(found.guards[0 if found.misfit else 1 :])
+        more = f", and {others} more are not as they were written" if others else ""
+        return (
+            f"{_capital(_where(misfit))}{misfit.row} was {misfit.what} outside Boresight{more}; "
+            f"the chain of {count} records itself holds together."
+        )
+    if bad:
+        more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
+        return (
+            f"The stored file {bad[0]}{more}: bring it back from a backup. All {count} records and the {found.rows} rows that they "
+            "sealed are as they were written."
+        )
+    stored = "" if looked_at is None else f", the {looked_at} stored files"
+    return f"All {count} records{stored} and the {found.rows} rows that they sealed are as they were written."
+
+
+def _absence(file: Path, *, is_lost: bool) -> str:
+    """Say that there is no kept head where one was looked for."""
+    if not is_lost:
+        return f" No head was kept in {file} yet, so nothing tells whether newer records were lost."
+    return (
+        f" But {file} holds no head although heads were kept there, so records may have been lost unseen: mount its disk or bring "
+        "the file back; where it is gone for good, find out why and name another file by BORESIGHT_AUDIT_HEAD_FILE."
+    )
+
+
+def _where(misfit: Misfit) -> str:
+    """Say what tells a misfit."""
+    if misfit.record_id is not None:
+        return f"record {misfit.record_id} sealed it otherwise: "
+    return "no record put it there: " if misfit.what == "inserted" and "/" in misfit.row else ""
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]

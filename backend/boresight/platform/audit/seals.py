@@ -1,0 +1,316 @@
+"""Seals: which rows the audit log vouches for, and the digest that it keeps of each.
+
+With `canon` the canonical JSON of a row's lasting columns that are not NULL, documents as the text that is stored::
+
+    digest(row) = SHA-256(canon({column: value, ...}))
+
+A column is lasting unless `FLEETING` says why not, a table is sealed unless `UNSEALED` says why not: a new column or
+table is sealed without anybody thinking of it. NULL is left out, so a column that a migration adds without a value
+changes no digest. A run is two promises: what was launched, and once it has ended everything about it.
+
+A session notes every sealed row that it inserts, changes or deletes, when it is flushed. A bulk UPDATE or DELETE passes
+the session by, so one on a sealed table is refused unless it says, with `BULK`, that it touches fleeting columns or
+notes its rows itself.
+
+Journals: tables whose rows are only added, too many and too small for a seal in the audit log each.
+
+With `canon` the canonical JSON of a row's lasting columns that are not NULL, each row is chained to the one before::
+
+    id_n = id_(n-1) + 1,    hash_0 = 64 zeros,    hash_n = SHA-256(hash_(n-1) || canon(row_n))
+    outcome_hash_n = SHA-256(hash_n || canon(other columns of row_n))
+
+The other columns are those that move, and those that came when the chain was there already.
+
+So an edit, a row put in between and a removed row are told by the row itself or the next one. Whoever chains the rest anew meets
+the audit log: each of its records carries the newest hash of every journal that has grown since the record before. What came
+after the newest record can be cut unseen, as the end of any log. The one writer at a time numbers the rows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import ORMExecuteState, Session
+
+from boresight.console.access.tables import ApiKey, LoginSession, User
+from boresight.console.approvals.tables import Opening
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run, RunEvent
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
+from boresight.platform.audit.tables import AuditRecord, IdempotentResponse
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.declared import Base
+from boresight.platform.db.documents import JsonText, canonical
+
+UNSEALED: Mapping[type[Base], str] = {
+    AuditRecord: "is the chain itself",
+    Blob: "is named by the SHA-256 of its bytes; the rows that name it are sealed, and lose it if it is edited",
+    IdempotentResponse: "is forgotten after a day",
+    LoginSession: "moves with its use and is forgotten; what was done under it is sealed with its own record",
+    Opening: "is shown and decides nothing",
+    RunEvent: "is a journal, with hashes of its own",
+    WebhookDelivery: "is a journal, with hashes of its own",
+}
+FLEETING: Mapping[type[Base], Mapping[str, str]] = {
+    ApiKey: {"last_used_utc": "moves with every use"},
+    Run: {"lease_until_utc": "is renewed while a run computes"},
+    User: {"name_key": "follows from the name", "printed_key": "follows from the printed name"},
+    Webhook: {"told_audit_id": "moves with every audit record"},
+}
+WHILE_UNDER_WAY = frozenset(
+    (
+        "state",
+        "reason",
+        "attempt",
+        "owner",
+        "cancel_requested",
+        "started_utc",
+        "ended_utc",
+        "progress",
+        "result_sha256",
+        "summary",
+    )
+)  # of a run: lasting from its end on
+SEALED: Mapping[str, type[Base]] = {
+    model.__tablename__: model
+    for model in sorted((mapper.class_ for mapper in Base.registry.mappers), key=lambda model: model.__tablename__)
+    if model not in UNSEALED
+}
+BULK = {"sealed_by": "its writer"}
+ROWS_AT_A_TIME = 500
+NOTED = "sealed rows that changed"
+
+
+def lasting(model: type[Base]) -> tuple[str, ...]:
+    """Return the columns of a sealed table that its digest covers, the key first."""
+    return tuple(name for name in model.__table__.columns.keys() if name not in FLEETING.get(model, {}))  # noqa: SIM118 - a collection of columns iterates over columns
+
+
+def note(session: Session, model: type[Base], row_id: int) -> None:
+    """Remember that a row needs a new seal: what a bulk update changed."""
+    session.info.setdefault(NOTED, {}).setdefault(model, set()).add(row_id)
+
+
+def note_flushed(session: Session, context: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives both
+    """Remember the sealed rows that a flush wrote."""
+    for row in (*session.new, *session.dirty, *session.deleted):
+        model = type(row)
+        if model.__tablename__ in SEALED and (row not in session.dirty or _has_moved(row)):
+            note(session, model, row.id)
+
+
+def _has_moved(row: Base) -> bool:
+    """Whether any column that the row's digest covers was given another value."""
+    attributes, left_out = sa.inspect(row).attrs, _left_out(type(row), getattr(row, "state", None))
+    return any(attributes[name].history.has_changes() for name in lasting(type(row)) if name not in left_out)
+
+
+def _left_out(model: type[Base], state: str | None) -> frozenset[str]:
+    """Return the lasting columns that a row in this state does not promise yet."""
+    return WHILE_UNDER_WAY if model is Run and state not in TERMINAL_RUN_STATES else frozenset()
+
+
+def refuse_bulk(state: ORMExecuteState) -> None:
+    """Refuse a bulk change of a sealed table that says nothing of its seals.
+
+    Raises
+    ------
+    ValueError
+        A programming error: the change would later look as if it was made by hand.
+    """
+    changes = state.is_insert or state.is_update or state.is_delete
+    if not changes or state.bind_mapper is None or not BULK.items().isdisjoint(state.execution_options.items()):
+        return
+    table = state.bind_mapper.class_.__tablename__
+    if table in SEALED:
+        raise ValueError(f"Expected a change of {table} through its rows, or with BULK / Received a bulk statement")
+
+
+def take(session: Session) -> dict[str, str | None]:
+    """Return the digests of all rows that were noted, by `table/id`, and note them no longer; None is a removed row."""
+    session.flush()
+    noted: dict[type[Base], set[int]] = session.info.pop(NOTED, {})
+    digests: dict[str, str | None] = {}
+    for model, ids in noted.items():
+        digests |= {f"{model.__tablename__}/{row_id}": None for row_id in ids}
+        for some in portions(sorted(ids)):
+            digests |= {
+                f"{model.__tablename__}/{row_id}": digest for row_id, digest in digests_of(session, model, some)
+            }
+    return digests
+
+
+def portions(ids: Sequence[int]) -> Iterator[Sequence[int]]:
+    """Cut keys into portions that a statement, and a record, can hold."""
+    for start in range(0, len(ids), ROWS_AT_A_TIME):
+        yield ids[start : start + ROWS_AT_A_TIME]
+
+
+def digests_of(session: Session, model: type[Base], ids: Sequence[int] | None = None) -> Iterator[tuple[int, str]]:
+    """Yield key and digest of a sealed table's rows, all or some, in the order of their keys, without holding them all."""
+    names = lasting(model)
+    table = model.__table__
+    columns = [
+        sa.type_coerce(column, sa.Text) if isinstance(column.type, JsonText) else column
+        for column in (table.columns[name] for name in names)
+    ]
+    query = sa.select(*columns).order_by(table.columns["id"])
+    if ids is not None:
+        query = query.where(table.columns["id"].in_(ids))
+    with closing(session.execute(query, execution_options={"yield_per": ROWS_AT_A_TIME})) as found:
+        for row in found:
+            yield row[0], _digest(model, dict(zip(names, row, strict=True)))
+
+
+def orphans(session: Session, model: type[Base]) -> frozenset[int]:
+    """Return the keys of a sealed table's rows that refer to a row of an unsealed table that is not there.
+
+    The row itself is as it was sealed then, and what it names was edited or removed by hand: no transaction could.
+    """
+    table, unsealed = model.__table__, {other.__table__ for other in UNSEALED}
+    lost = [
+        column.is_not(None) & ~sa.exists().where(key.column == column)
+        for column in table.columns
+        for key in column.foreign_keys
+        if key.column.table in unsealed
+    ]
+    return frozenset(session.scalars(sa.select(table.columns["id"]).where(sa.or_(*lost)))) if lost else frozenset()
+
+
+def _digest(model: type[Base], values: Mapping[str, Any]) -> str:
+    """Return the digest of a row's lasting columns; of a run under way, of what was launched."""
+    left_out = _left_out(model, values.get("state"))
+    kept = {name: value for name, value in values.items() if value is not None and name not in left_out}
+    return hashlib.sha256(canonical(kept).encode()).hexdigest()
+
+
+FIRST_HASH = "0" * 64
+JOURNAL_ROWS_AT_A_TIME = 1000
+MOST_STORES = 64
+
+
+@dataclass(frozen=True)
+class Journal:
+    """What of a table the chain's hash covers, and what the other one."""
+
+    model: type[RunEvent | WebhookDelivery]
+    lasting: tuple[str, ...]
+    others: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The table's name."""
+        return self.model.__tablename__
+
+    def hash_of(self, previous: str, row: Mapping[str, Any]) -> str:
+        """Return the hash of a row after the one before."""
+        return _hash(previous, {name: row[name] for name in self.lasting})
+
+    def outcome_hash_of(self, row: Mapping[str, Any]) -> str:
+        """Return the hash of the other columns."""
+        return _hash(row["hash"] or "", {name: row[name] for name in self.others})
+
+
+JOURNALS: Mapping[str, Journal] = {
+    journal.name: journal
+    for journal in (
+        Journal(
+            RunEvent,
+            ("id", "run_id", "attempt", "at_utc", "kind", "message"),
+            ("state", "cause", "level", "numbers"),
+        ),
+        Journal(
+            WebhookDelivery,
+            ("id", "webhook_id", "audit_id", "body", "created_utc"),
+            ("state", "attempts", "attempted_utc", "status", "outcome"),
+        ),
+    )
+}
+_anchored: dict[str, dict[str, str]] = {}  # by store and journal: the newest hash that a record of this process carries
+
+
+def _hash(previous: str, row: Mapping[str, Any]) -> str:
+    kept = {name: value for name, value in row.items() if value is not None}
+    return hashlib.sha256(f"{previous}{canonical(kept)}".encode()).hexdigest()
+
+
+def newest(session: Session, journal: Journal) -> tuple[int, str]:
+    """Return number and hash of the newest row; 0 and `FIRST_HASH` where there is none."""
+    table = journal.model.__table__
+    query = sa.select(table.c.id, table.c.hash).order_by(table.c.id.desc()).limit(1)
+    found = session.connection().execute(query).first()
+    return (0, FIRST_HASH) if found is None else (found.id, found.hash or "")
+
+
+def chained(
+    session: Session, model: type[RunEvent | WebhookDelivery], rows: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Number rows that are about to be added and chain them, in this order."""
+    journal = JOURNALS[model.__tablename__]
+    last_id, previous = newest(session, journal)
+    made = []
+    for row_id, row in enumerate(rows, start=last_id + 1):
+        previous = journal.hash_of(previous, {**row, "id": row_id})
+        numbered = {**row, "id": row_id, "hash": previous}
+        made.append({**numbered, "outcome_hash": journal.outcome_hash_of(numbered)})
+    return made
+
+
+def chain_new(session: Session, context: Any, instances: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives all three
+    """Number and chain the rows that a flush is about to write, and hash anew what it changes in others."""
+    added = sorted((row for row in session.new if _journal(row)), key=lambda row: sa.inspect(row).insert_order)
+    for journal in JOURNALS.values():
+        rows = [row for row in added if isinstance(row, journal.model)]
+        values = [{name: _value(row, name) for name in (*journal.lasting, *journal.others)} for row in rows]
+        for row, made in zip(rows, chained(session, journal.model, values) if rows else (), strict=True):
+            row.id, row.hash, row.outcome_hash = made["id"], made["hash"], made["outcome_hash"]
+    for row in session.dirty:
+        if (its := _journal(row)) is not None:
+            row.outcome_hash = its.outcome_hash_of({name: _value(row, name) for name in (*its.others, "hash")})
+
+
+def _journal(row: Base) -> Journal | None:
+    return JOURNALS.get(type(row).__tablename__)
+
+
+def _value(row: Base, name: str) -> Any:
+    """Return what will be stored in a column: its default where nothing was given."""
+    value = getattr(row, name)
+    default = type(row).__table__.columns[name].default
+    return default.arg if value is None and default is not None else value
+
+
+def heads(session: Session) -> dict[str, str]:
+    """Return the newest hash of each journal that has grown since the last record, by `table/id`, to be carried by the next."""
+    found = {}
+    known = _anchored.setdefault(_store(session), {})
+    while len(_anchored) > MOST_STORES:
+        del _anchored[next(iter(_anchored))]
+    for name, journal in JOURNALS.items():
+        last_id, digest = newest(session, journal)
+        if last_id and known.get(name) != digest:
+            found[f"{name}/{last_id}"] = known[name] = digest
+    return found
+
+
+def forget(session: Session) -> None:
+    """Carry the newest hashes again: what carried them was not kept."""
+    _anchored.pop(_store(session), None)
+
+
+def _store(session: Session) -> str:
+    return session.get_bind().engine.url.render_as_string()
+
+
+def rows_of(session: Session, journal: Journal) -> Iterator[dict[str, Any]]:
+    """Yield every row in order, without holding them all."""
+    columns = [*journal.lasting, *journal.others, "hash", "outcome_hash"]
+    table = journal.model.__table__
+    query = sa.select(*(table.columns[name] for name in columns)).order_by(table.c.id)
+    with closing(session.execute(query, execution_options={"yield_per": JOURNAL_ROWS_AT_A_TIME})) as found:
+        for row in found:
+            yield dict(zip(columns, row, strict=True))

@@ -1,0 +1,47 @@
+"""The audit log, and the answers kept for Idempotency-Keys."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.orm import Mapped, mapped_column
+
+from boresight.platform.db.declared import STRICT, Base
+from boresight.platform.db.documents import JsonText
+
+
+class AuditRecord(Base):
+    """The append-only, hash-chained log; triggers refuse UPDATE and DELETE."""
+
+    __tablename__ = "audit"
+    __table_args__ = (sa.Index("ix_audit_object_id", "object", "id"), STRICT)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    at_utc: Mapped[str] = mapped_column(sa.Text)
+    actor_id: Mapped[int | None] = mapped_column(sa.Integer)
+    actor: Mapped[str] = mapped_column(sa.Text)
+    credential: Mapped[str] = mapped_column(sa.Text)  # session | key:<prefix> | command line | system
+    action: Mapped[str] = mapped_column(sa.Text)
+    object: Mapped[str] = mapped_column(sa.Text)
+    before: Mapped[dict[str, Any] | None] = mapped_column(JsonText)
+    after: Mapped[dict[str, Any] | None] = mapped_column(JsonText)
+    reason: Mapped[str | None] = mapped_column(sa.Text)
+    request_id: Mapped[str | None] = mapped_column(sa.Text)
+    previous_hash: Mapped[str] = mapped_column(sa.Text)
+    hash: Mapped[str] = mapped_column(sa.Text, unique=True)
+    rows: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # SHA-256 of each row as this change left it
+    roles: Mapped[list[str] | None] = mapped_column(JsonText)  # of the actor, at the time
+
+
+class IdempotentResponse(Base):
+    """What a POST answered under an Idempotency-Key, stored in the transaction of its effect."""
+
+    __tablename__ = "idempotent_responses"
+    __table_args__ = (STRICT,)
+    key: Mapped[str] = mapped_column(sa.Text, primary_key=True)
+    actor: Mapped[str] = mapped_column(sa.Text, primary_key=True)
+    request_sha256: Mapped[str] = mapped_column(sa.Text)
+    status: Mapped[int]
+    headers: Mapped[dict[str, str]] = mapped_column(JsonText)
+    body: Mapped[dict[str, Any]] = mapped_column(JsonText)
+    created_utc: Mapped[str] = mapped_column(sa.Text, index=True)

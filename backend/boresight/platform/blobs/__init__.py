@@ -1,0 +1,1 @@
+"""Stored files, named by the SHA-256 of their bytes, in a folder or a bucket."""

@@ -1,0 +1,236 @@
+"""Blobs in a bucket of an object store, named as in the folder: `prefix/ab/cd/abcd...`.
+
+An object is put once and never changed, so what was fetched stays right for ever. A file is fetched once a machine, into
+a folder in the layout of `BlobStore`: written beside while its SHA-256 is taken, and named only when that is the address,
+so it is there complete and right or not at all. What was asked for longest ago is let go when more lies there than
+allowed, but nothing that was asked for within the last hour: it may be about to be opened. Who has it open keeps it. A
+file here that is not what it was when it was fetched is fetched anew.
+
+The store checks what is put: requests are signed together with the SHA-256 of their body, and the size is asked for
+after. Credentials come from the environment of each process as the store's own programs read them (AWS_ACCESS_KEY_ID,
+AWS_ENDPOINT_URL, GOOGLE_APPLICATION_CREDENTIALS, AZURE_STORAGE_ACCOUNT_KEY ...), so they pass through no address, log or task.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import timedelta
+from functools import cache
+from pathlib import Path
+
+import obstore
+from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
+from obstore.store import ObjectStore, from_url
+
+from boresight import disks as integrity
+from boresight.errors import CorruptFileError, ForbiddenError, NotFoundError, UnavailableError
+from boresight.platform.blobs.folder import CHUNK_BYTES, BlobStore
+from boresight.platform.blobs.places import BlobPlace
+
+KEPT_S = 3600.0  # after it was last asked for
+MARK_S = KEPT_S / 12  # asked for so soon again, a file is not marked again
+LOOK_AFTER = 20  # the folder is measured after a twentieth of what it may hold was added
+ANSWERS_WITHIN, ENDS_WITHIN, TRIED_FOR, LOOKS_FOR = (timedelta(seconds=number) for number in (5, 60, 20, 2))
+LOOKED_FOR = "is-it-there"
+
+
+class ObjectBlobStore(BlobStore):
+    """The blobs of a bucket; `folder` holds what was fetched or put lately."""
+
+    def __init__(self, place: BlobPlace, store: ObjectStore, looking: ObjectStore | None = None) -> None:
+        super().__init__(place.cache_folder)
+        self.kept_at = self.address = place.address
+        self.limit_bytes = place.cache_bytes
+        self._store = store
+        self._looking = looking or store  # the same, without patience
+        self._added_bytes = self.limit_bytes  # measured once at first
+
+    def _enter(self) -> None:
+        """Make the folder of what was fetched, which may be emptied or removed at any time."""
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+
+    def send_ahead(self, *files: Path) -> None:
+        """Put files that will be put again, which then sends nothing."""
+        for file in files:
+            self.put(file)
+
+    def _keep(self, written: Path, sha256: str) -> None:
+        """Put a complete file into the bucket, and keep it here too."""
+        size = written.stat().st_size
+        with self._asking(f"There is no bucket for {self.address}; make it, or mend the address in BORESIGHT_BLOBS."):
+            if self._size_of(sha256) != size:
+                obstore.put(self._store, _key(sha256), written)
+                if self._size_of(sha256) != size:
+                    raise UnavailableError(
+                        f"The file {sha256[:12]} did not arrive whole in {self.address}; try again, and look at the store."
+                    )
+        self._keep_here(written, sha256, size)
+
+    def refuse_unusable(self) -> None:
+        """Ask the store for something that is not there: who answers that is there and lets us in.
+
+        Raises
+        ------
+        UnavailableError
+            When the store does not answer, or what was fetched cannot be kept here.
+        ForbiddenError
+            When it does not let us in.
+        """
+        super().refuse_unusable()
+        with self._asking(""), suppress(FileNotFoundError):
+            obstore.head(self._looking, LOOKED_FOR)
+
+    def _size_of(self, sha256: str) -> int | None:
+        """Return the size of an object, None where there is none."""
+        try:
+            return obstore.head(self._store, _key(sha256))["size"]
+        except FileNotFoundError:
+            return None
+
+    def path(self, sha256: str) -> Path:
+        """Return a file with the bytes of an address, fetched the first time, to be read only.
+
+        Raises
+        ------
+        NotFoundError
+            When the bytes are not in the bucket.
+        CorruptFileError
+            When the bytes in the bucket are not those of the address.
+        UnavailableError
+            When the store does not answer.
+        ForbiddenError
+            When it does not let us in.
+        """
+        place = self._place(sha256)
+        try:
+            if not integrity.is_intact(place, sha256):
+                place.unlink(missing_ok=True)
+            elif time.time() - (found := place.stat()).st_atime > MARK_S:
+                os.utime(place, ns=(time.time_ns(), found.st_mtime_ns))
+        except FileNotFoundError:
+            pass
+        if not place.exists():
+            self._fetch(sha256)
+        return place
+
+    def check(self, sha256: str, *, again: bool) -> int:
+        """Hold the bytes of an address in the bucket against it; return how many they are.
+
+        Reading them all again costs what the store asks for it; else the bucket says how many they are, and what lies here is
+        looked at when it is used.
+        """
+        if not again:
+            return self.size(sha256)
+        digest, size = hashlib.sha256(), 0
+        for chunk in self._streamed(sha256):
+            digest.update(chunk)
+            size += len(chunk)
+        self._refuse_other(digest.hexdigest(), sha256)
+        return size
+
+    def size(self, sha256: str) -> int:
+        """Return how many bytes the bucket keeps of an address."""
+        with self._asking(self._missing(sha256)):
+            return obstore.head(self._store, _key(sha256))["size"]
+
+    def _missing(self, sha256: str) -> str:
+        return f"The stored file {sha256[:12]} is missing from {self.address}; bring it back there from a backup."
+
+    def _streamed(self, sha256: str) -> Iterator[bytes]:
+        """Yield the bytes of an object piece by piece."""
+        with self._asking(self._missing(sha256)):
+            for chunk in obstore.get(self._store, _key(sha256)).stream(min_chunk_size=CHUNK_BYTES):
+                yield bytes(chunk)
+
+    def _refuse_other(self, found: str, sha256: str) -> None:
+        """Refuse bytes that are not those of the address."""
+        if found != sha256:
+            self.tell_corrupt(sha256)
+            raise CorruptFileError(
+                f"The stored file {sha256[:12]} was altered in {self.address}; bring its former version back there.",
+                sha256,
+            )
+
+    def _fetch(self, sha256: str) -> None:
+        """Bring an object here, complete and right or not at all."""
+        self._enter()
+        digest = hashlib.sha256()
+        with tempfile.TemporaryDirectory(prefix=".get-", dir=self.folder) as folder:
+            written = Path(folder) / sha256
+            with written.open("wb") as file:
+                for chunk in self._streamed(sha256):
+                    digest.update(chunk)
+                    file.write(chunk)
+            self._refuse_other(digest.hexdigest(), sha256)
+            self._keep_here(written, sha256, written.stat().st_size)
+
+    def _keep_here(self, written: Path, sha256: str, size: int) -> None:
+        """Keep a complete file in the folder, and let others go when it holds too much."""
+        super()._keep(written, sha256)
+        self._added_bytes += size
+        if self._added_bytes > self.limit_bytes // LOOK_AFTER:
+            self._added_bytes = 0
+            self._make_room()
+
+    def _make_room(self) -> None:
+        """Remove what was asked for longest ago until the limit holds."""
+        found = sorted(_files(self.folder))
+        too_much = sum(size for _, size, _ in found) - self.limit_bytes
+        for asked_s, size, path in found:
+            if too_much <= 0 or time.time() - asked_s < KEPT_S:
+                return
+            path.unlink(missing_ok=True)
+            too_much -= size
+
+    @contextmanager
+    def _asking(self, missing: str) -> Iterator[None]:
+        """Say in one sentence what the store refuses; its own words may hold addresses and headers and are not passed on."""
+        try:
+            yield
+        except FileNotFoundError as error:
+            raise NotFoundError(missing) from error
+        except (PermissionDeniedError, UnauthenticatedError) as error:
+            raise ForbiddenError(
+                f"The object store lets nobody read or write {self.address} with the credentials of this process; "
+                "check the key and what it may do."
+            ) from error
+        except BaseError as error:
+            raise UnavailableError(
+                f"The object store at {self.address} does not answer; check its address and the network, and try again."
+            ) from error
+
+
+def _key(sha256: str) -> str:
+    """Name the object as the file in a folder of blobs, so that plain copying moves from one to the other."""
+    return f"{sha256[:2]}/{sha256[2:4]}/{sha256}"
+
+
+def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
+    """Yield when each file here was asked for last, its size and itself; those that go meanwhile are left out."""
+    for path in folder.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*"):
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            continue
+        yield found.st_atime, found.st_size, path
+
+
+@cache
+def open_object_blobs(place: BlobPlace) -> ObjectBlobStore:
+    """Open a bucket, once a process: connections are kept."""
+    store = from_url(  # an endpoint without TLS is used only where the environment names one
+        place.address,
+        client_options={"allow_http": True, "connect_timeout": ANSWERS_WITHIN, "timeout": ENDS_WITHIN},
+        retry_config={"max_retries": 4, "retry_timeout": TRIED_FOR},
+    )
+    looking = from_url(
+        place.address,
+        client_options={"allow_http": True, "connect_timeout": LOOKS_FOR, "timeout": LOOKS_FOR},
+        retry_config={"max_retries": 0, "retry_timeout": LOOKS_FOR},
+    )
+    return ObjectBlobStore(place, store, looking)

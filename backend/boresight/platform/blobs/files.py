@@ -1,0 +1,90 @@
+"""The stored files that rows name, held against their addresses and against the size that their row says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from boresight.errors import CorruptFileError, NotFoundError
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Session
+
+AT_A_TIME = 500
+ALTERED, MISSING, RESIZED = "altered", "missing", "another size than its row says"
+
+
+@dataclass(frozen=True)
+class BadFile:
+    """A file that is not what its row says, and whose it is.
+
+    Parameters
+    ----------
+    sha256
+        Its address.
+    what
+        `ALTERED`, `MISSING` or `RESIZED`.
+    used_by
+        The rows that name it: `telemetry-sets/3`.
+    """
+
+    sha256: str
+    what: str
+    used_by: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Name the file as a person knows it."""
+        return f"{self.sha256[:12]} ({', '.join(self.used_by) or 'of no row'}): {self.what}"
+
+
+def registered(session: Session, after: str = "", limit: int = AT_A_TIME) -> Sequence[tuple[str, int]]:
+    """Return addresses and sizes of stored files in the order of the addresses, from the one after `after`."""
+    query = sa.select(Blob.sha256, Blob.size_bytes).where(Blob.sha256 > after).order_by(Blob.sha256).limit(limit)
+    return [(sha256, size) for sha256, size in session.execute(query)]
+
+
+def sizes(session: Session, addresses: Sequence[str]) -> Sequence[tuple[str, int]]:
+    """Return addresses and sizes of those of some files that rows name."""
+    query = sa.select(Blob.sha256, Blob.size_bytes).where(Blob.sha256.in_(addresses)).order_by(Blob.sha256)
+    return [(sha256, size) for sha256, size in session.execute(query)]
+
+
+def total_bytes(session: Session) -> int:
+    """Return how many bytes the rows say are stored."""
+    return session.scalar(sa.select(sa.func.coalesce(sa.func.sum(Blob.size_bytes), 0))) or 0
+
+
+def wrong_with(blobs: BlobStore, sha256: str, size: int, *, again: bool) -> str | None:
+    """Say what is wrong with a file; None where nothing is. It is read again when asked, else once a process."""
+    try:
+        found = blobs.check(sha256, again=again)
+    except CorruptFileError:
+        return ALTERED
+    except NotFoundError:
+        return MISSING
+    return None if found == size else RESIZED
+
+
+def bad_files(session: Session, blobs: BlobStore, *, again: bool) -> Iterator[BadFile | None]:
+    """Look at every file that a row names; yields what is wrong with it, None where nothing is."""
+    last = ""
+    while some := registered(session, last):
+        for sha256, size in some:
+            what = wrong_with(blobs, sha256, size, again=again)
+            yield None if what is None else BadFile(sha256, what, users_of(session, sha256))
+        last = some[-1][0]
+
+
+def users_of(session: Session, sha256: str) -> tuple[str, ...]:
+    """Return the rows that name a file, by their REST addresses."""
+    named = (
+        f"{table.name.replace('_', '-')}/{row_id}"
+        for table in Base.metadata.sorted_tables
+        for key in table.columns
+        if any(reference.column is Blob.__table__.columns["sha256"] for reference in key.foreign_keys)
+        for row_id in session.scalars(sa.select(table.columns["id"]).where(key == sha256).order_by(table.columns["id"]))
+    )
+    return tuple(dict.fromkeys(named))

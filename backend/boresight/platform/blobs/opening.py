@@ -1,0 +1,34 @@
+"""Opening the files of an installation wherever they are kept: folder and bucket know nothing of each other's choice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from boresight.errors import RefusedInputError
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.places import BlobPlace
+
+
+def open_blobs(place: BlobPlace, *, make: bool = True) -> BlobStore:
+    """Open the files at a place; those of an object store are opened once a process.
+
+    Parameters
+    ----------
+    make
+        Whether the first use may make a folder that is not there; else it is refused now.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is an object store, and the library that speaks to it is not installed.
+    """
+    if place.is_folder:
+        blobs = BlobStore(Path(place.address))
+        if not make:
+            blobs.open(make=False)
+        return blobs
+    try:
+        from boresight.platform.blobs.bucket import open_object_blobs  # noqa: PLC0415 - an optional part
+    except ImportError as error:
+        raise RefusedInputError("An object store needs its library: pip install 'boresight[object-store]'.") from error
+    return open_object_blobs(place)

@@ -1,0 +1,63 @@
+"""The table of a stored set as it is mapped, whenever it came.
+
+A set stored before tables were mapped has one of Parquet in the units of its upload. It is converted on first use, into a file
+beside the addresses that is named by both hashes; its numbers are those that every run made of it anew. The row, and all that is
+bound to its address, stays as it is, and a converted file that is lost or altered is made again.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+from boresight import disks as integrity
+from boresight.platform.blobs.folder import BlobStore
+from boresight.telemetry.read.chunks import read_chunks
+from boresight.telemetry.read.limits import STORED
+from boresight.telemetry.working_table import WorkingTableParts, is_working_table
+
+CONVERTED = "converted"
+
+
+def working_table(blobs: BlobStore, sha256: str) -> tuple[Path, str]:
+    """Return the mapped table of an address, and the SHA-256 of its bytes.
+
+    Raises
+    ------
+    NotFoundError
+        When the bytes are not there.
+    CorruptFileError
+        When they are not those of the address.
+    RefusedInputError
+        When a table stored before is damaged.
+    """
+    path = blobs.path(sha256)
+    if is_working_table(path):
+        return path, sha256
+    folder = blobs.folder / CONVERTED
+    for made in folder.glob(f"{sha256}-*"):
+        if integrity.is_intact(made, own := made.name.rpartition("-")[2]):
+            return made, own
+    return _converted(path, sha256, folder)
+
+
+def table_path(blobs: BlobStore, sha256: str) -> Path:
+    """Return the mapped table of an address; refuses as `working_table`."""
+    return working_table(blobs, sha256)[0]
+
+
+def _converted(path: Path, sha256: str, folder: Path) -> tuple[Path, str]:
+    """Write a table of Parquet as one that is mapped; whoever finds it finds all of it."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    unfinished = folder / f"unfinished-{secrets.token_hex(8)}"
+    try:
+        with WorkingTableParts(unfinished) as parts:
+            for chunk in read_chunks(path, f"{sha256[:12]}.parquet", limits=STORED):
+                parts.write(chunk)
+        with unfinished.open("rb+") as file:
+            os.fsync(file.fileno())
+        own = integrity.digest_of(unfinished)
+        return unfinished.rename(folder / f"{sha256}-{own}"), own
+    finally:
+        unfinished.unlink(missing_ok=True)

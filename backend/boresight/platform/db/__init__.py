@@ -1,0 +1,1 @@
+"""The database: engines, transactions, lists, the chain of audit records and its seals."""

@@ -1,0 +1,504 @@
+"""A backup: the database and the blobs in one ZIP, taken while servers and workers go on.
+
+The database lies in it as a SQLite file, whichever engine it is on, so a backup of one is restored into the other and an
+installation moves that way. It is copied first, in one state whatever is written meanwhile: by SQLite's own backup, or row
+by row inside one transaction of PostgreSQL. A blob is put before the row that names it is committed and never changes, so
+every blob that the copy names is in the folder when that is listed after it; a few that it does not name may come along.
+One that the copy names and that is not there is told like a corrupt one. Blobs in an object store stay there: they are as
+safe as the bucket, the manifest says where they are, and the bucket is asked whether it has each of them, in its size; their
+bytes are read by `boresight audit verify`. Each file carries its SHA-256:
+a blob as its name, the database in MANIFEST.json. Left out are what can be made again, the star catalogue and
+compiled kernels, the key of the log-in cookies, so that after a restore everybody logs in anew, and the key of the
+secrets of webhooks, which are encrypted.
+
+An archive comes from anywhere, so nothing of it is believed before it is counted: a member is read piece by piece and no
+further than the size that it states, all of them must fit on the disk, none may be there that the manifest does not count,
+and a stored file is in it uncompressed, as it was written, so that it cannot be larger than the archive.
+
+Every row of one database, copied to another that is migrated and empty, whichever engine each is on.
+
+Values go over as they are stored, documents as their text: the audit chain hashes that text, so it holds in the copy as
+it did in the original. Tables come in the order of their references, rows in the order of their keys. The copy is made
+inside one transaction on each side: the source is seen in one state, and the target gets all or nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import sqlite3
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from boresight.disks import digest_of
+from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
+from boresight.platform.audit import seals as journals
+from boresight.platform.blobs import files
+from boresight.platform.blobs.folder import CHUNK_BYTES, BlobStore
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import Engine, migrate, open_engine
+from boresight.platform.db.times import utc_now
+
+ROWS = 500  # at once
+
+
+def copy_rows(source: Engine, target: Engine) -> int:
+    """Copy every row; bring both schemas up to date first.
+
+    Returns
+    -------
+    int
+        How many rows there were.
+
+    Raises
+    ------
+    ConflictError
+        When the target holds rows already.
+    """
+    migrate(source)
+    migrate(target)
+    with _seen_in_one_state(source).connect() as origin, target.begin() as copy:
+        if any(
+            copy.scalar(sa.select(sa.literal(1)).select_from(table).limit(1)) for table in Base.metadata.sorted_tables
+        ):
+            raise ConflictError("There are rows in the database already; restore into an empty one.")
+        copied = sum(_copy_table(origin, copy, table) for table in Base.metadata.sorted_tables)
+        if copy.dialect.name == "postgresql":
+            for table in Base.metadata.sorted_tables:
+                _count_on(copy, table)
+    return copied
+
+
+def _seen_in_one_state(engine: Engine) -> Engine:
+    """Return the engine so that a connection sees one state; on SQLite every transaction does."""
+    return (
+        engine.execution_options(isolation_level="REPEATABLE READ") if engine.dialect.name == "postgresql" else engine
+    )
+
+
+def _copy_table(origin: sa.Connection, copy: sa.Connection, table: sa.Table) -> int:
+    """Copy one table, some rows at a time."""
+    plain = sa.table(
+        table.name, *(sa.column(column.name) for column in table.columns)
+    )  # no type: values as they are stored
+    names = [column.name for column in table.columns]
+    query = sa.select(*plain.columns).order_by(*(plain.columns[column.name] for column in table.primary_key))
+    copied = 0
+    for rows in origin.execution_options(yield_per=ROWS).execute(query).partitions():
+        values: list[dict[str, Any]] = [dict(zip(names, row, strict=True)) for row in rows]
+        copy.execute(plain.insert(), values)
+        copied += len(values)
+    return copied
+
+
+def _count_on(copy: sa.Connection, table: sa.Table) -> None:
+    """Let PostgreSQL number the next row after the last one, where it numbers them itself."""
+    for column in table.primary_key:
+        sequence = copy.scalar(sa.select(sa.func.pg_get_serial_sequence(table.name, column.name)))
+        newest = copy.scalar(sa.select(sa.func.max(column))) if sequence else None
+        if newest is not None:
+            copy.execute(sa.select(sa.func.setval(sequence, newest)))
+
+
+FORM = "boresight.backup/1"
+DATABASE, MANIFEST = "boresight.sqlite3", "MANIFEST.json"
+NAMED = 5
+MANIFEST_BYTES = 8 << 20  # a manifest names at most what was left out
+ADDRESS = re.compile(r"[0-9a-f]{64}")
+BLOB = re.compile(r"blobs/([0-9a-f]{64})")
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What a backup holds."""
+
+    blobs: int
+    size_bytes: int
+    head: str
+    left_out: tuple[str, ...] = ()  # files that were corrupt
+    missing: tuple[str, ...] = ()  # files that rows name and that were not there
+    blobs_at: str | None = None  # the object store that keeps them
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a backup says of itself."""
+
+    taken_utc: str
+    database_sha256: str
+    blobs: int
+    blobs_at: str | None
+    left_out: tuple[str, ...]
+    missing: tuple[str, ...]
+    audit_head: str
+
+    def to_json(self) -> str:
+        """Write it as its member of the archive."""
+        return json.dumps({"schema": FORM, **asdict(self)}, indent=2) + "\n"
+
+    @classmethod
+    def from_json(cls, text: bytes) -> Manifest:
+        """Read it.
+
+        Raises
+        ------
+        RefusedInputError
+            When it is not one.
+        """
+        try:
+            found = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise RefusedInputError(NO_MANIFEST) from error
+        if not isinstance(found, dict) or found.get("schema") != FORM:
+            raise RefusedInputError(f"This file is no backup in the form {FORM}; use the version that wrote it.")
+        left_out, missing = (
+            tuple(one) if isinstance(one := found.get(name, []), list) else ("",) for name in ("left_out", "missing")
+        )
+        manifest = cls(
+            taken_utc=found.get("taken_utc", ""),
+            database_sha256=found.get("database_sha256", ""),
+            blobs=found.get("blobs", -1),
+            blobs_at=found.get("blobs_at"),
+            left_out=left_out,
+            missing=missing,
+            audit_head=found.get("audit_head", ""),
+        )
+        right = {
+            "taken_utc": isinstance(manifest.taken_utc, str),
+            "database_sha256": _is_address(manifest.database_sha256),
+            "blobs": type(manifest.blobs) is int and manifest.blobs >= 0,
+            "blobs_at": isinstance(manifest.blobs_at, str | None),
+            "left_out": all(map(_is_address, manifest.left_out)),
+            "missing": all(map(_is_address, manifest.missing)),
+            "audit_head": _is_address(manifest.audit_head),
+        }
+        wrong = [name for name, good in right.items() if not good]
+        if wrong:
+            raise RefusedInputError(
+                f"This file is no backup of Boresight, or it was altered: its manifest has no {wrong[0]} that can be used. Use "
+                "another backup."
+            )
+        return manifest
+
+
+NO_MANIFEST = "This file is no backup of Boresight: it has no manifest that can be read."
+
+
+def _is_address(value: object) -> bool:
+    """Whether a value is a SHA-256 in hexadecimal."""
+    return isinstance(value, str) and ADDRESS.fullmatch(value) is not None
+
+
+def _file_of(url: str) -> Path | None:
+    """Return the file of a SQLite database at an address, without opening it; None of another engine."""
+    address = sa.make_url(url)
+    sqlite = address.get_backend_name() == "sqlite" and address.database
+    return Path(str(address.database)).expanduser() if sqlite else None
+
+
+def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_going: bool = False) -> Taken:
+    """Write a backup; the file appears complete or not at all.
+
+    The database is copied first. Then every stored file that the copy names or that is in the folder is held against its address,
+    and again while it is packed: a backup of a corrupt or missing one would be found out when it is needed.
+
+    Parameters
+    ----------
+    url
+        The database's address.
+    head
+        Of the audit chain, taken before: the restored chain must still hold it.
+    keep_going
+        Leave corrupt and missing files out, and name them, instead of refusing.
+
+    Raises
+    ------
+    CorruptFileError
+        When stored files are corrupt or missing; they are named.
+    """
+    with tempfile.TemporaryDirectory(prefix=".backup-", dir=archive.absolute().parent) as folder:
+        copy, written = Path(folder) / DATABASE, Path(folder) / "backup.zip"
+        _copy_database(url, copy)
+        registered = _registered(copy)
+        stored = _stored(blobs)
+        corrupt, missing = _bad_files(blobs, registered, stored)
+        if not keep_going:
+            _refuse_bad(corrupt, missing, len(registered.keys() | stored))
+        count = 0
+        with zipfile.ZipFile(written, "w", zipfile.ZIP_STORED) as backup:
+            backup.write(copy, DATABASE, zipfile.ZIP_DEFLATED)
+            for sha256 in sorted(stored.keys() - corrupt):
+                try:
+                    intact = _pack(backup, stored[sha256], sha256)
+                except FileNotFoundError:
+                    missing |= {sha256} & registered.keys()  # what no row names may go again
+                    continue
+                count += intact
+                corrupt |= set() if intact else {sha256}
+            if not keep_going:
+                _refuse_bad(corrupt, missing, len(registered.keys() | stored))
+            left_out, absent = tuple(sorted(corrupt)), tuple(sorted(missing))
+            manifest = Manifest(utc_now(), digest_of(copy), count, blobs.kept_at, left_out, absent, head)
+            backup.writestr(MANIFEST, manifest.to_json())
+        written.chmod(0o600)  # it holds password hashes
+        written.replace(archive)
+    return Taken(count, archive.stat().st_size, head, left_out, absent, blobs.kept_at)
+
+
+def _registered(database: Path) -> dict[str, int]:
+    """Return the addresses and sizes of the files that a SQLite database names."""
+    with closing(sqlite3.connect(database)) as connection:
+        return dict(connection.execute("SELECT sha256, size_bytes FROM blobs"))
+
+
+def _stored(blobs: BlobStore) -> dict[str, Path]:
+    """Return the files of the folder by address; none of an object store, whose files stay there."""
+    if blobs.kept_at is not None:
+        return {}
+    found = blobs.folder.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*")
+    return {path.name: path for path in found if ADDRESS.fullmatch(path.name)}
+
+
+def _bad_files(blobs: BlobStore, registered: dict[str, int], stored: dict[str, Path]) -> tuple[set[str], set[str]]:
+    """Return the corrupt and the missing files; an object store is asked for sizes, a folder is read."""
+    corrupt, missing = set(), set()
+    in_folder = blobs.kept_at is None
+    for sha256 in sorted(registered.keys() | stored):
+        what = files.wrong_with(blobs, sha256, registered.get(sha256, 0), again=in_folder)
+        if what == files.MISSING and sha256 in registered:
+            missing.add(sha256)
+        elif what == files.ALTERED or (what == files.RESIZED and not in_folder):
+            corrupt.add(sha256)
+    return corrupt, missing
+
+
+def _refuse_bad(corrupt: set[str], missing: set[str], count: int) -> None:
+    """Refuse to back up what could not be restored."""
+    told = ((corrupt, "corrupt"), (missing, "missing"))
+    parts = [f"{len(bad)} of {count} stored files are {what}: {named(sorted(bad))}" for bad, what in told if bad]
+    if parts:
+        raise CorruptFileError(
+            f"Nothing was backed up, for {' and '.join(parts)}. Bring them back from an older backup, or save what there is with "
+            "--keep-going.",
+            min(corrupt | missing),
+        )
+
+
+def _pack(backup: zipfile.ZipFile, path: Path, sha256: str) -> bool:
+    """Put a file into the archive; False where its bytes, as they went in, are not those of its address."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        member = zipfile.ZipInfo.from_file(path, f"blobs/{sha256}", strict_timestamps=False)
+        with backup.open(member, "w") as packed:  # uncompressed: most are compressed already
+            while chunk := file.read(CHUNK_BYTES):
+                digest.update(chunk)
+                packed.write(chunk)
+    return digest.hexdigest() == sha256
+
+
+def _copy_database(url: str, copy: Path) -> None:
+    """Write one state of a database to a SQLite file."""
+    source = _file_of(url)
+    if source is not None:
+        with closing(sqlite3.connect(source)) as live, closing(sqlite3.connect(copy)) as target:
+            live.backup(target)
+        return
+    _copy_rows(url, f"sqlite:///{copy}")
+
+
+def _copy_rows(source: str, target: str) -> None:
+    """Copy rows from one address to another, and close both."""
+    engines = [open_engine(url) for url in (source, target)]
+    try:
+        copy_rows(*engines)
+    finally:
+        for engine in engines:
+            engine.dispose()  # the last connection folds SQLite's write-ahead log into the file
+
+
+def read_backup(archive: Path, url: str, blobs: BlobStore) -> Taken:
+    """Lay a backup down where nothing is yet; the database appears last, when all else is there.
+
+    The database at the address may be on the other engine than that of the backup; of PostgreSQL it must exist, empty.
+
+    Raises
+    ------
+    ConflictError
+        When there is a database already, or files are not as they were backed up; all of them are named.
+    RefusedInputError
+        When the file is no backup.
+    """
+    database = _file_of(url)
+    if database is not None and database.exists():
+        raise ConflictError(f"There is a database at {database} already; restore into an empty data folder.")
+    with _opened(archive) as backup:
+        manifest = _manifest(backup)
+        found = _members(backup, manifest)
+        _refuse_too_large(backup, blobs.folder)
+        bad = [sha256 for name, sha256 in found if not _lay_down_blob(backup, name, sha256, blobs)]
+        if bad:
+            what = "is not as it was" if len(bad) == 1 else "are not as they were"
+            raise ConflictError(
+                f"{len(bad)} of {len(found)} files in the backup {what} backed up, so no database was made: {named(bad)}. Use "
+                "another backup."
+            )
+        _lay_down_database(backup, manifest.database_sha256, database, url)
+    size = archive.stat().st_size
+    return Taken(manifest.blobs, size, manifest.audit_head, manifest.left_out, manifest.missing, manifest.blobs_at)
+
+
+@contextmanager
+def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
+    """Open an archive, and say in one sentence that it cannot be read."""
+    try:
+        with zipfile.ZipFile(archive) as backup:
+            yield backup
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
+        raise RefusedInputError(f"{archive} cannot be read as a backup: {error}.") from error
+
+
+def is_of_now(archive: Path, engine: Engine) -> bool:
+    """Whether an archive holds, whole, the database as it is: the audit log and the journals end alike.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file is no backup, or cannot be read.
+    """
+    with _opened(archive) as backup, tempfile.TemporaryDirectory(prefix="boresight-") as folder:
+        manifest = _manifest(backup)
+        _refuse_too_large(backup, Path(folder))
+        copy = Path(folder) / DATABASE
+        if _extracted(backup, DATABASE, copy) != manifest.database_sha256:
+            return False
+        kept = open_engine(f"sqlite:///{copy}")
+        try:
+            return _ends(kept) == _ends(engine)
+        finally:
+            kept.dispose()
+
+
+def _ends(engine: Engine) -> list[tuple[object, ...] | None]:
+    """Return where the audit log and the journals end, as far as the schema has them."""
+    tables = ("audit", *journals.JOURNALS)
+    with engine.connect() as connection:
+        there = sa.inspect(connection)
+        found: list[tuple[object, ...] | None] = []
+        for name in tables:
+            columns = {column["name"] for column in there.get_columns(name)} if there.has_table(name) else set()
+            table = sa.table(name, *(sa.column(column) for column in sorted(columns & {"id", "hash"})))
+            if table.columns:
+                row = connection.execute(sa.select(table).order_by(table.c.id.desc()).limit(1)).one_or_none()
+                found.append(None if row is None else tuple(row))
+        return found
+
+
+def named(addresses: Sequence[str]) -> str:
+    """Name files, the first of many."""
+    more = f" and {len(addresses) - NAMED} more" if len(addresses) > NAMED else ""
+    return ", ".join(sha256[:12] for sha256 in addresses[:NAMED]) + more
+
+
+def _manifest(backup: zipfile.ZipFile) -> Manifest:
+    """Read what the backup says of itself, once every member is known to be of a kind that Boresight writes."""
+    names = backup.namelist()
+    for member in backup.infolist():
+        stored = member.compress_type == zipfile.ZIP_STORED
+        packed = stored or (member.compress_type == zipfile.ZIP_DEFLATED and not BLOB.fullmatch(member.filename))
+        if member.flag_bits & 1 or not packed:
+            raise RefusedInputError(
+                f"This file is no backup as Boresight writes it: its member {member.filename[:80]!r} is encrypted or compressed."
+            )
+    if MANIFEST not in names:
+        raise RefusedInputError(NO_MANIFEST)
+    if backup.getinfo(MANIFEST).file_size > MANIFEST_BYTES:
+        raise RefusedInputError(
+            f"This file is no backup of Boresight: its manifest would be {backup.getinfo(MANIFEST).file_size / 1e6:.0f} MB, "
+            f"at most {MANIFEST_BYTES / 1e6:.0f} MB are read."
+        )
+    with backup.open(MANIFEST) as packed_manifest:
+        manifest = Manifest.from_json(packed_manifest.read(MANIFEST_BYTES))
+    if DATABASE not in names:
+        raise RefusedInputError("This file is no backup of Boresight: it holds no database.")
+    return manifest
+
+
+def _members(backup: zipfile.ZipFile, manifest: Manifest) -> list[tuple[str, str]]:
+    """Return name and address of the stored files, which must be as many as the manifest counts."""
+    names = backup.namelist()
+    matches = [(name, match[1]) for name in names if (match := BLOB.fullmatch(name)) is not None]
+    unknown = [name for name in names if not BLOB.fullmatch(name) and name not in {DATABASE, MANIFEST}]
+    left_out = set(manifest.left_out)
+    found = [(name, sha256) for name, sha256 in matches if sha256 not in left_out]
+    if unknown or len(set(names)) < len(names) or len(found) != manifest.blobs:
+        raise RefusedInputError(
+            f"This backup was altered: it holds {len(found)} stored files and {len(unknown)} unknown members where its manifest "
+            f"counts {manifest.blobs} files, or a member twice. Use another backup."
+        )
+    return found
+
+
+def _refuse_too_large(backup: zipfile.ZipFile, folder: Path) -> None:
+    """Refuse an archive whose members do not fit on the disk, as they state their sizes; none is read beyond that."""
+    needed = sum(member.file_size for member in backup.infolist())
+    place = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(place).free
+    if needed > free:
+        raise RefusedInputError(
+            f"The backup unpacks to {needed / 1e6:.0f} MB, and the disk of {folder} has {free / 1e6:.0f} MB: make room, or name "
+            "folders on another disk."
+        )
+
+
+def _lay_down_blob(backup: zipfile.ZipFile, name: str, sha256: str, blobs: BlobStore) -> bool:
+    """Put one blob under the address of its bytes; False where they are not those."""
+    blobs.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".restore-", dir=blobs.folder) as folder:
+        written = Path(folder) / "blob"
+        try:
+            found = _extracted(backup, name, written)
+        except zipfile.BadZipFile:
+            return False
+        return found == sha256 and blobs.put(written) == sha256
+
+
+def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | None, url: str) -> None:
+    """Give the database its name once it is known to be whole, or copy its rows to where the address says."""
+    if database is not None:
+        database.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".restore-", dir=database and database.parent) as folder:
+        written = Path(folder) / DATABASE
+        if _extracted(backup, DATABASE, written) != sha256:
+            raise ConflictError("The database in the backup is not as it was backed up; use another backup.")
+        try:
+            _registered(written)
+        except sqlite3.Error as error:
+            raise RefusedInputError(f"The database in the backup is none of Boresight: {error}.") from error
+        written.chmod(0o600)
+        if database is None:
+            _copy_rows(f"sqlite:///{written}", url)
+        else:
+            os.link(written, database)  # unlike a rename, never over one that came meanwhile
+
+
+def _extracted(backup: zipfile.ZipFile, name: str, place: Path) -> str:
+    """Write a member to the disk piece by piece, no more than it states, and return the SHA-256 of its bytes."""
+    digest = hashlib.sha256()
+    with backup.open(name) as packed, place.open("wb") as file:
+        while chunk := packed.read(CHUNK_BYTES):
+            digest.update(chunk)
+            file.write(chunk)
+        file.flush()
+        os.fsync(file.fileno())
+    return digest.hexdigest()

@@ -1,0 +1,1 @@
+"""What holds for every request: credentials, limits, idempotency, caching, problems."""

@@ -1,0 +1,65 @@
+"""Answers that are files, by their media type: what the OpenAPI document says of them, and how they are sent.
+
+Tables as CSV files to download: null is empty, columns of unequal length end early.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+from starlette.responses import FileResponse, Response
+
+from boresight.figures import Table
+
+
+class CsvFile(Response):
+    """A table; the first line names its columns."""
+
+    media_type = "text/csv"
+
+
+class ZipFile(Response):
+    """An archive."""
+
+    media_type = "application/zip"
+
+
+class StoredFile(FileResponse):
+    """Bytes as somebody uploaded them: never guessed to be a page, whatever their name says."""
+
+    media_type = "application/octet-stream"
+
+    def __init__(self, path: Path, status_code: int = 200, *, filename: str, headers: Mapping[str, str]) -> None:
+        super().__init__(path, status_code, filename=filename, headers=headers, media_type=self.media_type)
+
+
+class PythonFile(Response):
+    """A program."""
+
+    media_type = "text/x-python"
+
+
+class PrometheusText(Response):
+    """Series in the exposition format."""
+
+    media_type = "text/plain; version=0.0.4"
+
+
+def csv_text(table: Table) -> str:
+    """Write columns as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    length = max((len(column) for column in table.values()), default=0)
+    for k in range(length):
+        writer.writerow([column[k] if k < len(column) and column[k] is not None else "" for column in table.values()])
+    return text.getvalue()
+
+
+def csv_response(table: Table, file_name: str) -> Response:
+    """Answer with a table as a file."""
+    headers = {"Content-Disposition": f'attachment; filename="{file_name}"'}
+    return CsvFile(csv_text(table), headers=headers)

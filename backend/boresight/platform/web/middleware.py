@@ -1,0 +1,337 @@
+"""What holds for every answer: a request id, security headers, a limit on the body, a count, and no bare failure.
+
+Where one person works alone every answer says so in a header, and every file in its name: what is laid away loses its headers,
+and a comment line in a CSV would break whoever reads it.
+
+The policy allows nothing but what this server sends: no inline script, no other host, no framing. Styles have three
+exceptions, all for Plotly and none of which can load anything, for `default-src` is this server. Plotly makes an empty
+`<style>` element that it fills through the CSSOM, and one with the style of its maps: each is admitted by the hash of its
+text. It sets `style` attributes on the SVG that it draws: `style-src-attr` admits them.
+
+Which methods an address takes: all of its routes' together, in the `Allow` of a 405 and in the answer to OPTIONS.
+
+The framework names those of the first route that it meets (RFC 9110, 10.2.1 asks for all).
+
+HEAD of every address that can be read: the answer to GET without its body (RFC 9110, 9.3.2).
+
+The endpoints know GET only. A request with HEAD reaches them as GET, so that headers, tags and lengths are those of GET by
+construction, and its body goes nowhere. An answer in several pieces, a long file or the event stream, which would never end, is
+broken off at the first: its headers are all that was asked for.
+
+Which coding of an answer a request accepts: read once at the border, for everything behind it.
+
+RFC 9110, 12.5.3: `Accept-Encoding` lists codings, each with a weight between 0 and 1, which is 1 where none is given. Capitals are
+small letters, a weight of 0 says "not this one", and `*` stands for every coding that is not named. Plain bytes (`identity`) are
+preferred where they are named with the greater weight. A weight that cannot be read counts as 0: plain bytes are always understood.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+import time
+import uuid
+from collections.abc import Awaitable, Callable, MutableMapping
+from contextlib import suppress
+from functools import lru_cache
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import BaseRoute, Match
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from boresight.platform.web.bodies import Body, Pace
+
+log = logging.getLogger(__name__)
+
+EMPTY_STYLE = "'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='"
+MAP_STYLE = "'sha256-ji27qzEtxXZW+7dun6UwjHXJ18e6WAin1VvNtkzIE/o='"  # of plotly.js 4.1
+STYLES = f"'self' {EMPTY_STYLE} {MAP_STYLE}"
+SECURITY_POLICY = "; ".join(
+    (
+        "default-src 'self'",
+        "script-src 'self'",
+        f"style-src {STYLES}",
+        "style-src-attr 'unsafe-inline'",
+        "img-src 'self' data: blob:",
+        "connect-src 'self'",
+        "object-src 'none'",
+        "base-uri 'none'",
+        "form-action 'self'",
+        "frame-ancestors 'none'",
+    )
+)
+SECURITY_HEADERS = {
+    "Content-Security-Policy": SECURITY_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
+}
+STRICT_TRANSPORT = (b"strict-transport-security", b"max-age=31536000; includeSubDomains")
+SECURITY_PAIRS = tuple((name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items())
+REQUEST_ID = "X-Request-ID"
+FOUR_EYES = "Boresight-Four-Eyes"
+ALONE = "four-eyes-off-"  # begins the names of files
+FILE_NAME = re.compile(r"""(filename\*?=(?:"|utf-8''|))""")
+USABLE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+BODY_LIMIT_BYTES = 1_000_000  # JSON and plain forms, and what a multipart form says around its file
+UPLOADED = ("/telemetry-sets", "/telemetry")  # paths that take a file
+
+HeaderPairs = tuple[tuple[bytes, bytes], ...]
+Observe = Callable[[Scope, int, float], None]
+Refuse = Callable[[Request, Exception], Awaitable[Response]]
+
+
+def request_id_of(headers: Headers) -> str:
+    """Return the caller's request id when it can stand in a log line, else a new one."""
+    given = headers.get(REQUEST_ID, "")
+    return given if USABLE_ID.fullmatch(given) else uuid.uuid4().hex
+
+
+class Border:
+    """The outermost layer.
+
+    Parameters
+    ----------
+    observe
+        Told scope, status and seconds of every request.
+    refuse
+        Makes the answer to an error.
+    upload_limit_mb
+        Largest telemetry file.
+    four_eyes
+        Whether a second person is asked for here, at the moment of an answer.
+    pace
+        How fast a body must come.
+    https_only
+        Whether browsers are told to ask this server over HTTPS alone.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        observe: Observe,
+        refuse: Refuse,
+        upload_limit_mb: float,
+        four_eyes: Callable[[], bool],
+        *,
+        pace: Pace | None = None,
+        https_only: bool = False,
+    ) -> None:
+        self.app = app
+        self.pairs = (*SECURITY_PAIRS, STRICT_TRANSPORT) if https_only else SECURITY_PAIRS
+        self.pace = pace or Pace()
+        self.four_eyes = four_eyes
+        self.observe = observe
+        self.refuse = refuse
+        self.upload_limit_mb = upload_limit_mb
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request in and its answer out."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        answer = _Answer(scope, send, self.pairs, four_eyes=self.four_eyes())
+        try:
+            await self.app(scope, self._limited(scope, receive), answer.send)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is logged whole and answered without its words
+            await answer.fail(error, self.refuse)
+        finally:
+            self.observe(scope, answer.status, time.perf_counter() - answer.began_s)
+
+    def _limited(self, scope: Scope, receive: Receive) -> Receive:
+        """Refuse a body that is over the limit, whether or not its length was announced, or too slow."""
+        headers = Headers(scope=scope)
+        limit, sentence = BODY_LIMIT_BYTES, f"The request is over {BODY_LIMIT_BYTES:,} bytes; send less at once."
+        multipart = headers.get("content-type", "").startswith("multipart/form-data")
+        if multipart and scope["path"].rstrip("/").endswith(UPLOADED):
+            limit += round(self.upload_limit_mb * 1e6)
+            sentence = (
+                f"The file is over the limit of {self.upload_limit_mb:g} MB; split it by frames, or ask to raise it."
+            )
+        announced = headers.get("content-length", "0")
+        return Body(receive, self.pace, limit, sentence, int(announced) if announced.isdecimal() else 0).receive
+
+
+class _Answer:
+    """One answer on its way out."""
+
+    def __init__(self, scope: Scope, send: Send, pairs: HeaderPairs, *, four_eyes: bool) -> None:
+        self.began_s = time.perf_counter()
+        self.status = 0
+        self._scope = scope
+        self._send = send
+        self._pairs = pairs
+        self._four_eyes = four_eyes
+        self._state: MutableMapping[str, Any] = scope.setdefault("state", {})
+        self._state["request_id"] = request_id_of(Headers(scope=scope))
+        self._state["came_s"] = time.monotonic()
+
+    async def send(self, message: Message) -> None:
+        """Add the headers to the start of the answer."""
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            given = message["headers"]
+            names = {name for name, _ in given}
+            given = [*given, *(pair for pair in self._pairs if pair[0] not in names)]
+            message["headers"] = [*given, (b"x-request-id", self._state["request_id"].encode())]
+            if not self._four_eyes:
+                _say_alone(MutableHeaders(scope=message))
+        await self._send(message)
+
+    async def fail(self, error: Exception, refuse: Refuse) -> None:
+        """Log what nobody foresaw and answer with a problem, unless an answer is already on its way."""
+        log.error("Request %s failed", self._state["request_id"], exc_info=error)
+        if self.status:
+            raise error
+        response = await refuse(Request(self._scope), error)
+        await response(self._scope, _nothing, self.send)
+
+
+def _say_alone(headers: MutableHeaders) -> None:
+    """Say in an answer, and in the name of a file, that one person may submit and sign alone here."""
+    headers[FOUR_EYES] = "off"
+    named = headers.get("content-disposition")
+    if named is not None:
+        headers["content-disposition"] = FILE_NAME.sub(rf"\g<1>{ALONE}", named)
+
+
+async def _nothing() -> Message:
+    """Receive nothing more: the answer needs no body."""
+    return {"type": "http.disconnect"}
+
+
+METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
+NOT_ALLOWED = 405
+
+
+def allowed(request: Request) -> list[str]:
+    """Return the methods that the address of a request takes."""
+    routes: list[BaseRoute] = request.app.router.routes
+    scope = {name: value for name, value in request.scope.items() if name not in {"route", "endpoint", "path_params"}}
+    takes = [
+        method
+        for method in METHODS
+        if any(route.matches({**scope, "method": method})[0] is Match.FULL for route in routes)
+    ]
+    return [*takes, *(["HEAD"] if "GET" in takes else []), "OPTIONS"]
+
+
+def answer_options(request: Request, error: Exception) -> Response | None:
+    """Answer OPTIONS of an address that there is; None where that is not what was asked."""
+    if request.method != "OPTIONS" or getattr(error, "status_code", None) != NOT_ALLOWED:
+        return None
+    return Response(status_code=204, headers={"Allow": ", ".join(allowed(request))})
+
+
+def with_allow(request: Request, error: Exception) -> Exception:
+    """Return an error with every method of the address in its `Allow`, where it says that the one asked is none of them."""
+    if not isinstance(error, HTTPException) or error.status_code != NOT_ALLOWED:
+        return error
+    takes = ", ".join(allowed(request))
+    sentence = f"This address does not take {request.method}; it takes {takes}."
+    return HTTPException(NOT_ALLOWED, sentence, headers={"Allow": takes})
+
+
+class Heads:
+    """The layer that answers HEAD."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request in, and only the head of the answer out."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self.app(scope, receive, send)
+            return
+        inner = {**scope, "method": "GET"}  # the server looks at the method in its own when it sends
+        head = _Head(send)
+        answering = asyncio.ensure_future(self.app(inner, receive, head.send))
+        answering.add_done_callback(lambda _: head.over.set())
+        try:
+            await head.over.wait()
+        finally:
+            if "route" in inner:
+                scope["route"] = inner["route"]  # by which it is counted
+            await _end(answering)
+
+
+class _Head:
+    """The head of one answer on its way out; `over` once there is no need to wait for the rest."""
+
+    def __init__(self, send: Send) -> None:
+        self.over = asyncio.Event()
+        self._send = send
+        self._is_sent = False
+
+    async def send(self, message: Message) -> None:
+        """Send the start, and an end in the place of the body's first piece."""
+        if message["type"] == "http.response.start":
+            await self._send(message)
+        elif message["type"] == "http.response.body" and not self._is_sent:
+            self._is_sent = True
+            await self._send({"type": "http.response.body", "body": b""})
+        if message.get("more_body", False):
+            self.over.set()
+
+
+async def _end(answering: asyncio.Future[None]) -> None:
+    """Break off what still answers; what it failed with is passed on."""
+    answering.cancel()
+    with suppress(asyncio.CancelledError):
+        await answering
+
+
+ACCEPT_ENCODING = b"accept-encoding"
+GZIP = b"gzip"
+SPELLINGS = (b"gzip", b"x-gzip")  # RFC 9110, 8.4.1.3
+
+
+@lru_cache(maxsize=64)  # browsers and programs send few different ones
+def takes_gzip(accepted: bytes) -> bool:
+    """Say whether an answer may be sent with gzip.
+
+    Parameters
+    ----------
+    accepted
+        The value of `Accept-Encoding`; several of them joined by commas; empty where there is none.
+    """
+    weights = dict(_weighed(element) for element in accepted.lower().split(b","))
+    named = [weights[name] for name in SPELLINGS if name in weights]
+    weight = max(named) if named else weights.get(b"*", 0.0)
+    return weight > 0 and weight >= weights.get(b"identity", 0.0)
+
+
+def _weighed(element: bytes) -> tuple[bytes, float]:
+    """Read a coding and its weight."""
+    name, _, parameter = element.partition(b";")
+    key, _, value = parameter.partition(b"=")
+    if not parameter.strip():
+        return name.strip(), 1.0
+    try:
+        weight = float(value) if key.strip() == b"q" else 0.0
+    except ValueError:
+        weight = 0.0
+    return name.strip(), weight if 0 <= weight <= 1 else 0.0
+
+
+class Codings:
+    """The layer that writes `Accept-Encoding` as what is done about it: `gzip`, or not there at all."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request in."""
+        if scope["type"] == "http":
+            accepted = b",".join(value for name, value in scope["headers"] if name == ACCEPT_ENCODING)
+            others = [pair for pair in scope["headers"] if pair[0] != ACCEPT_ENCODING]
+            scope["headers"] = [*others, (ACCEPT_ENCODING, GZIP)] if takes_gzip(accepted) else others
+        await self.app(scope, receive, send)

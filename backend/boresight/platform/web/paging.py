@@ -1,0 +1,136 @@
+"""Lists by pages: `{items, next}`. `next` is an opaque cursor, null on the last page.
+
+A cursor says after which row to go on and for which filters it was made, so it stays right while rows are added, and
+using it with other filters is refused rather than answered with nonsense.
+
+The numbers of rows as requests name them: what the store's 64-bit keys can hold.
+
+What a parameter in a path may be, for every route of the server.
+
+A text has no colon: there a verb begins. Or GET of `/runs/5:cancel` would be taken for the run `5:cancel`, refused as malformed,
+instead of 405 with the methods that there are. A number has at most as many digits as the store's greatest.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Generic, TypeVar
+
+from annotated_types import Ge, Le
+from fastapi import Depends, Query
+from pydantic import BaseModel, Field
+from starlette.convertors import IntegerConvertor, StringConvertor, register_url_convertor
+from starlette.requests import Request
+
+from boresight.errors import RefusedInputError
+
+GREATEST_ID = 2**63 - 1
+MOST_DIGITS = len(str(GREATEST_ID))
+
+Id = Annotated[int, Ge(1), Le(GREATEST_ID)]
+
+
+def row_number(text: str) -> int | None:
+    """Read the number of a row; None where the text is none, or greater than any row's."""
+    text = text.strip()
+    if not text.isdecimal() or len(text.lstrip("0")) > MOST_DIGITS:
+        return None
+    number = int(text[-MOST_DIGITS:])
+    return number if number <= GREATEST_ID else None
+
+
+USUAL_LENGTH = 50
+LONGEST = 200
+PLACING = ("cursor", "limit")  # parameters that say which page, not what is listed
+
+T = TypeVar("T")
+
+
+class Page(BaseModel, Generic[T]):
+    """One page of a list."""
+
+    items: list[T]
+    next: str | None = Field(description="Send it as `cursor` for the next page; null on the last page.")
+
+
+@dataclass(frozen=True)
+class Listing(Generic[T]):
+    """Rows of a list, and the cursor of the next page."""
+
+    items: Sequence[T]
+    next: str | None = None
+
+
+@dataclass(frozen=True)
+class Paging:
+    """Which page is asked for: up to `limit` rows after the row `last_id`, from the beginning when None."""
+
+    last_id: int | None
+    limit: int
+    filters: str
+
+    def cut(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
+        """Make a page of `limit + 1` or fewer rows; the one too many only says that there is a next page."""
+        kept = rows[: self.limit]
+        cursor = _cursor(kept[-1].id, self.filters) if len(rows) > self.limit else None  # type: ignore[attr-defined]  # every row has a number
+        return Listing([show(row) for row in kept], cursor)
+
+    def cut_whole(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
+        """Make a page of a list that is read whole, which only short lists are."""
+        ids = [row.id for row in rows]  # type: ignore[attr-defined]  # every row has a number
+        begin = ids.index(self.last_id) + 1 if self.last_id in ids else 0
+        return self.cut(rows[begin : begin + self.limit + 1], show)
+
+
+def _cursor(last_id: int, filters: str) -> str:
+    """Write a cursor."""
+    return base64.urlsafe_b64encode(f"{last_id}.{filters}".encode()).decode().rstrip("=")
+
+
+def _last_id(cursor: str, filters: str) -> int:
+    """Read a cursor that was made for these filters."""
+    try:
+        text = base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode()
+        last_id, _, made_for = text.partition(".")
+        number = int(last_id)
+    except (binascii.Error, ValueError) as error:
+        raise RefusedInputError("This cursor cannot be read; begin again without one.") from error
+    if not 0 <= number <= GREATEST_ID or made_for != filters:
+        raise RefusedInputError("This cursor belongs to a list with other filters; begin again without one.")
+    return number
+
+
+async def paging(
+    request: Request,
+    cursor: Annotated[str | None, Query(description="`next` of the page before.")] = None,
+    limit: Annotated[int, Query(ge=1, le=LONGEST, description="Items on a page.")] = USUAL_LENGTH,
+) -> Paging:
+    """Read which page is asked for."""
+    asked = sorted(pair for pair in request.query_params.multi_items() if pair[0] not in PLACING)
+    filters = hashlib.sha256(repr((request.url.path, asked)).encode()).hexdigest()[:12]
+    return Paging(None if cursor is None else _last_id(cursor, filters), limit, filters)
+
+
+Paged = Annotated[Paging, Depends(paging)]
+
+
+class Text(StringConvertor):
+    """A text up to the next slash or verb."""
+
+    regex = "[^/:]+"
+
+
+class Number(IntegerConvertor):
+    """A number that a row could have."""
+
+    regex = "[0-9]{1,19}"
+
+
+def register() -> None:
+    """Let every path that is compiled from now on take these."""
+    register_url_convertor("str", Text())
+    register_url_convertor("int", Number())

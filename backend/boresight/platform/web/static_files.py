@@ -1,0 +1,88 @@
+"""The files of the pages: style, modules, and Plotly and Swagger UI as their Python packages ship them.
+
+Every file carries a strong ETag of its bytes and must be asked again each time, which costs a 304: a browser never runs
+yesterday's module with today's page. Large text is compressed once and kept.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import mimetypes
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import fastapi_swagger
+import plotly
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight.errors import NotFoundError
+from boresight.platform.web.middleware import takes_gzip
+from boresight.resources import folder
+
+SWAGGER = Path(str(fastapi_swagger.__file__)).parent / "resources"
+SHIPPED = {
+    "plotly.min.js": Path(str(plotly.__file__)).parent / "package_data" / "plotly.min.js",
+    "swagger-ui-bundle.js": SWAGGER / "swagger-ui-bundle.js",
+    "swagger-ui.css": SWAGGER / "swagger-ui.css",
+}
+COMPRESS_FROM_BYTES = 1024
+CACHED = "public, no-cache"  # keep it, but ask whether it is still so
+TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".woff2": "font/woff2"}
+COMPRESSED_TYPES = ("text/javascript", "text/css", "image/svg+xml")
+
+router = APIRouter(include_in_schema=False)
+
+
+@dataclass(frozen=True)
+class Content:
+    """A file as it is sent."""
+
+    plain: bytes
+    compressed: bytes | None
+    media_type: str
+    sha256: str
+
+
+@lru_cache(maxsize=256)
+def _content(path: Path, changed_ns: int) -> Content:  # noqa: ARG001 - the time of change is part of the key
+    """Read, hash and compress a file once for each time it changes."""
+    plain = path.read_bytes()
+    media_type = TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0] or "application/octet-stream"
+    worth = media_type in COMPRESSED_TYPES and len(plain) >= COMPRESS_FROM_BYTES
+    compressed = gzip.compress(plain, 6, mtime=0) if worth else None
+    return Content(plain, compressed, media_type, hashlib.sha256(plain).hexdigest()[:32])
+
+
+def _place(name: str) -> Path:
+    """Return the file of a name inside the static folder, and nothing outside it."""
+    if name in SHIPPED:
+        return SHIPPED[name]
+    top = (folder("frontend") / "static").resolve()
+    try:
+        place = (top / name).resolve()
+        is_ours = place.is_relative_to(top) and place.is_file()
+    except (OSError, ValueError):  # no file can have such a name
+        is_ours = False
+    if not is_ours:
+        raise NotFoundError("There is no such file here.")
+    return place
+
+
+@router.get("/static/{name:path}", name="static")
+def static_file(name: str, request: Request) -> Response:
+    """Send a file of the pages, or say that the browser's copy is still right."""
+    place = _place(name)
+    content = _content(place, place.stat().st_mtime_ns)
+    zipped = content.compressed is not None and takes_gzip(request.headers.get("accept-encoding", "").encode())
+    tag = f'"{content.sha256}{"-gz" if zipped else ""}"'
+    headers = {"ETag": tag, "Cache-Control": CACHED}  # the compressing middleware adds Vary
+    if tag in [known.strip() for known in request.headers.get("if-none-match", "").split(",")]:
+        return Response(status_code=304, headers=headers)
+    if zipped:
+        headers["Content-Encoding"] = "gzip"
+    body = content.compressed if zipped and content.compressed is not None else content.plain
+    return Response(body, headers=headers, media_type=content.media_type)

@@ -1,1 +1,0 @@
-"""Whole experiments: how fast the product is beside its peers, and, as they come, the papers' tables made again."""

@@ -1,0 +1,1 @@
+"""The quality report of a telemetry set and the findings in it."""

@@ -1,0 +1,43 @@
+"""Findings: one function each, one line in the registry below; the worst come first in a report.
+
+A finding function takes the evidence and answers with a `Finding`, or None when all is well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from boresight.telemetry.quality.evidence import Evidence
+from boresight.telemetry.quality.findings import centroids, columns, stars, times
+from boresight.telemetry.quality.findings.finding import SEVERITIES, Finding, Severity
+
+FINDINGS: tuple[Callable[[Evidence], Finding | None], ...] = (
+    stars.nothing_matched,
+    stars.few_stars,
+    stars.on_one_line,
+    times.frames_descend,
+    centroids.stars_off_detector,
+    centroids.repeated_stars,
+    centroids.repeated_centroids,
+    times.times_missing,
+    times.clock_unset,
+    times.times_descend,
+    times.times_vary_in_exposure,
+    times.sampling_gaps,
+    stars.unknown_numbers,
+    stars.unknown_but_directed,
+    stars.many_unmatched,
+    stars.absurd_magnitudes,
+    stars.mismatched_magnitudes,
+    stars.velocity_missing,
+    centroids.detections_off_detector,
+    centroids.close_pairs,
+    centroids.stuck_detections,
+    centroids.poor_coverage,
+    centroids.poor_radius,
+    columns.wide_temperature,
+    columns.partial_noise,
+    columns.unknown_columns,
+)
+
+__all__ = ["FINDINGS", "SEVERITIES", "Finding", "Severity"]

@@ -1,0 +1,152 @@
+"""Findings about stars: matches, numbers, magnitudes, directions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from boresight.estimation import MINIMUM_STARS
+from boresight.telemetry.quality.evidence import Evidence
+from boresight.telemetry.quality.findings.finding import Finding, Severity, counted, row_numbers
+
+_MANY_UNMATCHED = 0.5
+_MANY_EXPOSURES = 0.2
+_MAGNITUDES = (-2.0, 20.0)
+_MAGNITUDE_MISMATCH = 2.0
+_ENOUGH_MAGNITUDES = 20
+#: Spread across over spread along, below which a calibration calls stars collinear too.
+_LINE = 0.005
+
+
+def nothing_matched(evidence: Evidence) -> Finding | None:
+    """Find a set in which no row names a star."""
+    if evidence.matched.any():
+        return None
+    sentence = "No row names a star: give star_id (Hipparcos numbers), or ra_deg and dec_deg."
+    return Finding("NO_MATCHES", "SERIOUS", sentence, len(evidence.telemetry))
+
+
+def few_stars(evidence: Evidence) -> Finding | None:
+    """Find exposures with fewer usable stars than an exposure needs."""
+    few = evidence.usable_per_exposure < MINIMUM_STARS
+    count, exposures = int(few.sum()), len(few)
+    if not count:
+        return None
+    severity: Severity = "CAUTION" if count > _MANY_EXPOSURES * exposures else "NORMAL"
+    has, is_ = ("has", "is") if count == 1 else ("have", "are")
+    sentence = (
+        f"{count:,} of {exposures:,} exposures {has} fewer than {MINIMUM_STARS} usable stars and {is_} left out of use."
+    )
+    if count == exposures:
+        severity = "SERIOUS"
+        sentence = (
+            f"Every exposure has fewer than {MINIMUM_STARS} usable stars: nothing can be calibrated from this set, match more "
+            "stars or choose another."
+        )
+    marked = np.zeros(len(evidence.telemetry), dtype=np.bool_)
+    marked[evidence.exposures.start[few]] = True
+    return Finding("FEW_STARS", severity, sentence, count, row_numbers(evidence, marked))
+
+
+def on_one_line(evidence: Evidence) -> Finding | None:
+    """Find exposures whose usable stars all lie on one line, where arcs say nothing across it."""
+    full = evidence.usable_per_exposure >= MINIMUM_STARS
+    width, length = evidence.spread_per_exposure
+    line = full & (width <= _LINE * length)
+    count, exposures = int(line.sum()), int(full.sum())
+    if not count:
+        return None
+    what = counted(count, "exposure has all its usable stars", "exposures have all their usable stars")
+    sentence = f"{what} on one line and {'is' if count == 1 else 'are'} left out of use: send other fields."
+    marked = np.zeros(len(evidence.telemetry), dtype=np.bool_)
+    marked[evidence.exposures.start[line]] = True
+    severity: Severity = "SERIOUS" if count == exposures else "CAUTION"
+    return Finding("ON_ONE_LINE", severity, sentence, count, row_numbers(evidence, marked))
+
+
+def many_unmatched(evidence: Evidence) -> Finding | None:
+    """Find a set of which most rows are unmatched."""
+    unmatched = ~evidence.matched
+    count, rows = int(unmatched.sum()), len(unmatched)
+    if count <= _MANY_UNMATCHED * rows or count == rows:
+        return None
+    sentence = (
+        f"{count:,} of {rows:,} detections ({count / rows:.0%}) are unmatched and left out of use: check the matching."
+    )
+    return Finding("UNMATCHED", "CAUTION", sentence, count, row_numbers(evidence, unmatched))
+
+
+def unknown_numbers(evidence: Evidence) -> Finding | None:
+    """Find stars that neither the catalogue knows nor the file gives a direction for."""
+    unknown = evidence.unknown & ~evidence.directed
+    if not unknown.any():
+        return None
+    sentence = (
+        f"{counted(int(unknown.sum()), 'row is', 'rows are')} left out of use, for the catalogue does not have the star: "
+        "correct star_id, or give ra_deg and dec_deg."
+    )
+    return Finding("UNKNOWN_STARS", "CAUTION", sentence, int(unknown.sum()), row_numbers(evidence, unknown))
+
+
+def unknown_but_directed(evidence: Evidence) -> Finding | None:
+    """Find stars that the catalogue does not have but whose direction the file gives."""
+    unknown = evidence.unknown & evidence.directed
+    if not unknown.any():
+        return None
+    what = counted(int(unknown.sum()), "row names a star", "rows name stars")
+    sentence = f"{what} unknown to the catalogue: the direction in the file is used."
+    return Finding(
+        "UNKNOWN_STARS_WITH_DIRECTION", "NORMAL", sentence, int(unknown.sum()), row_numbers(evidence, unknown)
+    )
+
+
+def absurd_magnitudes(evidence: Evidence) -> Finding | None:
+    """Find magnitudes that no detected star has, as written for want of a measurement."""
+    magnitude = evidence.telemetry.magnitude
+    if magnitude is None:
+        return None
+    absurd = (magnitude < _MAGNITUDES[0]) | (magnitude > _MAGNITUDES[1])
+    if not absurd.any():
+        return None
+    what, (least, most) = counted(int(absurd.sum()), "magnitude lies", "magnitudes lie"), _MAGNITUDES
+    sentence = f"{what} outside {least:g} to {most:g}: leave the cell empty where there is no measurement."
+    return Finding("MAGNITUDE_RANGE", "CAUTION", sentence, int(absurd.sum()), row_numbers(evidence, absurd))
+
+
+def mismatched_magnitudes(evidence: Evidence) -> Finding | None:
+    """Find matches to a star much brighter or fainter than what was seen, the usual sign of a false match."""
+    magnitude, index = evidence.telemetry.magnitude, evidence.index
+    if magnitude is None or index is None or evidence.catalogue is None:
+        return None
+    known = (index >= 0) & (magnitude >= _MAGNITUDES[0]) & (magnitude <= _MAGNITUDES[1])
+    if known.sum() < _ENOUGH_MAGNITUDES:
+        return None
+    difference = np.full(len(magnitude), np.nan)
+    difference[known] = magnitude[known] - evidence.catalogue.magnitude[index[known]]
+    suspect = np.abs(difference - np.nanmedian(difference)) > _MAGNITUDE_MISMATCH
+    if not suspect.any():
+        return None
+    what = counted(int(suspect.sum()), "matched star differs", "matched stars differ")
+    sentence = (
+        f"{what} in brightness by more than {_MAGNITUDE_MISMATCH:g} magnitudes from the catalogue, as false matches do: "
+        "check the matching."
+    )
+    return Finding("MAGNITUDE_MISMATCH", "CAUTION", sentence, int(suspect.sum()), row_numbers(evidence, suspect))
+
+
+def velocity_missing(evidence: Evidence) -> Finding | None:
+    """Find directions from the catalogue that lack the satellite's aberration."""
+    needed = evidence.from_catalogue
+    if not needed.any():
+        return None
+    if evidence.telemetry.velocity_m_s is None:
+        sentence = (
+            "The file gives no satellite velocity: up to 5 arcsec of aberration in a low orbit stay in the star directions, "
+            "and stretch a 20 degree field by up to 2 arcsec; give vx_km_s, vy_km_s and vz_km_s."
+        )
+        return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(needed.sum()))
+    missing = needed & evidence.unmoving
+    if not missing.any():
+        return None
+    what = counted(int(missing.sum()), "matched star is", "matched stars are")
+    sentence = f"{what} left out of use for want of a satellite velocity: give it in every row."
+    return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(missing.sum()), row_numbers(evidence, missing))

@@ -1,0 +1,110 @@
+"""Findings about order and time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.telemetry.quality.evidence import Evidence
+from boresight.telemetry.quality.findings.finding import Finding, Severity, counted, row_numbers
+from boresight.telemetry.sampling import GAP_FACTOR, Intervals, sampling_of
+
+_CLOCK_SET = np.datetime64("1990-01-01", "us")
+_MOST_OF_SPAN = 0.5
+
+
+def frames_descend(evidence: Evidence) -> Finding | None:
+    """Find frames that do not ascend."""
+    frame = evidence.telemetry.frame
+    descends = np.diff(frame, prepend=frame[:1]) < 0
+    if not descends.any():
+        return None
+    sentence = (
+        f"{counted(int(descends.sum()), 'row steps', 'rows step')} back to an earlier frame: sort the rows by frame."
+    )
+    return Finding("FRAME_ORDER", "SERIOUS", sentence, int(descends.sum()), row_numbers(evidence, descends))
+
+
+def times_descend(evidence: Evidence) -> Finding | None:
+    """Find times that run backwards."""
+    time_utc = evidence.telemetry.time_utc
+    if time_utc is None:
+        return None
+    timed = np.flatnonzero(~evidence.untimed)
+    back = np.zeros(len(time_utc), dtype=np.bool_)
+    back[timed[1:]] = np.diff(time_utc[timed]) < np.timedelta64(0, "us")
+    if not back.any():
+        return None
+    sentence = (
+        f"Time runs backwards at {counted(int(back.sum()), 'row', 'rows')}: check time_utc, or the order of the frames."
+    )
+    return Finding("TIME_ORDER", "CAUTION", sentence, int(back.sum()), row_numbers(evidence, back))
+
+
+def times_vary_in_exposure(evidence: Evidence) -> Finding | None:
+    """Find rows whose time is not that of their exposure's first row."""
+    time_utc = evidence.telemetry.time_utc
+    if time_utc is None:
+        return None
+    first = time_utc[evidence.exposures.start][evidence.exposures.of_entry]
+    varies: NDArray[np.bool_] = (time_utc != first) & ~evidence.untimed & ~np.isnat(first)
+    if not varies.any():
+        return None
+    sentence = (
+        f"{counted(int(varies.sum()), 'row of an exposure has', 'rows of an exposure have')} another time than its first "
+        "row: an exposure is one image, check exposure numbers and times."
+    )
+    return Finding("TIME_VARIES", "CAUTION", sentence, int(varies.sum()), row_numbers(evidence, varies))
+
+
+def times_missing(evidence: Evidence) -> Finding | None:
+    """Find rows that need a time for their catalogue direction and have none."""
+    needed = evidence.from_catalogue
+    missing = needed & evidence.untimed
+    if not missing.any():
+        return None
+    severity: Severity = "SERIOUS" if missing.sum() == needed.sum() else "CAUTION"
+    sentence = (
+        f"{counted(int(missing.sum()), 'matched star is', 'matched stars are')} left out of use for want of time_utc, "
+        "which a direction from the catalogue needs: give the time, or ra_deg and dec_deg."
+    )
+    return Finding("TIME_MISSING", severity, sentence, int(missing.sum()), row_numbers(evidence, missing))
+
+
+def clock_unset(evidence: Evidence) -> Finding | None:
+    """Find times before 1990, as a clock shows that was never set."""
+    time_utc = evidence.telemetry.time_utc
+    early = np.zeros(0, dtype=np.bool_) if time_utc is None else time_utc < _CLOCK_SET
+    if not early.any():
+        return None
+    severity: Severity = "SERIOUS" if (early & evidence.from_catalogue).any() else "CAUTION"
+    sentence = (
+        f"{counted(int(early.sum()), 'row is', 'rows are')} dated before 1990, as by a clock that was not set: star directions for "
+        "that time would be wrong, correct time_utc."
+    )
+    return Finding("CLOCK_UNSET", severity, sentence, int(early.sum()), row_numbers(evidence, early))
+
+
+def sampling_gaps(evidence: Evidence) -> Finding | None:
+    """Find gaps in time between frames; one that is most of the span makes a set of two epochs."""
+    sampling = sampling_of(evidence)
+    if sampling is None or not len(sampling.gaps):
+        return None
+    after = np.zeros(len(evidence.telemetry), dtype=np.bool_)
+    after[sampling.entry[sampling.gaps + 1]] = True
+    return gaps_finding((sampling.interval_s, sampling.median_s, sampling.gaps), row_numbers(evidence, after))
+
+
+def gaps_finding(intervals: Intervals, rows: tuple[int, ...]) -> Finding | None:
+    """The finding of gaps among intervals; `rows` are those after the first of them."""
+    interval_s, median_s, gaps = intervals
+    if not len(gaps):
+        return None
+    count, longest_s = len(gaps), float(interval_s[gaps].max())
+    severity: Severity = "CAUTION" if longest_s > _MOST_OF_SPAN * interval_s.sum() else "NORMAL"
+    what = counted(count, "interval between frames exceeds", "intervals between frames exceed")
+    sentence = (
+        f"{what} {GAP_FACTOR:g} times the median of {median_s:g} s, the longest is {longest_s:g} s: check that "
+        "the downlink is complete where no eclipse or slew explains it."
+    )
+    return Finding("GAPS", severity, sentence, count, rows)

@@ -1,0 +1,1 @@
+"""Reading telemetry files: formats, columns, checks, chunks."""

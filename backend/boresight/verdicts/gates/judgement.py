@@ -1,0 +1,197 @@
+"""Judging measurements by a profile: one answer a gate, the worst decides, no score.
+
+With value v, 95 % interval [l, h] (both ends v where no sample stands behind it), limit L and marginal M, a gate that wants
+its value `below` answers
+
+    FAIL      l > L             worse for sure: a sound set is failed once in forty times at most, even one exactly at the limit
+    MARGINAL  h > L or v > M    it may be worse, or comes close: a person judges
+    PASS      otherwise
+
+and `above` the other way round. A gate that wants a ratio `around` 1 has, instead of an interval of the value, the bounds
+[a, b] within which a sound set's value falls 95 times in a hundred. Both matter: of few data a value far from 1 is no sign of
+anything, and of very many a value of 1.001 is significant and means nothing. So
+
+    FAIL      v outside both [a, b] and [1/L, L]
+    MARGINAL  v outside both [a, b] and [1/M, M]
+
+No value is NO-DATA. The verdict is the worst answer in the order PASS, MARGINAL, NO-DATA, FAIL, of all gates that are not only
+observed. A gate blocks when it FAILs, or must have data and has none, and nobody waived it. A waiver lets a set pass and stays:
+the verdict says for ever how many gates were waived.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+from boresight.verdicts.gates.gate import GATES
+from boresight.verdicts.gates.measurements import Ends, Measurement
+from boresight.verdicts.gates.profile import Profile, Threshold
+
+SCHEMA = "boresight.gate-report/1"
+STATUSES = ("PASS", "MARGINAL", "NO-DATA", "FAIL")  # the worst last
+
+
+def judge(profile: Profile, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
+    """Answer every gate of a profile.
+
+    Parameters
+    ----------
+    measurements
+        By gate; one that is absent was not measured.
+
+    Returns
+    -------
+    The report without what it is bound to: `schema`, `verdict`, `blocking`, `waived`, `words` and `gates`, an answer each.
+    """
+    nothing = Measurement(None, "This was not measured.")
+    answers = [_answer(threshold, measurements.get(threshold.name, nothing)) for threshold in profile.thresholds]
+    return summarised({"schema": SCHEMA, "gates": answers}, (), ())
+
+
+def summarised(report: Mapping[str, Any], waived: Collection[str], ever_waived: Collection[str]) -> dict[str, Any]:
+    """Return a report as it stands with waivers.
+
+    Parameters
+    ----------
+    waived
+        Gates with a waiver that holds now.
+    ever_waived
+        Gates that were ever waived for this set; they stay in the words of the verdict.
+    """
+    answers = [{**answer, "waived": answer["name"] in waived} for answer in report["gates"]]
+    counted = [answer for answer in answers if not answer["observe_only"]]
+    blocking = [answer["name"] for answer in counted if _blocks(answer)]
+    verdict = worst(answer["status"] for answer in counted if not (_stands(answer) and _passed_by(answer)))
+    return {
+        **report,
+        "verdict": verdict,
+        "words": words(verdict, len(set(ever_waived) | set(waived))),
+        "blocking": blocking,
+        "waived": [answer["name"] for answer in answers if answer["waived"]],
+        "gates": answers,
+    }
+
+
+def worst(statuses: Iterable[str]) -> str:
+    """Return the worst of some answers; PASS of none."""
+    return max(statuses, key=STATUSES.index, default="PASS")
+
+
+def words(verdict: str, waived: int) -> str:
+    """Say a verdict with how many gates were ever waived for it."""
+    return f"{verdict} ({waived} gate{'s' * (waived != 1)} waived)" if waived else verdict
+
+
+def _stands(answer: Mapping[str, Any]) -> bool:
+    """Whether an answer stands in the way of a set, waived or not."""
+    return bool(answer["status"] == "FAIL" or (answer["status"] == "NO-DATA" and answer["must_have_data"]))
+
+
+def _blocks(answer: Mapping[str, Any]) -> bool:
+    """Whether an answer stands in the way of a set and nobody lets it pass."""
+    return _stands(answer) and not _passed_by(answer)
+
+
+def _passed_by(answer: Mapping[str, Any]) -> bool:
+    """Whether a person lets a set pass by this answer."""
+    return bool(answer["waived"] and answer["waivable"])
+
+
+def _answer(threshold: Threshold, measured: Measurement) -> dict[str, Any]:
+    """Answer one gate."""
+    gate = GATES[threshold.name]
+    status = _status(threshold, measured)
+    return {
+        "name": gate.name,
+        "title": gate.title,
+        "status": status,
+        "value": measured.value,
+        "unit": gate.unit,
+        "direction": gate.direction,
+        "limit": threshold.limit,
+        "marginal": threshold.marginal,
+        "incumbent": measured.incumbent,
+        "interval": None if measured.interval is None else list(measured.interval),
+        "bounds": None if measured.bounds is None else list(measured.bounds),
+        "met": measured.met,
+        "margin": _margin(threshold, measured),
+        "sentence": measured.sentence,
+        "critical": threshold.critical,
+        "waivable": threshold.waivable,
+        "observe_only": threshold.observe_only,
+        "must_have_data": threshold.must_have_data,
+        "waived": False,
+    }
+
+
+def measurements_of(report: Mapping[str, Any]) -> dict[str, Measurement]:
+    """Return what was measured, from a report, to be judged by another profile."""
+    return {
+        answer["name"]: Measurement(
+            value=answer["value"],
+            sentence=answer["sentence"],
+            interval=_pair(answer["interval"]),
+            bounds=_pair(answer["bounds"]),
+            incumbent=answer["incumbent"],
+            met=answer["met"],
+        )
+        for answer in report["gates"]
+    }
+
+
+def _pair(values: Any) -> Ends | None:
+    return None if values is None else (values[0], values[1])
+
+
+def _status(threshold: Threshold, measured: Measurement) -> str:
+    """Hold a measurement against the thresholds."""
+    if measured.met is not None:
+        return measured.met
+    if measured.value is None:
+        return "NO-DATA"
+    if threshold.direction == "around":
+        return _around(threshold, measured.value, measured.bounds)
+    sign = 1.0 if threshold.direction == "below" else -1.0
+    low, high = sorted(sign * end for end in _ends(measured))
+    limit, marginal = (math.inf if edge is None else sign * edge for edge in (threshold.limit, threshold.marginal))
+    if low > limit:
+        return "FAIL"
+    return "MARGINAL" if high > limit or sign * measured.value > marginal else "PASS"
+
+
+def _ends(measured: Measurement) -> tuple[float, float]:
+    """Return the ends of the interval; an unknown end is unbounded, and without an interval both are the value."""
+    if measured.interval is None:
+        return (float(measured.value or 0.0),) * 2
+    low, high = measured.interval
+    return (-math.inf if low is None else low, math.inf if high is None else high)
+
+
+def _around(threshold: Threshold, value: float, bounds: Ends | None) -> str:
+    """Hold a ratio that should be 1 against its bounds and the factors that are allowed."""
+    low, high = _allowed(threshold.limit, bounds)
+    if not low <= value <= high:
+        return "FAIL"
+    low, high = _allowed(threshold.marginal, bounds)
+    return "PASS" if low <= value <= high else "MARGINAL"
+
+
+def _allowed(factor: float | None, bounds: Ends | None) -> tuple[float, float]:
+    """Return the wider of the statistical bounds and a factor either way."""
+    if factor is None:
+        return -math.inf, math.inf
+    low, high = bounds if bounds is not None else (None, None)
+    return min(1 / factor, math.inf if low is None else low), max(factor, -math.inf if high is None else high)
+
+
+def _margin(threshold: Threshold, measured: Measurement) -> float | None:
+    """Return how far the value is from the limit on its good side, in its unit; negative beyond it."""
+    value, limit = measured.value, threshold.limit
+    if value is None or limit is None:
+        return None
+    if threshold.direction == "around":
+        low, high = _allowed(limit, measured.bounds)
+        return min(value - low, high - value)
+    return limit - value if threshold.direction == "below" else value - limit

@@ -1,0 +1,376 @@
+"""Every gate measured: one function a gate, in a table that tests walk.
+
+A measurement is a value with its interval, or why there is none; it knows no limit, so a profile that is tried on past sets judges
+exactly what was measured of them. A gate whose function is refused what it needs has no data, with the refusal as its sentence.
+
+The parameter shift is the largest, over the parameters, of |x_i - x0_i| / sigma_i with
+
+    sigma_i^2 = P_ii + P0_ii + (typical_i / 10)^2,
+
+the variance of the difference of two independent estimates and a floor. Without the floor a set of a million stars, whose
+sigmas are a thousandth of the typical ones, would be thousands of sigmas from any other for what no camera model holds.
+Two estimates that share data differ by less than this says; the gate is then only slower to speak.
+
+The arc uncertainty follows from the set's covariance alone (`trust.arc_map`), so it is had for every set, and for the
+incumbent beside it: at the worst place of the detector, in pixels of the centre. The coverage counts the regions, 6 rows by 8
+columns of the detector, in which there was at least one star; where there was none the model is a guess.
+
+A table on board holds parameters as float32 or as whole numbers with a scale. Rounding each to its nearest step moves directions,
+and nothing on the ground would show it: every number here is float64.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from boresight.calibration.trust.efficiency import field_arc_sigma
+from boresight.errors import RefusedInputError
+from boresight.estimation.filters import FILTERS
+from boresight.uplink import table_definition
+from boresight.verdicts.gates.evidence import Document, Evidence
+
+Ends = tuple[float | None, float | None]
+IS_INCUMBENT = "There is no other set to compare with: this one is the baseline, or the sensor has none."
+#: Share of the typical spread from unit to unit below which no difference of parameters counts in sigmas.
+FLOOR = 0.1
+#: Relative difference of a sigma from the root of its variance that rounding explains.
+ROUNDING = 1e-6
+ROWS, COLUMNS = 6, 8
+NO_RUN = "The set was declared with the sensor; no run measured this."
+ENDED = {
+    "converged": ("PASS", "The estimate came to rest."),
+    "max_iterations": ("MARGINAL", "The estimate was still moving at its last iteration: allow more, or free fewer."),
+    "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to come to rest."),
+}
+ARCSEC = float(np.degrees(1.0) * 3600)
+NO_DEFINITION = "There is no table definition: an administrator or analyst adds it under the sensor's table on board."
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What was measured for one gate.
+
+    Parameters
+    ----------
+    value
+        In the gate's unit; None where there is nothing to measure.
+    sentence
+        What the value says, or why there is none and what would give one.
+    interval
+        95 % interval of the value; an end is None where it is unbounded. None for a value that no sample stands behind.
+    bounds
+        95 % bounds of the value of a sound set, for a gate that asks for a ratio around 1.
+    incumbent
+        The same quantity of the incumbent, where it has one.
+    met
+        The answer of a gate that has no number: PASS, MARGINAL or FAIL.
+    """
+
+    value: float | None
+    sentence: str
+    interval: Ends | None = None
+    bounds: Ends | None = None
+    incumbent: float | None = None
+    met: str | None = None
+
+
+def absent(sentence: str) -> Measurement:
+    """Return a measurement of nothing, with why and what to do."""
+    return Measurement(None, sentence)
+
+
+def answer(met: str, sentence: str) -> Measurement:
+    """Return the answer of a gate that has no number."""
+    return Measurement(None, sentence, met=met)
+
+
+def ends(pair: Sequence[float | None] | None) -> Ends | None:
+    """Return an interval as a pair, None for an end that is not known; one that is known at neither end is none."""
+    low, high = (None if end is None or not math.isfinite(end) else float(end) for end in pair or (None, None))
+    return None if low is None and high is None else (low, high)
+
+
+def measure(evidence: Evidence) -> dict[str, Measurement]:
+    """Measure everything that the gates ask, by gate."""
+    return {name: _measured(function, evidence) for name, function in MEASURES.items()}
+
+
+def _measured(function: Callable[[Evidence], Measurement], evidence: Evidence) -> Measurement:
+    """Measure for one gate; what cannot be had is absent, with the reason."""
+    try:
+        return _finite(function(evidence))
+    except RefusedInputError as refusal:
+        return absent(str(refusal))
+    except (AttributeError, LookupError, TypeError, ValueError, np.linalg.LinAlgError):
+        return absent("The numbers of this set are not complete enough to tell: calibrate again.")
+
+
+def _finite(measured: Measurement) -> Measurement:
+    """Return a measurement whose value is a number, or none at all."""
+    if measured.value is not None and not np.isfinite(measured.value):
+        return absent(f"This is no finite number for this set. {measured.sentence}")
+    if measured.incumbent is not None and not np.isfinite(measured.incumbent):
+        return replace(measured, incumbent=None)
+    return measured
+
+
+def _score(name: str, evidence: Evidence) -> Measurement:
+    """Take a score of the held-out frames."""
+    if evidence.held_out is None:
+        return absent(evidence.no_held_out)
+    score, frames = evidence.held_out[name], evidence.held_out["frames"]
+    if score["value"] is None:
+        return absent(f"None of the {frames:,} held-out frames gives this number: choose frames with more stars.")
+    return Measurement(
+        float(score["value"]),
+        f"On {frames:,} held-out frames.",
+        interval=ends(score["interval"]),
+        incumbent=score["incumbent"],
+    )
+
+
+def _against(name: str, evidence: Evidence) -> Measurement:
+    """Take a score that compares with the incumbent."""
+    if evidence.incumbent is None:
+        return absent(IS_INCUMBENT)
+    return _score(name, evidence)
+
+
+def _rms_in_noise(evidence: Evidence) -> Measurement:
+    """Take the RMS in multiples of what the stated centroid noise alone would cause in an arc, sqrt(2) sigmas of a pixel."""
+    measured = _score("validation-rms", evidence)
+    if measured.value is None:
+        return measured
+    noise = float(np.sqrt(2) * evidence.sensor.centroid_sigma_px * evidence.pixel_rad)
+    low, high = measured.interval or (None, None)
+    return Measurement(
+        measured.value / noise,
+        f"{measured.value * 1e6:.4g} µrad, where the stated noise of an arc is {noise * 1e6:.4g}. {measured.sentence}",
+        interval=ends((None if low is None else low / noise, None if high is None else high / noise)),
+        incumbent=None if measured.incumbent is None else measured.incumbent / noise,
+    )
+
+
+def finite(evidence: Evidence) -> Measurement:
+    """Ask for a plausible number for every parameter, and for a finite one or none for every sigma."""
+    try:
+        evidence.x  # noqa: B018 - reading it is the check
+    except RefusedInputError as refusal:
+        return answer("FAIL", str(refusal))
+    sigma = evidence.candidate.get("sigma") or {}
+    bad = [name for name in evidence.names if sigma.get(name) is not None and not _is_sigma(sigma[name])]
+    if bad:
+        return answer("FAIL", f"The sigma of {', '.join(bad)} is no positive number: calibrate again.")
+    return answer("PASS", "Every parameter is a finite number in its model's range.")
+
+
+def _is_sigma(value: object) -> bool:
+    return isinstance(value, int | float) and bool(np.isfinite(value)) and value >= 0
+
+
+def covariance(evidence: Evidence) -> Measurement:
+    """Ask for a symmetric, positive definite covariance whose roots are the sigmas."""
+    try:
+        P = evidence.covariance_of(evidence.candidate)
+    except (KeyError, TypeError, ValueError):
+        return answer("FAIL", "The covariance is not names and a square matrix of numbers: calibrate again.")
+    places = [evidence.names.index(name) for name in evidence.candidate["covariance"]["names"]]
+    if not places:
+        return answer("FAIL", "There is no covariance, so no sigma can be trusted: calibrate again with more frames.")
+    return _of_matrix(evidence, P[np.ix_(places, places)], [evidence.names[place] for place in places])
+
+
+def _of_matrix(evidence: Evidence, P: np.ndarray, names: list[str]) -> Measurement:
+    """Judge the covariance of the free parameters (n_free, n_free)."""
+    variance = np.diag(P)
+    if not np.isfinite(P).all() or (variance <= 0).any():
+        return answer("FAIL", "The covariance has a variance that is no positive number: calibrate again.")
+    correlation = P / np.sqrt(np.outer(variance, variance))
+    if not np.allclose(correlation, correlation.T, rtol=0, atol=ROUNDING):
+        return answer("FAIL", "The covariance is not symmetric: calibrate again.")
+    least = float(np.linalg.eigvalsh((correlation + correlation.T) / 2)[0])
+    if least <= 0:
+        return answer("FAIL", f"The covariance is not positive definite (least eigenvalue {least:.2g}): free fewer.")
+    sigma = evidence.candidate.get("sigma") or {}
+    stated = [(name, sigma[name], root) for name, root in zip(names, np.sqrt(variance), strict=True) if sigma.get(name)]
+    off = [name for name, given, root in stated if abs(given - root) > 1e-3 * root]
+    if off:
+        return answer("FAIL", f"The sigma of {', '.join(off)} is not the root of its variance: calibrate again.")
+    return answer("PASS", f"Symmetric and positive definite; least eigenvalue of the correlations {least:.2g}.")
+
+
+def sensor(evidence: Evidence) -> Measurement:
+    """Ask whether set, run and sensor speak of one camera."""
+    candidate, here = evidence.candidate, evidence.sensor
+    if candidate.get("sensor") not in (None, here.name):
+        return answer(
+            "FAIL", f"The set is of the sensor {candidate['sensor']}, not of {here.name}: choose the right one."
+        )
+    if candidate.get("camera_model") != here.camera_model:
+        return answer(
+            "FAIL",
+            f"The set is of the camera model {candidate.get('camera_model')}, the sensor of {here.camera_model}.",
+        )
+    made = evidence.made_with
+    if made is None:
+        return answer("PASS", f"Set and sensor are {here.name}, {here.camera_model}.")
+    detector = {"rows": here.rows, "columns": here.columns, "pixel_pitch_m": here.pixel_pitch_m}
+    if made.get("detector") != detector or made.get("parity") != here.parity:
+        return answer(
+            "FAIL", f"Detector or parity of {here.name} differ from those the run was made with: run it again."
+        )
+    return answer(
+        "PASS", f"Set, run and sensor are {here.name}, {here.camera_model}, {here.rows} x {here.columns} pixels."
+    )
+
+
+def parameter_shift(evidence: Evidence) -> Measurement:
+    """Measure the largest shift from the incumbent, in sigmas of the difference."""
+    x_0 = evidence.x_incumbent
+    if evidence.incumbent is None or x_0 is None:
+        return absent("There is no incumbent that it could have moved from.")
+    P, P_0 = (evidence.covariance_of(document) for document in (evidence.candidate, evidence.incumbent))
+    sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * evidence.sensor.typical_sigma) ** 2)
+    shift = (evidence.x - x_0) / sigma
+    i = int(np.argmax(np.abs(shift)))
+    moved = sum(np.abs(shift) > 3)
+    return Measurement(
+        float(abs(shift[i])),
+        f"{evidence.names[i]} moved farthest, by {shift[i]:+.1f} sigmas of the difference; "
+        f"{moved} of {len(shift)} parameters moved by more than 3.",
+    )
+
+
+def convergence(evidence: Evidence) -> Measurement:
+    """Ask whether the estimate came to rest."""
+    status = str(evidence.candidate.get("status"))
+    return answer(
+        *ENDED.get(status, ("FAIL", f"The run ended {status.replace('_', ' ')}: its numbers are no estimate."))
+    )
+
+
+def chi_square(evidence: Evidence) -> Measurement:
+    """Measure the residuals against the stated noise."""
+    result = evidence.result or {}
+    value, test = result.get("chi2_per_dof"), result.get("chi2")
+    if value is None or not test:
+        return absent(NO_RUN if evidence.result is None else "The run kept no chi-square: run it again.")
+    return _around_one(value, test, "Residuals")
+
+
+def nis(evidence: Evidence) -> Measurement:
+    """Measure a filter's innovations against what it expected; a batch has residuals in their place."""
+    result = evidence.result or {}
+    test = result.get("nis")
+    if not test or test.get("mean") is None:
+        return absent(NO_RUN if evidence.result is None else "The run kept no innovations: run it again.")
+    what = "Innovations" if result.get("method") in FILTERS else "A batch has no innovations; its residuals"
+    return _around_one(test["mean"], test, what)
+
+
+def _around_one(value: float, test: Document, what: str) -> Measurement:
+    """Describe a mean square beside its 95 % bounds."""
+    inside = "inside" if test["lower"] <= value <= test["upper"] else "outside"
+    return Measurement(
+        float(value),
+        f"{what} are {np.sqrt(value):.3g} times as large as expected, {inside} the 95 % bounds of sound sets.",
+        bounds=ends((test["lower"], test["upper"])),
+    )
+
+
+def arc_uncertainty(evidence: Evidence) -> Measurement:
+    """Measure what the covariance does to an arc at the worst place of the detector."""
+    worst, degrees = _worst_arc(evidence, evidence.candidate, evidence.x)
+    incumbent = None
+    if evidence.incumbent is not None and evidence.x_incumbent is not None:
+        incumbent = _worst_arc(evidence, evidence.incumbent, evidence.x_incumbent)[0] / evidence.pixel_rad
+    return Measurement(
+        worst / evidence.pixel_rad,
+        f"An arc of {degrees:.2g}° may be {worst * ARCSEC:.2g} arcsec off (1 sigma) at the worst place of the detector.",
+        incumbent=incumbent,
+    )
+
+
+def _worst_arc(evidence: Evidence, document: Document, x: Any) -> tuple[float, float]:
+    """Largest sigma of an arc over the detector, rad, and the length of the arcs, degrees."""
+    sigma, length = field_arc_sigma(evidence.sensor, x, evidence.covariance_of(document))
+    return float(np.nanmax(sigma)), float(np.degrees(length))
+
+
+def condition_number(evidence: Evidence) -> Measurement:
+    """Measure how unevenly the data see the parameters."""
+    seen = (evidence.result or {}).get("observability")
+    if not seen or seen.get("condition_number") is None:
+        return absent(NO_RUN if evidence.result is None else "The data leave a direction open: free fewer parameters.")
+    free = len(seen["singular_values"])
+    return Measurement(float(seen["condition_number"]), f"Largest over smallest of {free} singular values.")
+
+
+def weak_directions(evidence: Evidence) -> Measurement:
+    """Measure how well the weakest direction is known, and name it."""
+    seen = (evidence.result or {}).get("observability")
+    if not seen or not seen.get("sigma_of_direction"):
+        return absent(NO_RUN if evidence.result is None else "The run kept no observability: run it again.")
+    spread = seen["sigma_of_direction"]
+    if any(sigma is None for sigma in spread):
+        return absent("The data leave a direction open: free fewer parameters.")
+    return Measurement(float(max(spread)), str(seen["weakest"]["sentence"]))
+
+
+def coverage(evidence: Evidence) -> Measurement:
+    """Measure in how many regions of the detector there were stars."""
+    seen = (evidence.result or {}).get("coverage")
+    if not seen:
+        return absent(NO_RUN if evidence.result is None else "The run kept no coverage: run it again.")
+    counts = np.array(seen["counts"])
+    regions = counts.reshape(ROWS, counts.shape[0] // ROWS, COLUMNS, counts.shape[1] // COLUMNS).sum(axis=(1, 3))
+    held = int((regions > 0).sum())
+    return Measurement(
+        held / regions.size,
+        f"{held} of {regions.size} regions had stars, the fullest {regions.max():,}; elsewhere the model is extrapolated.",
+    )
+
+
+def quantisation(evidence: Evidence) -> Measurement:
+    """Measure how far directions move when the table's number format rounds the parameters."""
+    if evidence.definition is None:
+        return absent(NO_DEFINITION)
+    parameters = dict(zip(evidence.names, map(float, evidence.x), strict=True))
+    try:
+        definition = table_definition.parse_definition(evidence.definition, evidence.sensor)
+        held = table_definition.quantised(definition, parameters)
+    except RefusedInputError as refusal:
+        return answer("FAIL", f"The table on board cannot hold this set: {refusal}")
+    effect = table_definition.quantisation_effect(evidence.camera, evidence.sensor, parameters, held)
+    return Measurement(
+        float(effect["max_px"]),
+        f"The table's number format moves directions by up to {effect['max_arcsec']:.2g} arcsec over the detector.",
+    )
+
+
+MEASURES: dict[str, Callable[[Evidence], Measurement]] = {
+    "finite": finite,
+    "covariance": covariance,
+    "sensor": sensor,
+    "convergence": convergence,
+    "validation-rms": _rms_in_noise,
+    "validation-rms-incumbent": partial(_against, "validation-rms-incumbent"),
+    "availability": partial(_score, "availability"),
+    "availability-incumbent": partial(_against, "availability-incumbent"),
+    "matched-stars": partial(_score, "matched-stars"),
+    "matched-stars-incumbent": partial(_against, "matched-stars-incumbent"),
+    "chi-square": chi_square,
+    "nis": nis,
+    "parameter-shift": parameter_shift,
+    "arc-uncertainty": arc_uncertainty,
+    "condition-number": condition_number,
+    "weak-directions": weak_directions,
+    "coverage": coverage,
+    "quantisation": quantisation,
+}

@@ -1,0 +1,207 @@
+"""A gate profile: the limits that a sensor's sets are held to, as a document that people edit.
+
+Each gate has two thresholds. Beyond `limit` a set FAILs; between `marginal` and `limit` it is MARGINAL and a person judges.
+Either may be null: such a threshold is never crossed. What a document leaves out is as in the default profile, so a
+mission states only what it wants otherwise.
+
+The default holds for any sensor, its thresholds being multiples of the sensor's own noise, pixels or shares. It blocks what is
+surely broken or surely worse than the incumbent and leaves the rest to people:
+
+- `chi-square` and `nis`, 1.1 and 9: the sigmas are about sqrt(value) off, so 5 % at the first and a factor of 3 at the second.
+  Values inside the 95 % bounds of their degrees of freedom pass in any case (`judgement`).
+- What few data cause (`arc-uncertainty`, `condition-number`, `weak-directions`, `coverage`) has no limit. A set of few frames is
+  not good, but it is no defect, and nobody but the mission knows how good it must be.
+- `parameter-shift` has none either. The first calibration on orbit moves everything, as far as 5,000 typical sigmas in W 4.1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from boresight.errors import RefusedInputError
+from boresight.verdicts.gates.gate import GATES, Gate
+
+SCHEMA = "boresight.gate-profile/1"
+FLAGS = ("critical", "waivable", "must_have_data", "observe_only")
+THRESHOLDS = ("limit", "marginal")
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """What one gate allows.
+
+    Parameters
+    ----------
+    name, direction, critical
+        Of the gate; a profile repeats them for its readers and cannot change them.
+    limit, marginal
+        Thresholds in the gate's unit; None is never crossed.
+    waivable
+        Whether a person may let a set pass in spite of it.
+    must_have_data
+        Whether a set is blocked when there is nothing to judge it by.
+    observe_only
+        Whether it is measured and shown but counts for nothing, to try a limit.
+    """
+
+    name: str
+    limit: float | None
+    marginal: float | None
+    direction: str
+    critical: bool
+    waivable: bool
+    must_have_data: bool
+    observe_only: bool
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The thresholds of every gate, in the gates' order."""
+
+    thresholds: tuple[Threshold, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the profile as JSON, every key present."""
+        return {"schema": SCHEMA, "gates": [asdict(threshold) for threshold in self.thresholds]}
+
+
+def _default(name: str, limit: float | None = None, marginal: float | None = None) -> dict[str, Any]:
+    gate = GATES[name]
+    return {
+        "name": name,
+        "limit": limit,
+        "marginal": marginal,
+        "direction": gate.direction,
+        "critical": gate.critical,
+        "waivable": not gate.critical,
+        "must_have_data": gate.critical,
+        "observe_only": False,
+    }
+
+
+DEFAULT_PROFILE: dict[str, Any] = {
+    "schema": SCHEMA,
+    "gates": [
+        _default("finite"),
+        _default("covariance"),
+        _default("sensor"),
+        _default("convergence"),
+        _default("validation-rms", 3.0, 1.5),
+        _default("validation-rms-incumbent", 1.05, 1.05),
+        _default("availability", 0.25, 0.9),
+        _default("availability-incumbent", -0.02, -0.02),
+        _default("matched-stars", 2.0, 6.0),
+        _default("matched-stars-incumbent", -0.3, -0.3),
+        _default("chi-square", 9.0, 1.1),
+        _default("nis", 9.0, 1.1),
+        _default("parameter-shift", None, 15.0),
+        _default("arc-uncertainty", None, 0.5),
+        _default("condition-number", None, 1e5),
+        _default("weak-directions", None, 1.0),
+        _default("coverage", None, 0.7),
+        _default("quantisation", 0.1, 0.01),
+    ],
+}
+
+
+def parse_profile(document: Mapping[str, Any]) -> Profile:
+    """Read a profile; gates and keys that are left out are as in `DEFAULT_PROFILE`.
+
+    Raises
+    ------
+    RefusedInputError
+        Names the gate and the key, and says what is allowed.
+    """
+    for key in document:
+        if key not in {"schema", "gates"}:
+            raise RefusedInputError(f"A gate profile has no key {key!r}: give `gates`, a list.")
+    if document.get("schema", SCHEMA) != SCHEMA:
+        raise RefusedInputError(f"The profile's schema is {document['schema']!r}, expected {SCHEMA!r}.")
+    given = _by_name(document.get("gates", []))
+    return Profile(tuple(_threshold(entry, given.get(entry["name"], {})) for entry in DEFAULT_PROFILE["gates"]))
+
+
+def _by_name(entries: Any) -> dict[str, Mapping[str, Any]]:
+    """Return the given entries by their gate."""
+    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
+        raise RefusedInputError("`gates` is no list of objects: give one object a gate, with its name.")
+    given: dict[str, Mapping[str, Any]] = {}
+    for entry in entries:
+        name = entry.get("name")
+        if not isinstance(name, str) or name not in GATES:
+            raise RefusedInputError(f"There is no gate {name!r}; the gates are {', '.join(GATES)}.")
+        if name in given:
+            raise RefusedInputError(f"The gate {name} is given twice: give it once.")
+        given[name] = entry
+    return given
+
+
+def _threshold(default: Mapping[str, Any], given: Mapping[str, Any]) -> Threshold:
+    """Join what is given with the default, and check it."""
+    for key in given:
+        if key not in default:
+            raise RefusedInputError(f"Gate {default['name']} has no key {key!r}; its keys are {', '.join(default)}.")
+    threshold = Threshold(**{**default, **given})
+    gate = GATES[threshold.name]
+    _check_fixed(gate, threshold)
+    for key in FLAGS:
+        if not isinstance(getattr(threshold, key), bool):
+            raise RefusedInputError(f"{gate.name}: {key} is {getattr(threshold, key)!r}; give true or false.")
+    _check_critical(gate, threshold)
+    limit, marginal = (_number(gate, key, getattr(threshold, key)) for key in THRESHOLDS)
+    threshold = replace(threshold, limit=limit, marginal=marginal)
+    _check_order(threshold)
+    return threshold
+
+
+def _check_fixed(gate: Gate, threshold: Threshold) -> None:
+    """Refuse another direction than the gate's, and a number for what has none."""
+    if threshold.direction != gate.direction:
+        raise RefusedInputError(
+            f"{gate.name}: direction is {threshold.direction!r}; it is always {gate.direction!r}, leave it out."
+        )
+    if gate.direction == "met" and (threshold.limit, threshold.marginal) != (None, None):
+        raise RefusedInputError(
+            f"{gate.name}: limit and marginal are null, for the gate is met or not; leave them out."
+        )
+
+
+def _number(gate: Gate, key: str, value: Any) -> float | None:
+    """Return a threshold in the gate's unit; 2 and 2.0 are one profile."""
+    if value is None:
+        return None
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not number or not gate.lowest <= value <= gate.highest:
+        raise RefusedInputError(
+            f"{gate.name}: {key} is {value!r}; give a number from {gate.lowest:g} to {gate.highest:g}, or null for none."
+        )
+    return float(value)
+
+
+def _check_order(threshold: Threshold) -> None:
+    """Refuse a marginal that lies beyond the limit: nothing would ever be MARGINAL."""
+    limit, marginal = threshold.limit, threshold.marginal
+    if limit is None or marginal is None:
+        return
+    if marginal < limit if threshold.direction == "above" else marginal > limit:
+        side = "at least" if threshold.direction == "above" else "at most"
+        raise RefusedInputError(
+            f"{threshold.name}: marginal is {marginal:g} and the limit {limit:g}; give a marginal of {side} the limit."
+        )
+
+
+def _check_critical(gate: Gate, threshold: Threshold) -> None:
+    """Refuse to soften a gate that nobody may pass by."""
+    if threshold.critical != gate.critical:
+        word = "critical" if gate.critical else "not critical"
+        raise RefusedInputError(f"{gate.name}: it is {word} in every profile; leave `critical` out.")
+    if not gate.critical:
+        return
+    for key, needed in (("waivable", False), ("observe_only", False), ("must_have_data", True)):
+        if getattr(threshold, key) is not needed:
+            raise RefusedInputError(
+                f"{gate.name}: {key} is {str(needed).lower()} in every profile, for the gate is critical; leave it out."
+            )

@@ -1,0 +1,153 @@
+"""Numbers as people read them, on pages, in reports and in terminals.
+
+A value printed with its sigma stops at the second significant digit of the sigma: no digit is shown that is not known.
+Whatever is no finite number is a dash.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from boresight.verdicts.quantities import quantity
+
+MISSING = "–"
+NARROW_SPACE = "\u202f"  # narrow, and no line breaks in it
+MINUS = "\u2212"  # as wide as a digit
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+LARGE = 1e7  # from here on a number is easier to read with a power of ten
+
+
+def is_number(value: Any) -> bool:
+    """Tell whether a value is a finite number; a truth value is none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def grouped(text: str) -> str:
+    """Write the sign as a true minus, part the digits before the point in threes, and raise the exponent; 0 has no sign."""
+    sign, digits = (MINUS, text[1:]) if text.startswith("-") else ("", text)
+    mantissa, _, exponent = digits.partition("e")
+    sign = sign if mantissa.strip("0.") else ""
+    whole, point, rest = mantissa.partition(".")
+    if whole.isdigit() and len(whole) > 4:
+        whole = f"{int(whole):,}".replace(",", NARROW_SPACE)
+    power = f"·10{str(int(exponent)).translate(RAISED)}" if exponent else ""
+    return f"{sign}{whole}{point}{rest}{power}"
+
+
+def number(value: Any, digits: int = 4) -> str:
+    """Print a number to so many significant digits; a missing or non-finite one as a dash."""
+    if not is_number(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if -4 <= exponent < 7:
+        return grouped(f"{value:.{max(digits - 1 - exponent, 0)}f}")
+    return grouped(f"{value:.{digits - 1}e}")
+
+
+def fixed(value: Any, decimals: int = 2) -> str:
+    """Print a number to so many decimals, for columns that align on the point."""
+    return grouped(f"{value:.{decimals}f}") if is_number(value) else MISSING
+
+
+def count(value: Any) -> str:
+    """Print a whole number with its digits parted in threes."""
+    return f"{int(value):,}".replace(",", NARROW_SPACE) if is_number(value) else MISSING
+
+
+def percent(value: Any, decimals: int = 1) -> str:
+    """Print a fraction as a percentage."""
+    return f"{fixed(100.0 * value, decimals)}{NARROW_SPACE}%" if is_number(value) else MISSING
+
+
+def urad(value_rad: Any, digits: int = 4) -> str:
+    """Print an angle in radians as microradians, without the unit (its column has it)."""
+    return number(value_rad * 1e6, digits) if is_number(value_rad) else MISSING
+
+
+def to_second_digit(value: float, sigma: float, large: float = LARGE) -> str:
+    """Write a number to the second significant digit of its sigma, in Python's own form; from `large` on with a power."""
+    decimals = 1 - math.floor(math.log10(sigma))
+    rounded = round(value, decimals) + 0.0  # a zero without a sign
+    if abs(rounded) < large:
+        return f"{rounded:.{max(decimals, 0)}f}"
+    return f"{rounded:.{max(math.floor(math.log10(abs(rounded))) + decimals, 0)}e}"
+
+
+def with_reach(value: float, reach: float, sigma: float, large: float = LARGE) -> str:
+    """Print `value ± reach`, both to the second digit of a sigma; one power of ten for both where either is large."""
+    if max(abs(value), abs(reach)) < large:
+        return " ± ".join(grouped(to_second_digit(one, sigma)) for one in (value, reach))
+    power = math.floor(math.log10(max(abs(value), abs(reach))))
+    decimals = max(power + 1 - math.floor(math.log10(sigma)), 0)
+    texts = (grouped(f"{one / 10**power:.{decimals}f}") for one in (value, reach))
+    return f"({' ± '.join(texts)})·10{str(power).translate(RAISED)}"
+
+
+def unit(name: str) -> str:
+    """Return the unit a parameter is shown in: `f_m` gives mm."""
+    return quantity(name).unit or "1"
+
+
+def parameter(value: Any, name: str, sigma: Any = None) -> str:
+    """Print a parameter in its page unit, to the second significant digit of its sigma; as given where none is known."""
+    if not is_number(value):
+        return MISSING
+    factor = quantity(name).factor
+    if not is_number(sigma) or sigma <= 0:
+        return grouped(f"{value * factor:.6g}")
+    return grouped(to_second_digit(value * factor, sigma * factor))
+
+
+def sigma(value: Any, name: str) -> str:
+    """Print a sigma in its parameter's page unit, two significant digits; `fixed` where it was not estimated."""
+    return parameter(value, name, value) if is_number(value) and value > 0 else "fixed"
+
+
+def plus_minus(value: Any, name: str, sigma_si: Any = None, times: float = 1.0) -> str:
+    """Print `value ± times sigma` in the page unit, without the unit (its column has it)."""
+    if not is_number(sigma_si) or sigma_si <= 0:
+        return parameter(value, name)
+    if not is_number(value):
+        return MISSING
+    factor = quantity(name).factor
+    return with_reach(value * factor, times * sigma_si * factor, sigma_si * factor)
+
+
+def sigmas(value: Any) -> str:
+    """Print a difference in units of its sigma, signed."""
+    return f"{'+' if value >= 0.05 else ''}{fixed(value, 1)}{NARROW_SPACE}σ" if is_number(value) else MISSING
+
+
+def size(value_bytes: Any) -> str:
+    """Print a file's size in decimal units."""
+    if not is_number(value_bytes):
+        return MISSING
+    for factor, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if value_bytes >= factor:
+            return f"{value_bytes / factor:.1f}{NARROW_SPACE}{name}"
+    return f"{int(value_bytes)}{NARROW_SPACE}B"
+
+
+def duration(seconds: Any) -> str:
+    """Print a span of time with its two largest units: `3 d 4 h`."""
+    if not is_number(seconds):
+        return MISSING
+    if 0 < seconds < 0.1:
+        return f"{fixed(1000 * seconds, 0 if seconds >= 0.01 else 1)}{NARROW_SPACE}ms"
+    if seconds < 10:
+        return f"{max(seconds, 0):.1f}{NARROW_SPACE}s"
+    whole = round(seconds)
+    parts = [
+        (amount, name)
+        for amount, name in (
+            (whole // 86400, "d"),
+            (whole // 3600 % 24, "h"),
+            (whole // 60 % 60, "min"),
+            (whole % 60, "s"),
+        )
+        if amount
+    ]
+    return " ".join(f"{amount}{NARROW_SPACE}{name}" for amount, name in parts[:2])

@@ -1,0 +1,83 @@
+"""What measures Boresight: speed, memory, growth, clusters, servers and accuracy, each beside its peers. No part of the wheel.
+
+    python -m benchmarks [--part NAME|all] [--frames N] [--size PART.SIZE=VALUE] [--json FILE]
+    python -m benchmarks.pages                         measure, and write docs/benchmarks.md and docs/capacity.md
+
+A part is a function
+
+    measure(report, **sizes) -> dict[str, Any]
+
+where `report(fraction, message)` is told how far it is, and every size (frames, runs, clients, seconds) is a keyword argument with
+the full-size default, so that the suite measures a small version of each. What it returns is ready for JSON: raw figures with
+their unit in the key, the peers beside them, the ratios, and `limits`, what is promised by name, each as `held` tells it. Whoever
+writes a part adds its line to `PARTS`, in the order in which the parts are measured and shown. Modules are loaded when they are
+measured.
+
+Servers, workers and calibrations run as `python -m boresight ...`, in a temporary folder and on free ports, so that what is
+measured is what a user runs. Peers are timed in the same run: ratios hold when a machine's speed drifts, times do not.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+Report = Callable[[float, str], None]
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part: the module and function that measure it, and what it shows, a phrase for the documentation."""
+
+    function: str
+    shows: str
+
+    def measurement(self) -> Callable[..., dict[str, Any]]:
+        """Load the module and return its function."""
+        module, _, name = self.function.partition(":")
+        found: Callable[..., dict[str, Any]] = getattr(importlib.import_module(f"benchmarks.{module}"), name)
+        return found
+
+    @property
+    def sizes(self) -> dict[str, Any]:
+        """Its sizes and their defaults."""
+        found = inspect.signature(self.measurement()).parameters
+        return {key: parameter.default for key, parameter in found.items() if key != "report"}
+
+
+PARTS: dict[str, Part] = {
+    "kernels": Part("kernels:measure", "the compiled loops, beside C, NumPy, SciPy and hand-written filters"),
+    "whole": Part("whole:measure", "a calibration from file to file, beside the fit alone in C"),
+    "accuracy": Part(
+        "accuracy:measure", "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars"
+    ),
+    "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
+    "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),
+    "spread": Part("spread:measure", "one batch over one worker, two, and two of which one is killed"),
+    "queue": Part("queue:measure", "thousands of small runs: what the queue adds, and what kills lose"),
+    "clients": Part(
+        "clients:measure", "200 clients on the list of runs, 500 that follow the feed and miss nothing"
+    ),
+    "fleet": Part("clients:measure_fleet", "the console's pages of ten sensors, a thousand and ten thousand"),
+    "footprint": Part(
+        "footprint:measure", "what one more frame, run, sensor and record costs in time, files and rows"
+    ),
+}  # fmt: skip
+
+
+def held(limit: float, measured: float | None, unit: str | None = None, *, at_least: bool = False) -> dict[str, Any]:
+    """Hold a figure against what is promised; of one that was not measured nothing is known."""
+    kept = None if measured is None else measured >= limit if at_least else measured <= limit
+    words: dict[str, Any] = {"limit": limit, "measured": measured, "kept": kept}
+    return words | ({"at_least": True} if at_least else {}) | ({} if unit is None else {"unit": unit})
+
+
+def limits_of(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Every limit of every part, `part.name` by name."""
+    return {f"{part}.{name}": limit for part, found in parts.items() for name, limit in found.get("limits", {}).items()}

@@ -1,0 +1,316 @@
+"""`docs/benchmarks.md`, written from what was measured: promises, speed and accuracy beside peers, growth, and how to repeat it."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from typing import Any
+
+from benchmarks import PARTS, ROOT
+from benchmarks.accuracy import LEAST_GROWTH_FRAMES
+from benchmarks.estimators import PEERS
+from benchmarks.pages.tables import NOT_MEASURED, all_figures, number, promise, table, told
+
+Found = Mapping[str, Any]
+
+HEAD = """# Benchmarks
+
+Every figure here was measured by `python -m benchmarks`, and this page was written from its JSON (`docs/benchmarks.json`) by
+`python -m benchmarks.pages`; a test holds that it says what the JSON says. Times depend on the machine and on its hour; ratios to a
+peer in the same run do not, so quote those. What they mean for a constellation is on the [capacity page](capacity.md).
+
+```sh
+make test                                     # installs everything, peers included (the extra `bench`)
+python -m benchmarks --part all --json F      # measure; --part NAME for one, --size PART.SIZE=VALUE for another size
+make bench                                    # measure everything and write this page anew
+python -m benchmarks.pages --part accuracy    # one part
+```
+
+A measurement is no test: the command exits with 0 and says in words which promise was not kept. Measure on an idle machine:
+the load average beside each date is what else was running when it began.
+"""
+
+ACCURACY = """All start from the same ground calibration of a simulated ST-16 (E Table III, sensor 1) and get the same centroids of
+the same named stars: at most {sets} sets of {frames} frames, fewer where a row says so because the peer is slow; two
+exposures of twelve stars each, {centroid_sigma_px} px of noise, on one thread.
+
+- **ours, over ours**: Boresight's batch on the same frames, taking turns with the peer set by set, the fastest of each; so the
+  ratio is of two times of the same minutes.
+- **error / bound**: root mean square error of the eight parameters over their Cramér-Rao bounds, geometric mean; 1 is perfect.
+- **detector, corner**: how far the calibrated camera puts a star from where it falls, after the best rotation, root mean
+  square over the detector and worst corner. Camera models differ between tools, this does not.
+- **f error / claimed**: error of the focal length over the standard deviation that the tool claims for it; 1 is honest.
+- **residual**: what the fit leaves, one axis. By it alone the right and the wrong cannot be told apart.
+- **memory**: what the work adds to a process of its own that has loaded the library, and in brackets that process's peak.
+
+"""
+
+PROBLEMS = {
+    "arcs": "Same problem: eight parameters from the arcs between stars",
+    "attitudes": "Larger problem, same optimum: eight parameters, and three angles of attitude a view (bundle adjustment)",
+    "poses": "Another problem: camera models of their own, and a whole pose or a plate solution a view",
+}
+
+AFTER_ACCURACY = """
+General calibrators give every view a translation, and have no switch against it. Stars have no parallax, so a step towards
+the sphere that they are put on looks like a longer focal length: the residual falls to the noise and below it, the claimed
+deviation is small, and the answer is wrong by hundreds of it. The distance at which the stars are put changes nothing, as
+everything scales with it. tetra3rs fits no translation, but leaves the principal point near the middle of the detector.
+
+What is not the same:
+
+"""
+
+
+def page(document: Mapping[str, Found]) -> str:
+    """Write the page."""
+    machines, promises, sections = [], [], []
+    for name, part in PARTS.items():
+        title = f"## {name.capitalize()}: {part.shows}\n\n`python -m benchmarks --part {name}`\n"
+        if name not in document:
+            machines.append([f"`{name}`", NOT_MEASURED, "", "", ""])
+            promises.append([f"`{name}`", "", "", NOT_MEASURED, ""])
+            sections.append(f"{title}\n{NOT_MEASURED.capitalize()} yet.\n")
+            continue
+        machine, found = document[name]["machine"], document[name]["found"]
+        load = " ".join(f"{one:g}" for one in machine["load_average"])
+        here = f"{machine['processor']}, {machine['cores']} cores, {machine['memory_gb']:g} GB"
+        versions = ", ".join(f"{key} {machine['versions'][key]}" for key in ("python", "numpy", "numba", "scipy"))
+        at = f"{machine['measured_at'][:16].replace('T', ' ')} UTC"
+        machines.append([f"`{name}`", at, here, load, versions])
+        promises += [[f"`{name}`", key.replace("_", " "), *promise(one)] for key, one in found["limits"].items()]
+        sections.append(f"{title}\n{SECTIONS.get(name, all_figures)(found)}")
+    heads = ("part", "began", "machine", "load average 1, 5, 15 min", "versions")
+    return "\n".join([
+        HEAD,
+        "## What measured\n\n" + table(heads, machines, range(5)),
+        "## What is promised, and whether it was kept\n\n"
+        + table(("part", "promise", "limit", "measured", ""), promises, (0, 1, 4)),
+        *sections,
+        _scripts(),
+    ])  # fmt: skip
+
+
+def _kernels(found: Found) -> str:
+    """Our loops, and what each peer takes beside the one that does its work."""
+    rows = [
+        [f"`{name}`", number(found["peers"][f"{name}_us_per_frame"]), number(ratio)]
+        for name, ratio in found["ratios"].items()
+    ]
+    peers = table(("peer", "µs a frame", "over ours"), rows)
+    unfair = (
+        "\nNot the same: the plain NumPy and SciPy peers get R factored for them; `lean` and `ekf` linearise each frame once "
+        "where ours does until it rests; the C peer gets the arcs in order and weighed; the matching peer takes one exposure at "
+        "a time with one fixed tolerance and no doubt between two stars. `c_fast_math` may reorder sums as ours may; `c` may not.\n"
+    )
+    return f"{all_figures(found, ('peers', 'ratios'))}\n{peers}{unfair}"
+
+
+def _accuracy(found: Found) -> str:
+    """A table a problem, how time grows, the errors of each parameter, and what is not fair."""
+    text, estimators = ACCURACY.format(**found), found["estimators"].values()
+    for problem, title in PROBLEMS.items():
+        rows = [accuracy_row(row) for row in estimators if row["problem"] == problem]
+        text += f"### {title}\n\n" + table(ACCURACY_HEADS, rows) + "\n" if rows else ""
+    grown = [
+        [row["title"], f"{one['from_frames']:,}", f"{one['to_frames']:,}",
+         *(number(one[key]) for key in ("exponent", "us_per_frame", "work_rss_mb"))]
+        for row in estimators if (one := row.get("growth")) and one["from_frames"] >= LEAST_GROWTH_FRAMES
+    ]  # fmt: skip
+    text += (
+        "### How time and memory grow with the frames\n\nBoth lengths take turns, the fastest of each counts. Who bears too few "
+        "frames for an exponent to mean something is left out.\n\n"
+        + table(("estimator", "from frames", "to frames", "exponent", "µs a frame there", "memory there, MB"), grown)
+    )
+    errors = [
+        [row["title"], *(f"{number(e)} ({number(over)})" for e, over in zip(row["error"], row["each_over_bound"], strict=True))]
+        for row in estimators if "error" in row
+    ]  # fmt: skip
+    heads = ("estimator", *(f"`{name}`" for name in found["parameters"]))
+    text += "\n### Root mean square error of each parameter, and over its bound\n\n" + table(heads, errors)
+    unfair = (f"- {peer.title}: {peer.unfair}\n" for name, peer in PEERS.items() if name in found["estimators"])
+    return text + AFTER_ACCURACY + "".join(unfair)
+
+
+ACCURACY_HEADS = (
+    "estimator", "sets × frames", "µs a frame", "ours on the same, µs", "over ours", "memory, MB (peak)", "error / bound",
+    "NEES (8)", "detector, px", "corner, px", "over ours", "f error, µm", "f error / claimed", "residual, px",
+)  # fmt: skip
+
+
+def accuracy_row(row: Found) -> list[str]:
+    """One estimator."""
+    if "us_per_frame" not in row:
+        why = row.get("missing") or f"failed: {'; '.join(sorted(set(row['failures'])))}"
+        return [row["title"], why, *[""] * (len(ACCURACY_HEADS) - 2)]
+    failed = f" ({len(row['failures'])} of {row['sets']} sets failed)" if row["failures"] else ""
+    keys = (
+        "ours_us_per_frame", "us_per_frame_over_ours", "work_rss_mb", "error_over_bound", "nees", "detector_px", "corner_px",
+        "detector_px_over_ours",
+    )  # fmt: skip
+    cells = [row["us_per_frame"], *map(row.get, keys), row["focal_error_m"] * 1e6, row.get("focal_over_claimed")]
+    shown = [number(cell) for cell in (*cells, row.get("rms_px"))]
+    shown[3] += f" ({number(row['peak_rss_mb'])})"
+    return [row["title"] + failed, f"{row['sets']} × {row['frames']}", *shown]
+
+
+def _growth(found: Found) -> str:
+    """Time and memory by size, and the chart."""
+    rows = [
+        [method, f"{row['frames']:,}", number(row["seconds"]), number(row["seconds"] / row["frames"] * 1e6),
+         number(row["processor_s"]), number(row["peak_mb"])]
+        for method, of_method in found["runs"].items() for row in of_method
+    ]  # fmt: skip
+    slopes = [
+        [method, number(one["exponent"]), ", ".join(map(number, one["between_neighbours"])), told(one, "exponent_beyond_start")]
+        for method, one in found["growth"].items()
+    ]  # fmt: skip
+    matched = [
+        [f"{row['frames']:,}", number(row["seconds"]), number(row["seconds"] / row["frames"] * 1e6), number(row["peak_mb"])]
+        for row in found["rematch"]
+    ]  # fmt: skip
+    return (
+        "Each is `boresight calibrate FILE.parquet` in a fresh process, starting and reading included.\n\n"
+        "![Time and memory of a calibration over its frames](benchmarks-growth.svg)\n\n"
+        + table(("method", "frames", "wall, s", "µs a frame", "processor, s", "peak, MB"), rows)
+        + "\n"
+        + table(("method", "exponent over all sizes", "between neighbours", "beyond starting"), slopes)
+        + "\nBeyond starting: of the seconds less those of a process with next to nothing to compute, "
+        f"{number(found['empty_s'])} s. These sets have given directions. With stars found anew (`rematch`, the command's "
+        "default), sets of catalogue stars with times:\n\n"
+        + table(("frames", "wall, s", "µs a frame", "peak, MB"), matched)
+    )
+
+
+WHOLES = {
+    "given": "directions of the file; the limit holds for this one",
+    "small": "the same, small",
+    "rematch": "stars found anew: the command's default, told without a limit",
+}
+
+
+def _whole(found: Found) -> str:
+    """A calibration from file to file, beside the fit in C by both counts of evaluations."""
+    rows = []
+    for name, words in WHOLES.items():
+        one, of_c = found[name], found["given" if name == "rematch" else name]
+        over = number(one["total_s"] / of_c["c_fit_s"]) if "c_fit_s" in of_c else NOT_MEASURED
+        rows.append(
+            [f"`{name}`", words, f"{one.get('frames', found['frames']):,}", told(one, "threads"), number(one["total_s"]),
+             told(one, "one_thread_s"), told(of_c, "evaluations"), told(of_c, "c_fit_s"), over,
+             told(of_c, "evaluations_of_one_weighing"), told(one, "over_one_weighing")]
+        )  # fmt: skip
+    heads = (
+        "match", "what", "frames", "threads", "whole, s", "whole on one thread, s", "evaluations, both weighings",
+        "fit in C on one thread, s", "over C", "evaluations, one weighing", "over C of one weighing",
+    )  # fmt: skip
+    return (
+        table(heads, rows, (0, 1))
+        + "\nThe fit in C is the evaluations of A and b of the fit with given directions, and nothing else; a calibration weighs "
+        "twice and so fits twice.\n\n" + all_figures(found)
+    )
+
+
+def _spread(found: Found) -> str:
+    """What was killed, in words, and every figure."""
+    kill = found["runs"]["one_of_two_killed"]["kill"]
+    words = (
+        f"The worker at `{kill['worker']}` was killed {number(kill['after_s'])} s after the run began. It had computed "
+        f"{kill['groups_done']} groups of pieces and had {kill['groups_in_hand']} in its hands, which others computed."
+        if kill["happened"]
+        else "**No worker was killed: the run had ended before.**"
+    )
+    return f"{words}\n\n{all_figures(found)}"
+
+
+QUEUE = {
+    "overhead_ms_per_run": ("thread time", "what workers state under load"),
+    "overhead_over_alone_ms_per_run": ("thread time", "the same run in bare processes, as many as workers"),
+    "overhead_cpu_ms_per_run": ("processor time", "what workers state under load"),
+    "overhead_cpu_over_alone_ms_per_run": ("processor time", "the same run in bare processes, as many as workers"),
+}
+
+
+def _queue(found: Found) -> str:
+    """Overhead by all its counts, and every figure."""
+    limits = {key: f"{limit['limit']:g}" for key, limit in found["limits"].items()}
+    rows = [[*words, number(found["calm"][key]), limits.get(key, "-")] for key, words in QUEUE.items()]
+    return (
+        "A run beyond its computing, without kills. Under load a worker's wall time is stretched by the server's work where both "
+        "share cores, so computing is also measured in bare processes, before anything starts. What all processes use beyond "
+        "what workers state has no limit: it holds what they use while they wait. The limits are held against the pass without "
+        "kills; with kills the overhead holds the starts of what was killed too, and the bare processes compute one run each, "
+        "which tells little.\n\n"
+        + table(("clock", "beyond", "ms a run", "at most, ms"), rows, (0, 1))
+        + f"\n{all_figures(found)}"
+    )
+
+
+CROWDS = {
+    "list": "REST API, asking again at once",
+    "list_unchanged": "the same, with `If-None-Match`",
+    "list_paced": "REST API, once a second each",
+    "page": "page of runs, asking again at once",
+    "page_paced": "page of runs, once a second each",
+    "list_while_writing": "REST API at once, while runs are launched",
+    "page_while_writing": "page of runs at once, while runs are launched",
+}
+
+
+def _clients(found: Found) -> str:
+    """Every crowd: cold, warm, and while runs are launched."""
+    limits, rows = found["limits"], []
+    for name, words in CROWDS.items():
+        one, most = found[name], limits.get(f"{name}_median", {}).get("limit")
+        rows.append(
+            [words, *(number(one[key]) for key in ("all_answered_once_after_s", "median_ms")), number(most),
+             *(number(one[key]) for key in ("p99_ms", "requests_per_s", "server_us_per_request", "failures")),
+             number(one.get("launches"))]
+        )  # fmt: skip
+    heads = (
+        "crowd", "every client answered once after (cold), s", "median, ms", "at most, ms", "99 of 100 within, ms",
+        "answers a second", "server, CPU µs a request", "failures", "runs launched meanwhile",
+    )  # fmt: skip
+    return (
+        f"{found['clients']} clients before {found['runs']:,} runs of one sensor. The limits hold for crowds that "
+        "ask while nothing is committed. After a commit every person's page is made anew, and 200 people who all ask again at "
+        "once wait for one another; a launch, half a second after the one before was answered, waits among them.\n\n"
+        + table(heads, rows)
+        + f"\n{all_figures(found, tuple(CROWDS))}"
+    )
+
+
+def _fleet(found: Found) -> str:
+    """Every page by the size of the fleet, and the first page after a start."""
+    fleets = {f"{int(size):,} sensors": fleet for size, fleet in found["fleets"].items()}
+    paths = next(iter(fleets.values()))["pages"]
+    rows = [
+        [f"`{path}`", *(number(fleet["pages"][path][key]) for fleet in fleets.values() for key in ("median_ms", "kb"))]
+        for path in paths
+    ]
+    first = ", ".join(f"{number(fleet['first_page_s'])} s of {size}" for size, fleet in fleets.items())
+    return (
+        f"Median of {found['looks']} looks by one person, something being committed before each, so that every page is made anew; "
+        f"bytes before compression. Every sensor has {found['runs_each']} runs.\n\n"
+        + table(("page", *(f"{size}: {unit}" for size in fleets for unit in ("ms", "kB"))), rows)
+        + f"\nThe first page after a start, while the server judges the drift of every sensor for the first time, took {first}.\n"
+    )
+
+
+SECTIONS = {
+    "kernels": _kernels, "accuracy": _accuracy, "growth": _growth, "whole": _whole, "spread": _spread, "queue": _queue,
+    "clients": _clients, "fleet": _fleet,
+}  # fmt: skip
+
+
+def _scripts() -> str:
+    """The modules of `benchmarks/` that have a command of their own, from their own first lines."""
+    rows = []
+    for path in sorted((ROOT / "benchmarks").glob("*.py")):
+        lines = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").splitlines()
+        commands = [line.strip() for line in lines if line.strip().startswith(f"python -m benchmarks.{path.stem}")]
+        rows += [[lines[0].rstrip("."), f"`{command}`"] for command in commands]
+    return (
+        "## Studies of their own\n\nThese take minutes to hours and print what they found.\n\n"
+        + table(("shows", "command"), rows, range(2))
+    )  # fmt: skip

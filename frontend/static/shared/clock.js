@@ -1,0 +1,39 @@
+/** The UTC clock with day of year, `2026-325 03:04:11Z`, and the ages of everything marked <time class="age">. */
+import { findAll } from "./dom.js";
+
+/** @param {number} value */
+const pad = (value, width = 2) => String(value).padStart(width, "0");
+
+/** A date as operators read it. @param {Date} date */
+function dayOfYear(date) {
+  const day = Math.floor((date.getTime() - Date.UTC(date.getUTCFullYear(), 0, 1)) / 86400000) + 1;
+  const time = `${pad(date.getUTCHours())}:${pad(date.getUTCMinutes())}:${pad(date.getUTCSeconds())}`;
+  return `${date.getUTCFullYear()}-${pad(day, 3)} ${time}Z`;
+}
+
+/** A span in its two largest units, as the server prints it. @param {number} seconds */
+function span(seconds) {
+  const parts = [
+    { amount: Math.floor(seconds / 86400), unit: "d" },
+    { amount: Math.floor(seconds / 3600) % 24, unit: "h" },
+    { amount: Math.floor(seconds / 60) % 60, unit: "min" },
+    { amount: Math.floor(seconds) % 60, unit: "s" },
+  ].filter(({ amount }) => amount > 0);
+  return parts.slice(0, 2).map(({ amount, unit }) => `${amount}\u202f${unit}`).join(" ");
+}
+
+function tick() {
+  const clock = document.getElementById("clock");
+  if (clock) clock.textContent = dayOfYear(new Date());
+}
+
+function refreshAges() {
+  for (const element of findAll("time.age", HTMLTimeElement)) {
+    const seconds = (Date.now() - Date.parse(element.dateTime)) / 1000;
+    element.textContent = seconds < 10 ? "just now" : `${span(seconds)} ago`;
+  }
+}
+
+tick();
+setInterval(tick, 1000);
+setInterval(refreshAges, 10000);

@@ -1,0 +1,128 @@
+/**
+ * The one event stream of a page, and the light that says whether it can be believed.
+ *
+ * Every event of GET /api/v1/events is passed on as a DOM event on `document`: boresight:run, boresight:log,
+ * boresight:progress, boresight:audit, with the decoded data in `detail`. A page listens there and opens no stream of its
+ * own, for a browser allows few connections to one server; that of a run hears the points of its history too. After a
+ * break the browser asks for what it missed by its last event id. A hidden page closes its stream; when it is shown again,
+ * or when the server keeps no more what was missed, boresight:missed says that all should be read again.
+ * LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken.
+ * LOGGED OUT: the log-in has ended, here or elsewhere; a notice says why, and nothing more is asked of the server.
+ * The body carries the same word in data-link, so that styles can grey what is no longer fresh.
+ */
+import { make, need } from "./dom.js";
+import { BACKGROUND, Problem, fetchJson } from "./requests.js";
+
+const KINDS = ["run", "log", "progress", "audit", "missed"];
+const PROBE_MS = 8000;
+const STALE_AFTER_MS = 20000;
+
+const light = need("#link-state", HTMLElement);
+const said = need("#link-said", HTMLElement); // for screen readers: changes only, not every second
+/** @type {EventSource | null} */
+let source = null;
+let broken = false;
+let opened = false;
+let heardAt = Date.now();
+let ended = false;
+
+function heard() {
+  heardAt = Date.now();
+  broken = false;
+  show();
+}
+
+function show() {
+  if (ended) return;
+  const silent = Date.now() - heardAt;
+  const state = broken ? "disconnected" : silent > STALE_AFTER_MS ? "stale" : "live";
+  const word = state === "stale" ? `STALE ${Math.round(silent / 1000)} s` : state.toUpperCase();
+  if (light.textContent !== word) light.textContent = word;
+  if (light.dataset.state !== state && light.dataset.state !== "connecting") said.textContent = `Link ${state}`;
+  light.dataset.state = state;
+  document.body.dataset.link = state;
+}
+
+/** Pass on what the server sent; the types of the events say what that is. @param {string} kind @param {unknown} detail */
+const tell = (kind, detail) => document.dispatchEvent(new CustomEvent(`boresight:${kind}`, { detail }));
+
+function open() {
+  const run = document.querySelector("live-run")?.getAttribute("run");
+  let again = opened;
+  source = new EventSource(`/api/v1/events${run ? `?history=${run}` : ""}`);
+  source.onopen = () => {
+    heard();
+    if (again) tell("missed", {});
+    again = false;
+    opened = true;
+  };
+  source.onmessage = heard;
+  source.onerror = () => {
+    broken = true;
+    show();
+  };
+  source.addEventListener("logged-out", askWhetherEnded);
+  for (const kind of KINDS) {
+    source.addEventListener(kind, ({ data }) => {
+      heard();
+      tell(kind, JSON.parse(data));
+    });
+  }
+}
+
+function close() {
+  source?.close();
+  source = null;
+}
+
+/** Ask whether the log-in still holds, and if not say why, with the way back in. */
+async function askWhetherEnded() {
+  try {
+    await fetchJson("/api/v1/sessions/current", BACKGROUND);
+  } catch (problem) {
+    if (problem instanceof Problem && problem.status === 401) sayEnded(problem.message);
+  }
+}
+
+/** @param {string} sentence */
+function sayEnded(sentence) {
+  if (ended) return;
+  ended = true;
+  close();
+  light.textContent = "LOGGED OUT";
+  said.textContent = "Link ended: you are logged out";
+  light.dataset.state = document.body.dataset.link = "disconnected";
+  const notice = make("div", { className: "notice notice-serious", id: "log-in-ended", role: "alert" });
+  const words = make("p", {});
+  const way = make("a", { textContent: "Log in again", href: `/login?next=${encodeURIComponent(location.pathname + location.search)}` });
+  words.append(`${sentence} What is shown is the last that arrived. `, way, ".");
+  notice.append(words);
+  need("#content", HTMLElement).prepend(notice);
+  notice.scrollIntoView({ block: "nearest" });
+}
+
+/** An idle stream is silent, so ask the server whether it is there. */
+async function probe() {
+  if (document.hidden || ended) return;
+  try {
+    const answer = await fetch("/healthz", { cache: "no-store" });
+    if (answer.ok && source?.readyState === EventSource.OPEN) heard();
+    if (answer.ok && source?.readyState === EventSource.CLOSED) {
+      await askWhetherEnded();
+      close();
+      if (!ended) open();
+    }
+  } catch {
+    broken = true;
+  }
+  show();
+}
+
+document.addEventListener("visibilitychange", () => {
+  close();
+  if (!document.hidden && !ended) open();
+});
+addEventListener("pagehide", close);
+open();
+setInterval(probe, PROBE_MS);
+setInterval(show, 1000);

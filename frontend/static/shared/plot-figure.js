@@ -1,0 +1,236 @@
+/**
+ * <plot-figure src name label scale>: one Plotly figure of a run, fetched as JSON and drawn as SVG.
+ *
+ * States, each in words below the drawing: loading, empty, error (with Retry), stale (the last good drawing stays,
+ * dimmed, with its time). A `figure-refresh` event on the element fetches again. The panel around it has the CSV link and
+ * the PNG button; an image is always on white. `scale` is log or linear, for the axes that a figure offers both for. Of a
+ * figure that was thinned (`meta.detail`) a zoomed window is asked for again, in full. Charts of one axis share a cursor.
+ */
+import { find, make } from "./dom.js";
+import { linkCursor, unlinkCursor } from "./plot-cursor.js";
+import { onTheme, onWhite } from "./plot-theme.js";
+import { clear, draw, fit, imageOf, isDrawn, load, rangeOf } from "./plotly.js";
+import { BACKGROUND, Problem, fetchJson, sentenceOf } from "./requests.js";
+
+const SLOW_MS = 10_000;
+const WAIT_MS = 250; // a zoom is asked for when it has come to rest
+
+// Figures near the window are drawn at once; the others one after another whenever the browser has nothing better to do
+const near = new IntersectionObserver(
+  (entries) => {
+    for (const { isIntersecting, target } of entries) if (isIntersecting && target instanceof PlotFigure) target.begin();
+  },
+  { rootMargin: "300px" },
+);
+const idle = () => new Promise((resolve) => requestIdleCallback(resolve, { timeout: 1500 }));
+/** @type {Promise<unknown>} */
+let queue = Promise.resolve();
+
+/** @param {Column | undefined} values */
+const length = (values) => (values && "bdata" in values ? values.bdata : values)?.length ?? 0;
+/** @param {Figure} figure */
+const isEmpty = (figure) => !figure.data.some(({ x, y, z }) => [x, y, z].some((values) => length(values) > 0));
+/** @param {Figure} figure */
+const reasonOf = (figure) => figure.layout.annotations?.[0]?.text ?? "Nothing to draw yet: the run has not come this far.";
+/** @param {string | undefined} markup */
+const plain = (markup) => new DOMParser().parseFromString(markup ?? "", "text/html").body.textContent;
+const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;
+
+/**
+ * The window that a change of the axes zoomed to; null where it shows all again, undefined where no x axis moved.
+ * @param {ZoomChange} change
+ * @returns {[number, number] | null | undefined}
+ */
+function windowOf(change) {
+  const axis = Object.keys(change).find((name) => /^xaxis\d*\.(range\[0\]|autorange)$/.test(name))?.split(".")[0];
+  if (!axis) return undefined;
+  const [from, to] = [change[`${axis}.range[0]`], change[`${axis}.range[1]`]];
+  return typeof from === "number" && typeof to === "number" ? [from, to] : change[`${axis}.autorange`] ? null : undefined;
+}
+
+/** Whether an axis shows a window. @param {[number, number] | undefined} range @param {[number, number]} window */
+const shows = (range, [from, to]) => range !== undefined && Math.abs(range[0] - from) + Math.abs(range[1] - to) < 1e-6 * Math.abs(to - from);
+
+export class PlotFigure extends HTMLElement {
+  #begun = false;
+  /** @type {Figure | null} */
+  #figure = null;
+  #busy = false;
+  #again = false;
+  #drawnAt = "";
+  #abort = new AbortController();
+  /** @type {[number, number] | null} the part of the one axis of all panels that is looked at */
+  #window = null;
+  #zoomTimer = 0;
+  /** @type {Canvas} */
+  canvas = make("div", { className: "figure-canvas", tabIndex: 0, role: "img" });
+  #words = make("p", { className: "figure-words", role: "status" });
+  #retry = make("button", { type: "button", className: "button-small", textContent: "Retry", hidden: true });
+  #headline = make("p", { className: "figure-headline", hidden: true });
+  /** @type {HTMLButtonElement | null} */
+  #png = null;
+  #resizer = new ResizeObserver(() => this.#resize());
+
+  connectedCallback() {
+    if (!this.canvas.isConnected) this.#build();
+    this.#abort = new AbortController();
+    const { signal } = this.#abort;
+    this.addEventListener("figure-refresh", () => this.refresh(BACKGROUND), { signal });
+    document.addEventListener("boresight:theme", () => this.#draw(), { signal });
+    this.#resizer.observe(this.canvas);
+    this.#say("loading", "Loading the figure.");
+    near.observe(this);
+    queue = queue.then(idle).then(() => this.begin());
+  }
+
+  /** Fetch and draw for the first time, unless that was done already. */
+  async begin() {
+    near.unobserve(this);
+    if (!this.#begun && this.isConnected) await this.refresh();
+  }
+
+  disconnectedCallback() {
+    near.unobserve(this);
+    this.#begun = false;
+    this.#abort.abort();
+    this.#resizer.disconnect();
+    unlinkCursor(this.canvas);
+    clear(this.canvas);
+  }
+
+  #build() {
+    this.canvas.ariaLabel = `${this.getAttribute("label")}. The table below has the same data.`;
+    this.#retry.addEventListener("click", () => this.refresh());
+    this.prepend(this.#headline, this.canvas, this.#words, this.#retry);
+    const panel = this.closest(".figure-panel");
+    this.#png = panel && find("[data-png]", HTMLButtonElement, panel);
+    this.#png?.addEventListener("click", () => this.#savePng());
+    if (this.#png) this.#png.disabled = true;
+  }
+
+  /** Fetch and draw; a refresh that arrives in the middle of one is done once, afterwards. @param {Record<string, string>} [headers] */
+  async refresh(headers = {}) {
+    if (this.#busy) {
+      this.#again = true;
+      return;
+    }
+    this.#begun = this.#busy = true;
+    const slow = setTimeout(() => this.#say("loading", "Still working on this figure."), SLOW_MS);
+    if (!this.#figure) this.#say("loading", "Loading the figure.");
+    try {
+      const [figure] = await Promise.all([fetchJson(this.#address(this.#window), headers), load()]);
+      this.#figure = figure;
+      this.#drawnAt = utcTime();
+      await this.#draw();
+    } catch (error) {
+      this.#fail(error);
+    } finally {
+      clearTimeout(slow);
+      this.#busy = false;
+    }
+    if (this.#again && this.isConnected) {
+      this.#again = false;
+      this.refresh(headers);
+    }
+  }
+
+  async #draw() {
+    const figure = this.#figure;
+    if (!figure || !this.isConnected) return;
+    if (isEmpty(figure)) {
+      this.#say("empty", reasonOf(figure));
+      return;
+    }
+    this.#say("ready", "");
+    const { data, layout } = this.#scaled(onTheme(figure));
+    const isFirst = !isDrawn(this.canvas);
+    await draw(this.canvas, { data, layout: { ...layout, ...this.#size() } });
+    if (isFirst) this.canvas.on?.("plotly_relayout", (change) => this.#look(change));
+    linkCursor(this.canvas, layout.meta?.axis);
+    this.#headline.textContent = plain(figure.layout.title?.text);
+    this.#headline.hidden = !this.#headline.textContent || this.#headline.textContent === this.getAttribute("label");
+    if (this.#png) this.#png.disabled = false;
+    this.dispatchEvent(new CustomEvent("figure-drawn", { bubbles: true }));
+  }
+
+  /** The figure's address, with the window that is looked at. @param {[number, number] | null} window */
+  #address(window) {
+    const address = new URL(this.getAttribute("src") ?? "", location.href);
+    for (const [place, name] of ["x_from", "x_to"].entries()) if (window) address.searchParams.set(name, String(window[place]));
+    return address.pathname + address.search;
+  }
+
+  /** Put the axes that are offered on both scales on the one that is asked for. @param {Figure} figure */
+  #scaled({ data, layout }) {
+    const type = this.getAttribute("scale");
+    for (const axis of (type && layout.meta?.log) || []) layout[axis] = { ...layout[axis], type: type ?? "", autorange: true };
+    return { data, layout };
+  }
+
+  /**
+   * After a zoom ask for what was thinned away there: where every panel shows the same part of one axis for the whole figure,
+   * else for the curves of the panels that show it.
+   * @param {ZoomChange} change
+   */
+  #look(change) {
+    const window = windowOf(change);
+    const layout = this.#figure?.layout;
+    if (window === undefined || !layout?.meta?.detail) return;
+    const isOneAxis = Object.entries(layout).every(([name, axis]) => !/^xaxis\d+$/.test(name) || axis.matches);
+    if (isOneAxis) {
+      this.#window = window;
+      this.refresh();
+    } else {
+      clearTimeout(this.#zoomTimer);
+      this.#zoomTimer = setTimeout(() => this.#detail(window).catch(() => {}), WAIT_MS); // without detail the drawing stays
+    }
+  }
+
+  /** @param {[number, number] | null} window */
+  async #detail(window) {
+    /** @type {Figure} */
+    const fresh = await fetchJson(this.#address(window));
+    if (!this.#figure) return;
+    /** @param {Trace} trace */
+    const isShown = ({ xaxis = "x" }) => !window || shows(rangeOf(this.canvas, `xaxis${xaxis.slice(1)}`), window);
+    this.#figure = { ...this.#figure, data: this.#figure.data.map((trace, i) => (isShown(trace) ? fresh.data[i] ?? trace : trace)) };
+    await this.#draw();
+  }
+
+  #size() {
+    const height = Number(this.getAttribute("height")) || this.#figure?.layout.height || 380;
+    return { width: Math.max(260, this.canvas.clientWidth), height, autosize: false };
+  }
+
+  #resize() {
+    if (isDrawn(this.canvas) && this.#figure) fit(this.canvas, this.#size());
+  }
+
+  /** @param {unknown} error */
+  #fail(error) {
+    const sentence = sentenceOf(error);
+    if (this.#figure && isDrawn(this.canvas)) {
+      this.#say("stale", `STALE: drawn at ${this.#drawnAt}; the refresh failed. ${sentence}`);
+    } else {
+      this.#say(error instanceof Problem && [404, 409].includes(error.status) ? "empty" : "error", sentence);
+    }
+    this.#retry.hidden = false;
+  }
+
+  /** @param {"loading" | "empty" | "error" | "stale" | "ready"} state @param {string} words */
+  #say(state, words) {
+    this.dataset.state = state;
+    this.canvas.hidden = state === "empty" || state === "error";
+    this.#words.textContent = words;
+    this.#words.hidden = !words;
+    this.#retry.hidden = state !== "error" && state !== "stale";
+  }
+
+  async #savePng() {
+    if (!this.#figure) return;
+    const href = await imageOf(this.#scaled(onWhite(this.#figure)), this.#size().height);
+    make("a", { href, download: `${this.getAttribute("name")}.png` }).click();
+  }
+}
+
+customElements.define("plot-figure", PlotFigure);

@@ -1,0 +1,34 @@
+/**
+ * The surface of a figure. Figures arrive in the dark template and carry those of the other themes in `layout.meta`:
+ * a page shows its own, paper and every exported image the light one, black on white.
+ */
+
+const HEADING_PX = 28;
+const isLight = () => matchMedia("print").matches || document.documentElement.dataset.theme === "light";
+
+/** @param {Figure} figure @param {object | undefined} template @returns {Figure} */
+function copied(figure, template) {
+  const { data, layout } = structuredClone(figure);
+  return { data, layout: template ? { ...layout, template: structuredClone(template) } : layout };
+}
+
+/**
+ * The figure as this page shows it: on the panel's own surface, and without its title, which the panel's heading is.
+ * @param {Figure} figure
+ */
+export function onTheme(figure) {
+  const { light, contrast } = figure.layout.meta ?? {};
+  const themed = copied(figure, isLight() ? light : document.documentElement.dataset.theme === "contrast" ? contrast : undefined);
+  const { layout } = themed;
+  layout.title = { text: "" };
+  layout.legend = { ...layout.legend, y: 1 };
+  layout.margin = { ...layout.margin, t: Math.max(24, (layout.margin?.t ?? 64) - HEADING_PX) };
+  layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
+  return themed;
+}
+
+/** The figure for an image: white whatever the page's theme. @param {Figure} figure @returns {Figure} */
+export function onWhite(figure) {
+  const { data, layout } = copied(figure, figure.layout.meta?.light);
+  return { data, layout: { ...layout, paper_bgcolor: "#ffffff", plot_bgcolor: "#ffffff" } };
+}

@@ -1,0 +1,114 @@
+"""Who may import whom inside the console: roles in one order, nouns in one order."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1] / "backend" / "boresight"
+CONSOLE = ROOT / "console"
+RANKS = {"tables": 0, "queries": 1, "service": 2, "schemas": 3, "routes": 4, "pages": 4}
+# Services of a noun use those of nouns before it, and of none after it.
+NOUNS = (
+    "access",
+    "notes",
+    "telemetry",
+    "runs",
+    "parameter_sets",
+    "fleet",
+    "alarms",
+    "approvals",
+    "uplinks",
+    "change_proposals",
+    "campaigns",
+    "webhooks",
+    "audit",
+    "administration",
+)
+SHARED = {"pages", "jobs"}
+QUERIES = {"queries", "run_events"}
+# What knows HTTP although it is neither page nor route, and what speaks SQL although it is no query.
+HTTP = {
+    "access.credentials",
+    "access.dependencies",
+    "access.password_checks",
+    "administration.documentation",
+    "approvals.measured",
+    "telemetry.uploads",
+}
+SQL = {"runs.presets"}
+UPWARD = {("access.dependencies", "runs.dry_runs")}  # the dependencies of requests hand out the forecasts' memory
+
+
+def _name(path: Path) -> str:
+    return ".".join(path.relative_to(CONSOLE).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {
+    _name(path): path
+    for path in sorted(CONSOLE.rglob("*.py"))
+    if path.relative_to(CONSOLE).parts[0] not in SHARED and len(path.relative_to(CONSOLE).parts) > 1
+}
+
+
+def _role(name: str) -> str:
+    """Return what a module of a noun is."""
+    parts = name.split(".")[1:]
+    if "pages" in parts:
+        return "pages"
+    leaf = parts[0] if parts else ""
+    if leaf.endswith("routes"):
+        return "routes"
+    return "queries" if leaf in QUERIES else leaf if leaf in RANKS else "service"
+
+
+def _imports(path: Path) -> Iterator[str]:
+    """Yield every module that a file imports, and every name that may be one."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def _used(name: str) -> set[str]:
+    """Return the modules of nouns that one of them imports."""
+    prefix = "boresight.console."
+    found = {one.removeprefix(prefix) for one in _imports(MODULES[name]) if one.startswith(prefix)}
+    return {one for one in found if one in MODULES and "." in one} - {name}
+
+
+def test_every_noun_has_its_place_in_the_order() -> None:
+    folders = {path.name for path in CONSOLE.iterdir() if path.is_dir() and path.name != "__pycache__"}
+    assert folders - SHARED == set(NOUNS)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_no_role_uses_one_above_it(name: str) -> None:
+    assert {one for one in _used(name) if RANKS[_role(one)] > RANKS[_role(name)]} == set()
+    assert {one for one in _used(name) if {_role(one), _role(name)} == {"pages", "routes"}} == set()
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if _role(name) == "service"])
+def test_services_use_services_of_nouns_before_theirs_alone(name: str) -> None:
+    place = NOUNS.index(name.split(".", maxsplit=1)[0])
+    later = {one for one in _used(name) if _role(one) == "service" and NOUNS.index(one.split(".")[0]) > place}
+    assert {(name, one) for one in later} <= UPWARD
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_only_queries_and_tables_speak_sql_and_only_pages_and_routes_know_http(name: str) -> None:
+    roots = {one.split(".")[0] for one in _imports(MODULES[name])}
+    assert _role(name) in {"tables", "queries"} or name in SQL or not roots & {"sqlalchemy", "alembic"}
+    assert _role(name) in {"routes", "pages"} or name in HTTP or not roots & {"fastapi", "starlette", "uvicorn"}
+
+
+def test_no_exception_is_kept_that_nothing_needs() -> None:
+    roots = {name: {one.split(".")[0] for one in _imports(path)} for name, path in MODULES.items()}
+    assert {name for name in HTTP if not roots[name] & {"fastapi", "starlette"}} == set()
+    assert {name for name in SQL if "sqlalchemy" not in roots[name]} == set()
+    assert {pair for pair in UPWARD if pair[1] not in _used(pair[0])} == set()

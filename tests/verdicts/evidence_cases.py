@@ -1,0 +1,55 @@
+"""Evidence made by hand: a sound set of a sensor, and anything that a test wants otherwise."""
+
+from typing import Any
+
+import numpy as np
+
+from boresight.simulation.sensors import st16_sensor
+from boresight.verdicts.gates import Evidence
+from boresight.verdicts.gates.assessment import ground_set
+
+SENSOR = st16_sensor(1)
+NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
+
+
+SIGMA = 0.02 * SENSOR.typical_sigma
+
+
+def a_set(**changed: Any) -> dict[str, Any]:
+    start = ground_set(SENSOR)
+    sigma = SIGMA
+    return {
+        **start,
+        "parameters": dict(zip(NAMES, (SENSOR.initial + 5 * sigma).tolist(), strict=True)),
+        "sigma": dict(zip(NAMES, sigma.tolist(), strict=True)),
+        "covariance": {"names": list(NAMES), "matrix": np.diag(sigma**2).tolist()},
+        "status": "converged",
+    } | changed
+
+
+def a_result(**changed: Any) -> dict[str, Any]:
+    test = {"dof": 1000, "lower": 0.91, "upper": 1.09, "consistent": True}
+    return {
+        "method": "batch",
+        "chi2_per_dof": 1.02,
+        "chi2": {"value": 1020.0, **test},
+        "nis": {"mean": 1.02, **test},
+        "observability": {
+            "singular_values": [100.0, 10.0],
+            "sigma_of_direction": [0.01, 0.1],
+            "condition_number": 10.0,
+            "weakest": {"sentence": "n0 and a1 move together."},
+        },
+        "coverage": {"counts": np.ones((12, 16), int).tolist()},
+    } | changed
+
+
+def evidence(**changed: Any) -> Evidence:
+    values: dict[str, Any] = {
+        "sensor": SENSOR,
+        "candidate": a_set(),
+        "incumbent": ground_set(SENSOR),
+        "result": a_result(),
+        "no_held_out": "There are none.",
+    }
+    return Evidence(**(values | changed))

@@ -1,0 +1,264 @@
+"""What each gate measures of a set, of its run and of the number format on board."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from boresight.platform.db.documents import canonical
+from boresight.verdicts.gates import GATES, judge, measure, parse_profile
+from boresight.verdicts.gates.assessment import as_set, ground_set, started_from
+from boresight.verdicts.gates.measurements import MEASURES
+from tests.effort import effort
+
+from .evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
+
+
+def found(name, **changed):
+    return measure(evidence(**changed))[name]
+
+
+def with_parameters(**values):
+    return a_set(parameters=a_set()["parameters"] | values)
+
+
+def with_matrix(matrix):
+    return a_set(covariance={"names": list(NAMES), "matrix": np.asarray(matrix).tolist()}, sigma={})
+
+
+def test_every_gate_is_measured():
+    assert list(MEASURES) == list(GATES)
+    measured = measure(evidence())
+    assert all(one.sentence for one in measured.values())
+    report = judge(parse_profile({}), measured)
+    answers = {one["name"]: one["status"] for one in report["gates"]}
+    assert {name for name, status in answers.items() if status == "NO-DATA"} == {
+        name for name in GATES if name.startswith(("validation", "availability", "matched", "quantisation"))
+    }
+    assert set(answers.values()) == {"PASS", "NO-DATA"}
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), None, "0.016", True])
+def test_a_parameter_that_is_no_plausible_number_fails(value):
+    measured = found("finite", candidate=with_parameters(f_m=value))
+    assert measured.met == "FAIL"
+    assert "f_m" in measured.sentence
+
+
+def test_parameters_that_are_no_camera_together_fail():
+    measured = found("finite", candidate=with_parameters(f_m=16.0))
+    assert (measured.met, "metres" in measured.sentence) == ("FAIL", True)
+
+
+def test_a_set_without_one_of_its_parameters_fails_and_no_gate_breaks_down():
+    values = a_set()["parameters"]
+    del values["n0_px"]
+    measured = measure(evidence(candidate=a_set(parameters=values)))
+    assert measured["finite"].met == "FAIL"
+    assert measured["arc-uncertainty"].value is None
+    assert "n0_px" in measured["parameter-shift"].sentence
+
+
+@pytest.mark.parametrize("sigma", [-1.0, float("nan"), float("inf"), "wide"])
+def test_a_sigma_that_is_no_number_fails(sigma):
+    assert found("finite", candidate=a_set(sigma={"f_m": sigma})).met == "FAIL"
+
+
+def test_a_fixed_parameter_has_no_sigma_and_that_is_finite():
+    assert found("finite", candidate=a_set(sigma={"f_m": None})).met == "PASS"
+
+
+P = np.diag(SIGMA**2)
+
+
+def correlated(rho):
+    matrix = P.copy()
+    matrix[1, 2] = matrix[2, 1] = rho * np.sqrt(P[1, 1] * P[2, 2])
+    return matrix
+
+
+def lopsided():
+    matrix = correlated(0.5)
+    matrix[1, 2] *= 0.9
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        (correlated(1.01), "not positive definite"),
+        (correlated(1.0), "not positive definite"),
+        (lopsided(), "not symmetric"),
+        (P * 0, "no positive number"),
+        (-P, "no positive number"),
+        (P * np.nan, "no positive number"),
+        (P[:7], "not names and a square matrix"),
+        ([], "not names and a square matrix"),
+    ],
+)
+def test_what_is_no_covariance_fails(matrix, words):
+    measured = found("covariance", candidate=with_matrix(matrix))
+    assert measured.met == "FAIL"
+    assert words in measured.sentence
+
+
+def test_a_strong_but_possible_correlation_is_a_covariance():
+    assert found("covariance", candidate=with_matrix(correlated(0.9999999))).met == "PASS"
+
+
+@pytest.mark.parametrize("covariance", [None, {}, {"names": [], "matrix": []}, {"names": ["f"], "matrix": [[1.0]]}])
+def test_no_covariance_fails(covariance):
+    assert found("covariance", candidate=a_set(covariance=covariance)).met == "FAIL"
+
+
+def test_sigmas_that_are_not_the_covariances_fail():
+    measured = found("covariance", candidate=a_set(sigma={"f_m": 1e-3}))
+    assert (measured.met, "f_m" in measured.sentence) == ("FAIL", True)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"candidate": a_set(sensor="ST16-2")}, "of the sensor ST16-2"),
+        ({"candidate": a_set(camera_model="pinhole_radial")}, "camera model pinhole_radial"),
+        ({"made_with": {"detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 4e-6}, "parity": 1}}, "Detector"),
+        ({"made_with": {"detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6}, "parity": -1}}, "parity"),
+    ],
+)
+def test_a_set_of_another_sensor_fails(changed, words):
+    measured = found("sensor", **changed)
+    assert measured.met == "FAIL"
+    assert words in measured.sentence
+
+
+@pytest.mark.parametrize(
+    ("status", "met"),
+    [("converged", "PASS"), ("max_iterations", "MARGINAL"), ("rank_deficient", "FAIL"), (None, "FAIL")],
+)
+def test_an_estimate_must_have_come_to_rest(status, met):
+    assert found("convergence", candidate=a_set(status=status)).met == met
+
+
+def test_the_shift_is_in_sigmas_of_the_difference_and_names_the_parameter():
+    typical = SENSOR.typical_sigma
+    measured = found("parameter-shift", candidate=with_parameters(n0_px=SENSOR.initial[2] + 6 * typical[2]))
+    assert measured.value == pytest.approx(6 / np.sqrt(1 + 0.02**2 + 0.1**2))
+    assert measured.sentence.startswith("n0_px moved farthest, by +6.0 sigmas")
+
+
+def test_a_shift_from_a_very_sure_incumbent_is_held_to_a_tenth_of_the_typical_spread():
+    sure = a_set(covariance={"names": list(NAMES), "matrix": (1e-6 * P).tolist()})
+    moved = {**sure, "parameters": sure["parameters"] | {"f_m": sure["parameters"]["f_m"] + SENSOR.typical_sigma[0]}}
+    assert found("parameter-shift", candidate=moved, incumbent=sure).value == pytest.approx(10, rel=1e-6)
+
+
+def test_the_arc_uncertainty_grows_with_the_sigmas_and_stands_beside_the_incumbents():
+    once = found("arc-uncertainty")
+    twice = found("arc-uncertainty", candidate=with_matrix(4 * P))
+    assert twice.value == pytest.approx(2 * once.value)
+    assert once.incumbent == pytest.approx(50 * once.value, rel=0.05)
+
+
+def test_residuals_are_judged_by_the_runs_own_bounds_and_a_batch_has_no_innovations():
+    assert found("chi-square").bounds == (0.91, 1.09)
+    assert "A batch has no innovations" in found("nis").sentence
+    assert found("nis", result=a_result(method="sqrf")).sentence.startswith("Innovations are")
+
+
+def test_observability_is_told_with_its_weakest_direction():
+    assert found("condition-number").value == 10
+    assert found("weak-directions").value == 0.1
+    assert found("weak-directions").sentence == "n0 and a1 move together."
+    blind = {"singular_values": [1.0, 0.0], "sigma_of_direction": [1.0, None], "condition_number": None}
+    for name in ("condition-number", "weak-directions"):
+        assert "leave a direction open" in found(name, result=a_result(observability=blind)).sentence
+
+
+def test_coverage_counts_regions_with_stars():
+    counts = np.zeros((12, 16), int)
+    counts[:6, :8] = 3
+    assert found("coverage", result=a_result(coverage={"counts": counts.tolist()})).value == pytest.approx(1 / 4)
+
+
+@pytest.mark.parametrize("name", ["chi-square", "nis", "condition-number", "weak-directions", "coverage"])
+def test_what_no_run_measured_has_no_data(name):
+    assert found(name, result=None).sentence == "The set was declared with the sensor; no run measured this."
+    assert "run it again" in found(name, result={}).sentence or "open" in found(name, result={}).sentence
+
+
+def definition(kind, **scaling):
+    fields = [
+        {"name": name, "parameter": name, "offset_bytes": 8 * place, "type": kind, **scaling}
+        for place, name in enumerate(NAMES)
+    ]
+    return {"table_id": "CAM", "flight_software_version": "1", "length_bytes": 64, "fields": fields}
+
+
+def test_quantisation_is_nothing_in_float64_something_in_float32_and_unknown_without_a_table():
+    exact, rounded = (found("quantisation", definition=definition(kind)) for kind in ("float64", "float32"))
+    assert exact.value == pytest.approx(0, abs=1e-9)
+    assert 1e-6 < rounded.value < 1e-2
+    assert "adds it" in found("quantisation").sentence
+
+
+def test_a_table_that_cannot_hold_the_set_fails():
+    measured = found("quantisation", definition=definition("uint8", scale=1e-12, offset=0.0))
+    assert measured.met == "FAIL"
+
+
+def test_parameters_from_a_file_are_as_unsure_as_a_ground_calibration_unless_they_say():
+    plain = as_set(a_set()["parameters"], SENSOR)
+    assert plain["covariance"] == ground_set(SENSOR)["covariance"]
+    assert as_set(a_set(), SENSOR)["covariance"] == a_set()["covariance"]
+
+
+def test_a_run_started_from_the_incumbent_or_not():
+    initial = ground_set(SENSOR)["parameters"]
+    assert started_from({"initial": initial}, ground_set(SENSOR))
+    assert not started_from({"initial": initial}, a_set())
+    assert not started_from({}, ground_set(SENSOR))
+
+
+JUNK = st.one_of(
+    st.none(), st.booleans(), st.floats(), st.text(max_size=3), st.lists(st.floats(), max_size=3), st.just({})
+)
+
+
+def places(document, path=()):
+    for key, value in document.items():
+        yield (*path, key)
+        if isinstance(value, dict):
+            yield from places(value, (*path, key))
+
+
+def spoiled(document, path, junk):
+    return {
+        key: junk if path == (key,) else spoiled(value, path[1:], junk) if path[:1] == (key,) else value
+        for key, value in document.items()
+    }
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@settings(max_examples=effort(30, 150), deadline=None)
+@given(st.data())
+def test_whatever_stands_in_a_document_there_is_a_report_that_can_be_stored(data):
+    which = data.draw(st.sampled_from(["candidate", "incumbent", "result"]))
+    sound = {"candidate": a_set(), "incumbent": ground_set(SENSOR), "result": a_result()}[which]
+    path = data.draw(st.sampled_from(list(places(sound))))
+    report = judge(parse_profile({}), measure(evidence(**{which: spoiled(sound, path, data.draw(JUNK))})))
+    assert canonical(report)
+
+
+def test_the_rms_is_told_in_multiples_of_the_stated_noise():
+    noise = np.sqrt(2) * SENSOR.centroid_sigma_px * SENSOR.pixel_pitch_m / SENSOR.initial[0]
+    score = {"value": 2 * noise, "interval": [1.5 * noise, 2.5 * noise], "incumbent": 4 * noise}
+    measured = found("validation-rms", held_out={"validation-rms": score, "frames": 50})
+    assert measured.value == pytest.approx(2)
+    assert measured.interval == pytest.approx((1.5, 2.5))
+    assert measured.incumbent == pytest.approx(4)
+    noisier = dataclasses.replace(SENSOR, centroid_sigma_px=2 * SENSOR.centroid_sigma_px)
+    assert found(
+        "validation-rms", sensor=noisier, held_out={"validation-rms": score, "frames": 50}
+    ).value == pytest.approx(1)
